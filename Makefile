@@ -1,0 +1,53 @@
+# Every target does its own set-up, once: it needs git, make and Python 3.11 or newer, no more.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+BENCH_STAMP := .venv-bench/.ready
+
+.PHONY: demo test bench lint format fuzz lock clean
+
+$(STAMP): requirements/dev.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
+	@echo "Setting up $(VENV) (once, about two minutes)"
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements/dev.txt
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
+	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --report reports/demo
+
+test: $(STAMP)  ## Run the tests
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)  ## Linters, types and the rules of the house
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(STAMP)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+$(BENCH_STAMP): requirements/bench.txt pyproject.toml
+	$(PYTHON) -m venv .venv-bench
+	.venv-bench/bin/python -m pip install --quiet --require-hashes -r requirements/bench.txt
+	.venv-bench/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+bench: $(BENCH_STAMP)  ## Compare with peers in one run; writes benchmarks/results.json
+	.venv-bench/bin/python -m benchmarks
+
+fuzz: $(STAMP)  ## A million hostile inputs per reader; long
+	$(BIN)/python tools/fuzz.py --cases 1000000
+
+lock:  ## Renew the locked requirements (needs uv)
+	for name in run dev bench; do \
+	  uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+	    --custom-compile-command "make lock" requirements/$$name.in -o requirements/$$name.txt; \
+	done
+
+clean:
+	rm -rf $(VENV) .venv-bench build dist reports .pytest_cache .mypy_cache .ruff_cache

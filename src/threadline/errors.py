@@ -1,0 +1,153 @@
+"""The tree of errors: every one has a stable code and says subject, value, limit and remedy.
+
+::
+
+    ThreadlineError
+      InputError (also ValueError)          wrong input: the program exits with 2
+        UnitError          [UNIT]           a quantity that cannot be read
+        MachineError       [MACHINE]        a machine file
+        JobError           [JOB]            a job file
+        SpecError          [SPEC]           a specification file
+        RecordingError     [RECORDING]      a recording or table file
+        OptionError        [OPTION]         a command-line or API option
+        PlanError          [PLAN]           a job that this machine cannot do
+          LimitError       [PLAN-LIMIT]     a planned motion beyond a limit of the machine
+          BudgetError      [PLAN-BUDGET]    more work than the machine file allows
+      LinkFaultError       [FAULT]          the machine or its link: the program exits with 3
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in a file something stands; ``line`` counts from 1, 0 means the whole file."""
+
+    file: str
+    line: int = 0
+
+    def __str__(self) -> str:
+        name = Path(self.file).name
+        return f"{name}:{self.line}" if self.line else name
+
+
+class ThreadlineError(Exception):
+    """Base of every error that Threadline raises on purpose.
+
+    Parameters
+    ----------
+    message
+        What is wrong: the subject, its value and the limit.
+    place
+        File and line that caused it, where there is one.
+    remedy
+        What the user can do about it.
+    """
+
+    code = "THREADLINE"
+
+    def __init__(self, message: str, *, place: Place | None = None, remedy: str = "") -> None:
+        self.message = message
+        self.place = place
+        self.remedy = remedy
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        where = f"{self.place}: " if self.place else ""
+        remedy = f" {self.remedy}" if self.remedy else ""
+        text = self.message if self.message.endswith((".", "?", "!")) else f"{self.message}."
+        return f"[{self.code}] {where}{text}{remedy}"
+
+
+class InputError(ThreadlineError, ValueError):
+    """The input is wrong; nothing was moved or written."""
+
+    code = "INPUT"
+
+
+class UnitError(InputError):
+    """A quantity whose text, unit or dimension is wrong."""
+
+    code = "UNIT"
+
+
+class MachineError(InputError):
+    """A machine file that does not describe a machine."""
+
+    code = "MACHINE"
+
+
+class JobError(InputError):
+    """A job file that cannot be read."""
+
+    code = "JOB"
+
+
+class SpecError(InputError):
+    """A specification file that cannot be read."""
+
+    code = "SPEC"
+
+
+class RecordingError(InputError):
+    """A recording or command table that cannot be read."""
+
+    code = "RECORDING"
+
+
+class OptionError(InputError):
+    """An option that is unknown or outside its range."""
+
+    code = "OPTION"
+
+
+class PlanError(InputError):
+    """A job that this machine cannot do."""
+
+    code = "PLAN"
+
+
+class LimitError(PlanError):
+    """A planned motion beyond a limit of the machine.
+
+    Attributes
+    ----------
+    axis, quantity
+        What was exceeded, for instance ``"X"`` and ``"velocity"``.
+    value_si, limit_si
+        The peak and its limit, SI.
+    """
+
+    code = "PLAN-LIMIT"
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        axis: str,
+        quantity: str,
+        value_si: float,
+        limit_si: float,
+        place: Place | None = None,
+        remedy: str = "",
+    ) -> None:
+        super().__init__(message, place=place, remedy=remedy)
+        self.axis = axis
+        self.quantity = quantity
+        self.value_si = value_si
+        self.limit_si = limit_si
+
+
+class BudgetError(PlanError):
+    """More ticks, operations or memory than the machine file allows."""
+
+    code = "PLAN-BUDGET"
+
+
+class LinkFaultError(ThreadlineError):
+    """The machine or the link to it failed."""
+
+    code = "FAULT"

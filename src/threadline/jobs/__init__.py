@@ -1,0 +1,1 @@
+"""Jobs and the readers that make them, one per file format."""

@@ -1,0 +1,150 @@
+"""A job: a re-iterable source of operations, each with its place in the file that asked for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TypeAlias
+
+from threadline.errors import Place
+from threadline.signals import Stream
+
+NO_TAGS: Mapping[str, float | str] = {}
+
+
+class FeedMode(StrEnum):
+    """What the number of a feed means; SI inside."""
+
+    FASTEST_AXIS = "fastest-axis"  # m/s of the fastest axis; a rotary axis acts at the tool radius
+    BASE_AXES = "base-axes"  # m/s of the base axes alone (CADFIL modes 1 and 2)
+    PATH = "path"  # m/s along the path of the linear axes
+    COUNT_PER_TICK = "count-per-tick"  # encoder counts per tick of the fastest axis
+    INVERSE_TIME = "inverse-time"  # moves per second: the move takes 1 / value
+    RAPID = "rapid"  # as fast as the machine's limits allow; value unused
+
+
+@dataclass(frozen=True, slots=True)
+class Feed:
+    """How fast a move is wanted: ``value`` in the SI unit of ``mode``.
+
+    ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``.
+    """
+
+    mode: FeedMode
+    value: float
+    base_axes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where an operation was asked for.
+
+    Parameters
+    ----------
+    file, line
+        File and line, from 1.
+    passes
+        Pass of each subroutine call that is open, outermost first, from 1: ``(3,)`` is the
+        third time round the subroutine.
+    """
+
+    file: str
+    line: int
+    passes: tuple[int, ...] = ()
+
+    @property
+    def place(self) -> Place:
+        """The place, for an error."""
+        return Place(self.file, self.line)
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Travel of all axes together to ``target``, (axes,) positions in m or rad."""
+
+    target: tuple[float, ...]
+    feed: Feed | None
+    source: Source
+    tags: Mapping[str, float | str] = field(default_factory=lambda: NO_TAGS)
+
+
+@dataclass(frozen=True, slots=True)
+class Dwell:
+    """Standing still for ``duration_s``."""
+
+    duration_s: float
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
+class SetOutput:
+    """Setting the output ``name`` to ``value`` once the motion before it has ended."""
+
+    name: str
+    value: float
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
+class WaitInput:
+    """Waiting until the input ``name`` is ``value``; a fault after ``timeout_s``."""
+
+    name: str
+    value: float
+    timeout_s: float
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Standing still until the operator goes on; ``final`` ends the job."""
+
+    final: bool
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
+class ToolEvent:
+    """Something that the tool does: ``name`` with ``value`` (trim, thread, tension)."""
+
+    name: str
+    value: float
+    source: Source
+
+
+Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Stop | ToolEvent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Job:
+    """A job of any length.
+
+    Parameters
+    ----------
+    name
+        For people: usually the file's name.
+    file
+        What was read.
+    sha256
+        Of the file's bytes.
+    axes
+        Names of the axes of every ``Move.target``, in order.
+    start
+        (axes,) position before the first operation, m or rad.
+    operations
+        Re-iterable; the index of an operation in it is how later stages call it.
+    warnings
+        Suspicious things found by the reader, each with its place.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    axes: tuple[str, ...]
+    start: tuple[float, ...]
+    operations: Stream[Operation]
+    warnings: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[Operation]:
+        return iter(self.operations)

@@ -1,0 +1,1 @@
+"""Normalised rest-to-rest motion laws."""

@@ -1,0 +1,214 @@
+"""Reading machine files: strict, with the nearest right key and the line for every mistake."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import difflib
+import hashlib
+import json
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pydantic import TypeAdapter, ValidationError
+
+from threadline.errors import MachineError, Place
+from threadline.machine.model import Machine
+
+_MAX_BYTES = 1_000_000
+_ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
+
+
+def library_names() -> tuple[str, ...]:
+    """Return the names of the machines that come with Threadline."""
+    folder = resources.files("threadline.machine") / "library"
+    names = (entry.name for entry in folder.iterdir())
+    return tuple(
+        sorted(n[: -len(".toml")] for n in names if n.endswith(".toml") and ".spec." not in n)
+    )
+
+
+def load_machine(reference: str | Path) -> Machine:
+    """Read a machine file, or a machine of the library, with overlays.
+
+    Parameters
+    ----------
+    reference
+        ``"lathe-winder"``, ``"machines/mine.toml"``, each with overlays of that file after a
+        plus sign: ``"lathe-winder+physical+current"``.
+
+    Raises
+    ------
+    MachineError
+        If there is no such machine, or the file does not describe one.
+    """
+    name, *overlays = str(reference).split("+")
+    content, text, file = _resolve(name, ())
+    available = content.pop("overlays", {})
+    for overlay in overlays:
+        if overlay not in available:
+            raise MachineError(
+                f"machine {name!r} has no overlay {overlay!r}",
+                place=Place(file),
+                remedy=f"It has: {', '.join(available) or 'none'}.",
+            )
+        content = _merge(content, available[overlay])
+    if overlays:
+        content["name"] = "+".join([str(content.get("name", name)), *overlays])
+    canonical = json.dumps(content, sort_keys=True, default=str).encode()
+    content["sha256"] = hashlib.sha256(canonical).hexdigest()
+    content["file"] = file
+    try:
+        return _ADAPTER.validate_python(content)
+    except ValidationError as error:
+        _refuse(error, text, file)
+
+
+def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str]:
+    if name in seen:
+        raise MachineError(
+            f"machine files are based on each other in a circle: {' -> '.join([*seen, name])}"
+        )
+    text, file = _read(name)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"at line (\d+)", str(error))
+        raise MachineError(
+            f"not valid TOML: {error}",
+            place=Place(file, int(at[1]) if at else 0),
+            remedy="Correct that line.",
+        ) from error
+    base = content.pop("base", None)
+    if base is None:
+        return content, text, file
+    if not isinstance(base, str):
+        raise MachineError(
+            'base must be the name of a machine, like base = "lathe-winder"',
+            place=Place(file, _line_of(text, ("base",))),
+        )
+    base_name, *base_overlays = base.split("+")
+    if base_name.endswith(".toml") and not Path(base_name).is_absolute():
+        base_name = str(Path(file).parent / base_name)
+    below, _, _ = _resolve(base_name, (*seen, name))
+    overlays = below.get("overlays", {})
+    for overlay in base_overlays:
+        if overlay not in overlays:
+            raise MachineError(f"base {base_name!r} has no overlay {overlay!r}", place=Place(file))
+        below = _merge(below, overlays[overlay])
+    return _merge(below, content), text, file
+
+
+def _read(name: str) -> tuple[str, str]:
+    if name.endswith(".toml"):
+        path = Path(name)
+        try:
+            if path.stat().st_size > _MAX_BYTES:
+                raise MachineError(
+                    f"the file has {path.stat().st_size} bytes, limit {_MAX_BYTES}",
+                    place=Place(name),
+                )
+            return path.read_bytes().decode("utf-8"), name
+        except UnicodeDecodeError as error:
+            raise MachineError("the file is not UTF-8 text", place=Place(name)) from error
+        except OSError as error:
+            raise MachineError(
+                f"cannot read {name!r}: {error.strerror}", remedy="Give a machine file or a name."
+            ) from error
+    known = library_names()
+    if name not in known:
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f"Did you mean {close[0]!r}?" if close else f"The library has: {', '.join(known)}."
+        raise MachineError(
+            f"no machine {name[:80]!r} in the library", remedy=f"{hint} A file ends in .toml."
+        )
+    entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
+    return entry.read_text(encoding="utf-8"), f"{name}.toml"
+
+
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Return ``below`` with the values of ``above``; tables merge, ``"none"`` takes a key away."""
+    merged = copy.deepcopy(below)
+    for key, value in above.items():
+        if value == "none":
+            merged.pop(key, None)
+        elif isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merge(merged[key], value)
+        else:
+            merged[key] = copy.deepcopy(value)
+    return merged
+
+
+def _refuse(error: ValidationError, text: str, file: str) -> NoReturn:
+    first = error.errors(include_url=False)[0]
+    # Pydantic puts the tag of a union and "[key]" into the location; the file has neither.
+    location = tuple(str(part) for part in first["loc"] if part != "[key]")
+    where = ".".join(location)
+    place = Place(file, _line_of(text, location))
+    if first["type"] in {"unexpected_keyword_argument", "extra_forbidden"}:
+        siblings = _field_names(location[:-1])
+        close = difflib.get_close_matches(location[-1], siblings, n=1, cutoff=0.5)
+        hint = f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(siblings)}."
+        raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
+    if first["type"] in {"missing", "missing_argument"}:
+        raise MachineError(
+            f"{where!r} is missing", place=place, remedy="Add it to the file."
+        ) from error
+    message = str(first["msg"]).removeprefix("Value error, ")
+    raise MachineError(f"{where}: {message}" if where else message, place=place) from error
+
+
+def _field_names(location: tuple[str, ...]) -> list[str]:
+    """Return the keys allowed at ``location`` by walking the schema of the model."""
+    schema: Any = _ADAPTER.json_schema(mode="validation")
+    definitions = schema.get("$defs", {})
+    node = schema
+    for part in location:
+        node = _deref(node, definitions)
+        node = node.get("properties", {}).get(part) or node.get("additionalProperties") or {}
+    node = _deref(node, definitions)
+    return list(node.get("properties", {}))
+
+
+def _deref(node: Any, definitions: dict[str, Any]) -> Any:
+    while isinstance(node, dict):
+        if "$ref" in node:
+            node = definitions[node["$ref"].rsplit("/", 1)[1]]
+        elif "anyOf" in node:
+            node = next((n for n in node["anyOf"] if "$ref" in n), {})
+        else:
+            break
+    return node
+
+
+def _line_of(text: str, location: tuple[str, ...]) -> int:
+    """Return the line (from 1) of the deepest part of ``location`` that the text holds."""
+    table: tuple[str, ...] = ()
+    best, best_depth = 0, 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[\[?([^\]]+)\]\]?", line)
+        key = re.match(r'\s*("?[A-Za-z0-9_.-]+"?)\s*=', line)
+        if header:
+            table = tuple(part.strip(' "') for part in header[1].split("."))
+            path = table
+        elif key:
+            path = table + tuple(part.strip(' "') for part in key[1].split("."))
+        else:
+            continue
+        depth = len(path) if path == location[: len(path)] else 0
+        if depth > best_depth:
+            best, best_depth = number, depth
+    return best
+
+
+def replace_operator(machine: Machine, **changes: Any) -> Machine:
+    """Return ``machine`` with other operator settings, and a hash that tells them apart."""
+    if machine.operator is None:
+        raise MachineError(f"machine {machine.name!r} has no [operator] table to change")
+    operator = dataclasses.replace(machine.operator, **changes)
+    note = json.dumps({key: str(value) for key, value in changes.items()}, sort_keys=True)
+    sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
+    return dataclasses.replace(machine, operator=operator, sha256=sha256)

@@ -1,0 +1,157 @@
+"""The machine as a whole, and the checks that need more than one part of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.arrays import FloatArray
+from threadline.machine.parts import (
+    STRICT,
+    Axis,
+    Body,
+    DcMotor,
+    Encoder,
+    LimitSwitch,
+    Link,
+    Operator,
+    PdController,
+    PositiveTime,
+    Tool,
+)
+from threadline.machine.quantity import Quantity, Units
+from threadline.signals import Clock
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+AxisName = Annotated[str, Field(pattern=r"^[A-Z]$")]
+MAX_AXES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Machine:
+    """A machine, as its TOML file says; every number in SI with tolerance and provenance.
+
+    Parameters
+    ----------
+    name, title, sources
+        For people.
+    tick_budget
+        No job may need more ticks than this.
+    clocks, bodies, links, drives, sensors, controllers, axes, inputs
+        The network and what runs on it, by name; the order of ``axes`` is that of all arrays.
+    sha256
+        Of the resolved content: base file and overlays included.
+    """
+
+    name: str
+    title: str
+    sources: tuple[str, ...]
+    tick_budget: Annotated[Quantity, Units(("tick",), positive=True)]
+    clocks: dict[Name, PositiveTime] = Field(min_length=1)
+    bodies: dict[Name, Body] = Field(min_length=1)
+    links: dict[Name, Link] = Field(default_factory=dict)
+    drives: dict[Name, DcMotor] = Field(min_length=1)
+    sensors: dict[Name, Encoder] = Field(min_length=1)
+    controllers: dict[Name, PdController] = Field(min_length=1)
+    axes: dict[AxisName, Axis] = Field(min_length=1, max_length=MAX_AXES)
+    inputs: dict[Name, LimitSwitch] = Field(default_factory=dict)
+    tool: Tool
+    operator: Operator | None = None
+    sha256: str = ""
+    file: str = ""
+
+    @model_validator(mode="after")
+    def _references(self) -> Machine:
+        for name, link in self.links.items():
+            _known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
+        for name, drive in self.drives.items():
+            _known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
+        for name, sensor in self.sensors.items():
+            _known(sensor.reads, self.bodies, f"sensors.{name}.reads", "body")
+        for name, controller in self.controllers.items():
+            where = f"controllers.{name}"
+            _known([controller.clock], self.clocks, f"{where}.clock", "clock")
+            _known([controller.sensor], self.sensors, f"{where}.sensor", "sensor")
+            _known([controller.drive], self.drives, f"{where}.drive", "drive")
+        for name, axis in self.axes.items():
+            where = f"axes.{name}"
+            _known([axis.controller], self.controllers, f"{where}.controller", "controller")
+            _known(axis.load or {}, self.bodies, f"{where}.load", "body")
+            _known(axis.frame or {}, self.bodies, f"{where}.frame", "body")
+        for name, switch in self.inputs.items():
+            _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
+            _known([switch.cuts], self.drives, f"inputs.{name}.cuts", "drive")
+        return self
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of all arrays."""
+        return tuple(self.axes)
+
+    def clock(self, name: str) -> Clock:
+        """Return the clock called ``name``."""
+        period = self.clocks[name].exact_s
+        assert period is not None
+        return Clock(name, period)
+
+    @property
+    def tick_clock(self) -> Clock:
+        """The clock on which the axes' references are given: that of the first controller."""
+        first = next(iter(self.axes.values()))
+        return self.clock(self.controllers[first.controller].clock)
+
+    def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:
+        return np.array([getattr(axis, field).si for axis in self.axes.values()])
+
+    @property
+    def counts_per_unit(self) -> FloatArray:
+        """(axes,) counts per m or rad."""
+        return self._column("counts")
+
+    @property
+    def velocity_limit(self) -> FloatArray:
+        """(axes,) m/s or rad/s."""
+        return self._column("velocity")
+
+    @property
+    def acceleration_limit(self) -> FloatArray:
+        """(axes,) m/s^2 or rad/s^2."""
+        return self._column("acceleration")
+
+    @property
+    def jerk_limit(self) -> FloatArray:
+        """(axes,) m/s^3 or rad/s^3; infinite where the file gives none."""
+        return np.array(
+            [np.inf if axis.jerk is None else axis.jerk.si for axis in self.axes.values()]
+        )
+
+    @property
+    def travel(self) -> FloatArray:
+        """(axes, 2) lowest and highest position, m or rad; infinite for an endless axis."""
+        return np.array(
+            [
+                (-np.inf, np.inf) if axis.travel is None else [end.si for end in axis.travel]
+                for axis in self.axes.values()
+            ]
+        )
+
+    @property
+    def radius_m(self) -> FloatArray:
+        """(axes,) 1 for a linear axis, the radius of the tool for a rotary one."""
+        return np.array(
+            [1.0 if axis.kind == "linear" else self.tool.radius.si for axis in self.axes.values()]
+        )
+
+
+def _known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:
+    known = list(among)
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(known)}."
+            raise ValueError(f"{where} names the {what} {name!r}, which does not exist; {hint}")

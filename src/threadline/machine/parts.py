@@ -1,0 +1,207 @@
+"""The parts of a machine: bodies and links between them, drives, sensors, controllers, switches.
+
+Every part is data from the machine file. A machine is a network: each body has one coordinate,
+each link a stretch that is a weighted sum of coordinates, so that a belt between a motor, a head
+and a frame, a rack to the ground and a gear are the same thing with other numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.quantity import Quantity, Units
+
+STRICT = ConfigDict(extra="forbid")
+
+PositiveTime = Annotated[Quantity, Units(("s",), positive=True)]
+Coefficient = Annotated[Quantity, Units(("", "m/rad", "rad/m"))]
+Resolution = Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
+Position = Annotated[Quantity, Units(("m", "rad"))]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Body:
+    """A mass with one coordinate (m or rad), counted from where the machine starts.
+
+    ``friction`` opposes sliding with a constant force; ``stiction`` is the force to break loose.
+    """
+
+    kind: Literal["linear", "rotary"]
+    inertia: Annotated[Quantity, Units(("kg", "kg*m^2"), positive=True)]
+    damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
+    friction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
+    stiction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
+
+    @model_validator(mode="after")
+    def _same_kind(self) -> Body:
+        rotary = self.kind == "rotary"
+        for name, part, wanted in (
+            ("inertia", self.inertia, "kg*m^2" if rotary else "kg"),
+            ("damping", self.damping, "N*m*s/rad" if rotary else "N*s/m"),
+            ("friction", self.friction, "N*m" if rotary else "N"),
+            ("stiction", self.stiction, "N*m" if rotary else "N"),
+        ):
+            if part is not None and part.unit != wanted:
+                raise ValueError(f"{name} of a {self.kind} body is in {wanted}, not {part.unit}")
+        if self.stiction is not None and (
+            self.friction is None or self.stiction.si < self.friction.si
+        ):
+            raise ValueError("stiction must come with a friction that is not larger")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Link:
+    """A spring and damper whose stretch is ``sum(coefficient * coordinate)``.
+
+    With ``preload`` the link is a belt: each of its two runs carries half the stiffness and
+    falls slack once its tension is gone. ``play`` is the full width of a dead band.
+    """
+
+    stretch: dict[str, Coefficient] = Field(min_length=1)
+    stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), not_negative=True)]
+    damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
+    preload: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
+    play: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Amplifier:
+    """Turns the controller's volts into motor volts (mode voltage) or amperes (mode current)."""
+
+    mode: Literal["voltage", "current"]
+    gain: Annotated[Quantity, Units(("", "A/V"), positive=True)]
+    voltage_limit: Annotated[Quantity, Units(("V",), positive=True)] | None = None
+    current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
+
+    @model_validator(mode="after")
+    def _gain_unit(self) -> Amplifier:
+        wanted = "" if self.mode == "voltage" else "A/V"
+        if self.gain.unit != wanted:
+            raise ValueError(
+                f"gain of a {self.mode} amplifier is in {wanted or 'V/V'}, not {self.gain.unit}"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class DcMotor:
+    """A permanent-magnet motor with its amplifier, acting on bodies."""
+
+    kind: Literal["dc-motor"]
+    acts_on: dict[str, Coefficient] = Field(min_length=1)
+    torque_constant: Annotated[Quantity, Units(("N*m/A", "N/A"), positive=True)]
+    back_emf: Annotated[Quantity, Units(("V*s/rad", "V*s/m"), not_negative=True)]
+    resistance: Annotated[Quantity, Units(("ohm",), positive=True)]
+    inductance: Annotated[Quantity, Units(("H",), positive=True)] | None = None
+    amplifier: Amplifier
+    delay: PositiveTime | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Encoder:
+    """Counts whole steps of ``sum(resolution * coordinate)``."""
+
+    kind: Literal["encoder"]
+    reads: dict[str, Resolution] = Field(min_length=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Dac:
+    """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped."""
+
+    bits: Annotated[Quantity, Units(("bit",), positive=True)]
+    range: Annotated[Quantity, Units(("V",), positive=True)]
+    zero_on_reversal: bool = False
+
+    @property
+    def volt_per_level(self) -> float:
+        """Size of one level in V."""
+        return float(2.0 * self.range.si / 2.0**self.bits.si)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PdController:
+    """Proportional gain on the error in counts, differential gain on its change per tick."""
+
+    kind: Literal["pd"]
+    clock: str
+    sensor: str
+    drive: str
+    kp: Annotated[Quantity, Units(("dac/count",), not_negative=True)]
+    kd: Annotated[Quantity, Units(("dac/count",), not_negative=True)]
+    dac: Dac
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Axis:
+    """What the job moves: scale, travel and hard limits.
+
+    ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum
+    of coordinates; without it the axis' own sensor, free of its rounding, is the load.
+    ``endless`` axes have no travel.
+    """
+
+    kind: Literal["linear", "rotary"]
+    controller: str
+    counts: Resolution
+    velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)]
+    acceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
+    jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
+    travel: tuple[Position, Position] | None = None
+    endless: bool = False
+    load: dict[str, Coefficient] | None = None
+    frame: dict[str, Coefficient] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Axis:
+        length = "m" if self.kind == "linear" else "rad"
+        for name, part, wanted in (
+            ("counts", self.counts, f"count/{length}"),
+            ("velocity", self.velocity, f"{length}/s"),
+            ("acceleration", self.acceleration, f"{length}/s^2"),
+            ("jerk", self.jerk, f"{length}/s^3"),
+        ):
+            if part is not None and part.unit != wanted:
+                raise ValueError(f"{name} of a {self.kind} axis is in {wanted}, not {part.unit}")
+        if (self.travel is None) != self.endless:
+            raise ValueError('an axis has either travel = ["min", "max"] or endless = true')
+        if self.travel is not None:
+            low, high = self.travel
+            if low.unit != length or high.unit != length:
+                raise ValueError(f"travel of a {self.kind} axis is in {length}")
+            if low.si >= high.si:
+                raise ValueError(f"travel runs from {low.si} to {high.si} {length}: nothing left")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class LimitSwitch:
+    """Cuts a drive's supply once the axis is at or past ``at``, on the side ``beyond``."""
+
+    kind: Literal["limit-switch"]
+    axis: str
+    at: Position
+    beyond: Literal["below", "above"]
+    cuts: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Tool:
+    """Where the axes act: the radius that turns an angle of a rotary axis into a length."""
+
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Operator:
+    """The operator's settings (the parameter file of the 1994 controller)."""
+
+    manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
+    normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
+    limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
+    record_every: Annotated[Quantity, Units(("tick",), positive=True)]
+    knots_between: Annotated[Quantity, Units(("",), positive=True)]

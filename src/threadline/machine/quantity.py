@@ -1,0 +1,137 @@
+"""A number of a machine file: value, unit, tolerance and provenance, in one readable string.
+
+``"4 kg +- 5 %, printed: section 6.2"`` or ``"5 ms exact, printed"``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from fractions import Fraction
+from typing import Any
+
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import core_schema
+
+from threadline.errors import UnitError
+from threadline.units import parse_exact_time_s, parse_quantity, same_dimension, split_quantity
+
+_FORM = re.compile(
+    r"(?P<value>[^,]+?)\s+(?:exact|(?:\+-|±)\s*(?P<tolerance>[^,]+?))\s*,\s*"
+    r"(?P<provenance>printed|checked|assumed|measured)(?:\s*:\s*(?P<note>.+))?",
+    re.DOTALL,
+)
+_EXAMPLE = 'Write it like "4 kg +- 5 %, printed: section 6.2" or "5 ms exact, assumed".'
+
+
+class Provenance(StrEnum):
+    """How a number is known."""
+
+    PRINTED = "printed"
+    CHECKED = "checked"
+    ASSUMED = "assumed"
+    MEASURED = "measured"
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number of the machine, SI.
+
+    Parameters
+    ----------
+    si
+        The value in ``unit``.
+    unit
+        SI unit.
+    tolerance_si
+        Half the width of the interval in which the true value lies, in ``unit``.
+    provenance, note
+        How it is known, and where it stands.
+    exact_s
+        For a time: the exact fraction of a second.
+    """
+
+    si: float
+    unit: str
+    tolerance_si: float
+    provenance: Provenance
+    note: str = ""
+    exact_s: Fraction | None = None
+
+
+def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
+    """Return the quantity written in ``text``; its unit must be of the kind of one of ``units``.
+
+    >>> q = parse_machine_quantity("4 kg +- 5 %, printed: section 6.2", ("kg",))
+    >>> q.si, round(q.tolerance_si, 12), q.provenance.value, q.note
+    (4.0, 0.2, 'printed', 'section 6.2')
+
+    Raises
+    ------
+    UnitError
+        If the form, the unit or the tolerance is wrong.
+    """
+    match = _FORM.fullmatch(text.strip())
+    if match is None:
+        raise UnitError(f"{text!r} has no tolerance or no provenance", remedy=_EXAMPLE)
+    written = match["value"]
+    unit = _matching_unit(written, units)
+    value = parse_quantity(written, unit)
+    exact_s = parse_exact_time_s(written) if unit == "s" and value > 0 else None
+    tolerance = match["tolerance"]
+    if tolerance is None:
+        tolerance_si = 0.0
+    elif tolerance.rstrip().endswith("%"):
+        tolerance_si = abs(value) * parse_quantity(tolerance, "")
+    else:
+        tolerance_si = parse_quantity(tolerance, unit)
+    if tolerance_si < 0:
+        raise UnitError(f"{text!r}: the tolerance is negative", remedy=_EXAMPLE)
+    return Quantity(
+        si=value,
+        unit=unit,
+        tolerance_si=tolerance_si,
+        provenance=Provenance(match["provenance"]),
+        note=(match["note"] or "").strip(),
+        exact_s=exact_s,
+    )
+
+
+def _matching_unit(written: str, units: tuple[str, ...]) -> str:
+    _, found = split_quantity(written)
+    for unit in units:
+        if (not found and not unit) or (found and same_dimension(found, unit)):
+            return unit
+    wanted = " or ".join(repr(unit) if unit else "a plain number" for unit in units)
+    raise UnitError(f"{written!r} is not in {wanted}", remedy=f"Give it in {wanted}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Marks a field of the machine model with the SI units that it may have."""
+
+    units: tuple[str, ...]
+    positive: bool = False
+    not_negative: bool = False
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Tell pydantic to read a string of the machine file into a ``Quantity``."""
+        return core_schema.no_info_plain_validator_function(self._read)
+
+    def _read(self, value: Any) -> Quantity:
+        if isinstance(value, Quantity):
+            return value
+        if not isinstance(value, str):
+            raise ValueError(f"{value!r} has no unit, tolerance and provenance. {_EXAMPLE}")
+        try:
+            quantity = parse_machine_quantity(value, self.units)
+        except UnitError as error:
+            raise ValueError(f"{error.message}. {error.remedy}".strip()) from error
+        if self.positive and quantity.si <= 0:
+            raise ValueError(f"{value!r} must be greater than zero.")
+        if self.not_negative and quantity.si < 0:
+            raise ValueError(f"{value!r} must not be negative.")
+        return quantity

@@ -1,0 +1,1 @@
+"""Paths in axis space: what is programmed, what is planned, how far the two are apart."""

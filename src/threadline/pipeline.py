@@ -1,0 +1,1 @@
+"""Runs every arrow of the house in order, and nothing else."""

@@ -1,0 +1,1 @@
+"""Machine -> equations of motion, and what they tell: modes, margins, responses."""

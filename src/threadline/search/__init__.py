@@ -1,0 +1,1 @@
+"""Searches over the whole pipeline: the fastest motion in spec."""

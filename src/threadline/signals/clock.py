@@ -1,0 +1,64 @@
+"""Time as an integer count of an exact period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import reduce
+from math import gcd, lcm
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A clock with an exact rational period.
+
+    Instants are counts of it; they turn into seconds by one rounded division, so that the
+    millionth tick is as exact as the first.
+
+    Parameters
+    ----------
+    name
+        As in the machine file.
+    period_s
+        Exact period in seconds, greater than zero.
+    """
+
+    name: str
+    period_s: Fraction
+
+    def __post_init__(self) -> None:
+        if self.period_s <= 0:
+            raise ValueError(
+                f"clock {self.name!r}: period must be greater than 0 s, got {self.period_s}"
+            )
+
+    def time_s(self, tick: int) -> float:
+        """Return the instant of ``tick`` in seconds, correctly rounded."""
+        return float(self.period_s * tick)
+
+    def times_s(self, first_tick: int, count: int, stride: int = 1) -> FloatArray:
+        """Return (count,) instants from ``first_tick`` on, one every ``stride`` ticks."""
+        ticks = np.arange(first_tick, first_tick + stride * count, stride, dtype=np.float64)
+        # One product (exact below 2**53) and one division: no error accumulates.
+        return ticks * float(self.period_s.numerator) / float(self.period_s.denominator)
+
+    def ticks_at(self, time_s: float | Fraction) -> int:
+        """Return the last tick at or before ``time_s``."""
+        return int(Fraction(time_s) // self.period_s)
+
+
+def common_period_s(periods_s: list[Fraction]) -> Fraction:
+    """Return the longest period of which all of ``periods_s`` are whole multiples.
+
+    >>> common_period_s([Fraction(136, 10**6), Fraction(1, 1000)])
+    Fraction(1, 125000)
+    """
+    if not periods_s:
+        raise ValueError("no periods given")
+    denominator = reduce(lcm, (p.denominator for p in periods_s))
+    numerators = [p.numerator * (denominator // p.denominator) for p in periods_s]
+    return Fraction(reduce(gcd, numerators), denominator)

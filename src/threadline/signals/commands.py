@@ -1,0 +1,178 @@
+"""What the machine's controller is given: integer tables, never floats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray, read_only, read_only_int
+from threadline.signals.clock import Clock
+from threadline.signals.stream import Stream
+
+EventKind = Literal["output", "wait", "stop", "dwell", "tool", "end"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something other than motion that happens at a tick of the commands' clock.
+
+    Parameters
+    ----------
+    tick
+        When, counted from the start of the commands.
+    kind
+        ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
+        ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action.
+    operation
+        Index of the operation of the job that asked for it.
+    """
+
+    tick: int
+    kind: EventKind
+    operation: int
+    name: str = ""
+    value: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TickBlock:
+    """A run of consecutive rows of a tick table.
+
+    Parameters
+    ----------
+    first_tick
+        Tick of the first row.
+    counts
+        (n, axes) int: encoder counts to travel during each tick.
+    operation
+        (n,) int: index of the operation that each row belongs to.
+    events
+        Events whose tick lies in this block, in order.
+    """
+
+    first_tick: int
+    counts: IntArray
+    operation: IntArray
+    events: tuple[Event, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "counts", read_only_int(self.counts, "counts", ndim=2))
+        object.__setattr__(self, "operation", read_only_int(self.operation, "operation", ndim=1))
+        if len(self.counts) != len(self.operation):
+            raise ValueError(
+                f"counts has {len(self.counts)} rows, operation has {len(self.operation)}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TickTable:
+    """Counts per tick and axis: the commands of a machine whose controller closes the loops.
+
+    Parameters
+    ----------
+    clock
+        The clock at which rows are consumed.
+    axes
+        Names, in the order of the columns.
+    counts_per_unit
+        (axes,) counts per metre or per radian.
+    start_counts
+        (axes,) commanded position before the first row.
+    blocks
+        Re-iterable blocks of rows, consecutive from tick 0.
+    job_sha256, machine_sha256
+        What the table was made from and for.
+    """
+
+    clock: Clock
+    axes: tuple[str, ...]
+    counts_per_unit: FloatArray
+    start_counts: IntArray
+    blocks: Stream[TickBlock]
+    job_sha256: str
+    machine_sha256: str
+
+    def __post_init__(self) -> None:
+        scale = read_only(self.counts_per_unit, "counts_per_unit", ndim=1)
+        start = read_only_int(self.start_counts, "start_counts", ndim=1)
+        object.__setattr__(self, "counts_per_unit", scale)
+        object.__setattr__(self, "start_counts", start)
+        if not len(self.axes) == len(scale) == len(start):
+            raise ValueError(
+                f"{len(self.axes)} axes, {len(scale)} scales and {len(start)} start positions"
+            )
+
+    def __iter__(self) -> Iterator[TickBlock]:
+        return iter(self.blocks)
+
+    def tick_count(self) -> int:
+        """Return the number of rows; reads the whole table."""
+        return sum(len(block) for block in self)
+
+    def end_counts(self) -> IntArray:
+        """Return the (axes,) commanded position after the last row; reads the whole table."""
+        total = self.start_counts.copy()
+        for block in self:
+            total += block.counts.sum(axis=0)
+        return total
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SwitchSchedule:
+    """Outputs over time: the commands of an on/off machine.
+
+    Parameters
+    ----------
+    clock
+        Scan of the controller that switches.
+    outputs
+        Names of the outputs, in the order of the columns.
+    ticks
+        (n,) int, increasing: scans at which the row's levels take effect.
+    levels
+        (n, outputs) int: the state of every output from that scan on.
+    operation
+        (n,) int: index of the operation that each row belongs to.
+    duration_ticks
+        Length of the whole schedule.
+    events
+        Waits and stops in between, in order.
+    """
+
+    clock: Clock
+    outputs: tuple[str, ...]
+    ticks: IntArray
+    levels: IntArray
+    operation: IntArray
+    duration_ticks: int
+    job_sha256: str
+    machine_sha256: str
+    events: tuple[Event, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name, ndim in (("ticks", 1), ("levels", 2), ("operation", 1)):
+            object.__setattr__(self, name, read_only_int(getattr(self, name), name, ndim=ndim))
+        if self.levels.shape != (len(self.ticks), len(self.outputs)):
+            raise ValueError(
+                f"levels has shape {self.levels.shape}, "
+                f"expected {(len(self.ticks), len(self.outputs))}"
+            )
+        if len(self.operation) != len(self.ticks):
+            raise ValueError(
+                f"ticks has {len(self.ticks)} rows, operation has {len(self.operation)}"
+            )
+        if len(self.ticks) and (np.diff(self.ticks) <= 0).any():
+            raise ValueError("ticks must be strictly increasing")
+        if len(self.ticks) and self.duration_ticks < self.ticks[-1]:
+            raise ValueError(
+                f"duration_ticks {self.duration_ticks} lies before the last row {self.ticks[-1]}"
+            )
+
+
+Commands = TickTable | SwitchSchedule

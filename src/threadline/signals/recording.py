@@ -1,0 +1,142 @@
+"""What happened: named channels of a stated kind, simulated or live."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import RecordingError
+from threadline.signals.clock import Clock
+from threadline.signals.commands import Event
+from threadline.signals.stream import Stream
+
+
+class ChannelKind(StrEnum):
+    """What a channel tells."""
+
+    COMMANDED = "commanded"  # where the axis was told to be
+    MEASURED = "measured"  # what the axis' own encoder read
+    LOAD = "load"  # where the driven mass was
+    FRAME = "frame"  # where the frame was
+    TOOL = "tool"  # where the point that does the work was
+    VOLTAGE = "voltage"  # at the amplifier's input
+    CURRENT = "current"  # in the motor
+    INPUT = "input"
+    OUTPUT = "output"
+    OPERATION = "operation"  # index of the operation of the job that was under way
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """One signal of a recording.
+
+    Parameters
+    ----------
+    name
+        Unique within the recording, for instance ``"X.load"``.
+    kind
+        What it tells.
+    unit
+        SI unit of the samples, ``""`` for plain numbers.
+    clock
+        Its samples lie on this clock, one every ``stride`` ticks.
+    axis
+        The axis that it belongs to, ``""`` for none.
+    """
+
+    name: str
+    kind: ChannelKind
+    unit: str
+    clock: Clock
+    axis: str = ""
+    stride: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordingBlock:
+    """A run of samples of every channel.
+
+    Parameters
+    ----------
+    first_tick
+        Per clock name: the tick of the first sample of each channel of that clock.
+    samples
+        Per channel name: (n,) float64, n the same for channels of one clock and stride.
+    events
+        Events that took effect within the block.
+    """
+
+    first_tick: Mapping[str, int]
+    samples: Mapping[str, FloatArray]
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """What a machine, real or simulated, did.
+
+    Sample k of a channel is the value at the instant of its tick, before the controller acts on
+    it. A channel that the machine cannot give is absent: nothing stands in for it.
+
+    Parameters
+    ----------
+    channels
+        Every channel, by name.
+    blocks
+        Re-iterable blocks of samples.
+    job_sha256, machine_sha256
+        What ran, and on which machine.
+    simulated
+        False for a live recording.
+    origin
+        How the plan was made (job file, machine, interpolation, feed, tolerance ...), so that a
+        recording can be judged on its own.
+    """
+
+    channels: tuple[Channel, ...]
+    blocks: Stream[RecordingBlock]
+    job_sha256: str
+    machine_sha256: str
+    simulated: bool
+    origin: Mapping[str, str] = field(default_factory=dict)
+
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        return iter(self.blocks)
+
+    def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
+        """Return the channel of ``kind`` and ``axis``, or None when the machine has none."""
+        for channel in self.channels:
+            if channel.kind is kind and channel.axis == axis:
+                return channel
+        return None
+
+    def channel(self, name: str) -> Channel:
+        """Return the channel called ``name``.
+
+        Raises
+        ------
+        RecordingError
+            If there is none; the error lists those that there are.
+        """
+        for channel in self.channels:
+            if channel.name == name:
+                return channel
+        known = ", ".join(c.name for c in self.channels)
+        raise RecordingError(f"no channel {name!r}", remedy=f"It has {known}.")
+
+    def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return times in s and values of a whole channel, both (n,); for short recordings."""
+        channel = self.channel(name)
+        times, values = [], []
+        for block in self:
+            part = block.samples[name]
+            first = block.first_tick[channel.clock.name]
+            times.append(channel.clock.times_s(first, len(part), channel.stride))
+            values.append(part)
+        if not times:
+            return np.empty(0), np.empty(0)
+        return np.concatenate(times), np.concatenate(values)

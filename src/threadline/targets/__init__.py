@@ -1,0 +1,1 @@
+"""Trajectory -> commands, and one writer per controller."""

@@ -1,0 +1,1 @@
+"""Planned path + limits -> time, and the dense check of every limit."""

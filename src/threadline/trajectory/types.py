@@ -1,0 +1,121 @@
+"""Axis positions over time: piecewise polynomials, so that every limit can be checked exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray, read_only, read_only_int
+from threadline.signals import Stream
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrajectoryBlock:
+    """A run of consecutive polynomial pieces in time.
+
+    Parameters
+    ----------
+    start_s
+        (n,) when each piece starts, from the start of the trajectory; strictly increasing.
+    duration_s
+        (n,) > 0; piece i + 1 starts where piece i ends.
+    coefficients
+        (n, order, axes): position of piece i at ``start_s[i] + u * duration_s[i]`` is
+        ``sum(coefficients[i, k] * u**k)`` for u in [0, 1], m or rad.
+    operation
+        (n,) int: the operation under way.
+    """
+
+    start_s: FloatArray
+    duration_s: FloatArray
+    coefficients: FloatArray
+    operation: IntArray
+
+    def __post_init__(self) -> None:
+        for name in ("start_s", "duration_s"):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, ndim=1))
+        object.__setattr__(
+            self, "coefficients", read_only(self.coefficients, "coefficients", ndim=3)
+        )
+        object.__setattr__(self, "operation", read_only_int(self.operation, "operation", ndim=1))
+        lengths = {len(self.start_s), len(self.duration_s), len(self.coefficients)}
+        if len(lengths | {len(self.operation)}) > 1:
+            raise ValueError("trajectory block has columns of unequal length")
+        if len(self.duration_s) and not (self.duration_s > 0).all():
+            raise ValueError("every piece must last longer than 0 s")
+
+    def __len__(self) -> int:
+        return len(self.start_s)
+
+    @property
+    def end_s(self) -> float:
+        """When the last piece ends."""
+        return float(self.start_s[-1] + self.duration_s[-1])
+
+    def evaluate(self, time_s: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return the (m, axes) ``derivative``-th time derivative at times within the block."""
+        piece = np.searchsorted(self.start_s, time_s, side="right") - 1
+        piece = np.clip(piece, 0, len(self.start_s) - 1)
+        duration = self.duration_s[piece]
+        u = np.clip((time_s - self.start_s[piece]) / duration, 0.0, 1.0)
+        coefficients = self.coefficients[piece]
+        order = coefficients.shape[1]
+        result = np.zeros((len(time_s), coefficients.shape[2]))
+        for k in range(order - 1, derivative - 1, -1):
+            factor = float(np.prod(np.arange(k - derivative + 1, k + 1)))
+            result = result * u[:, None] + factor * coefficients[:, k]
+        return np.asarray(result / duration[:, None] ** derivative)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """Axis positions over time, from rest to rest.
+
+    Parameters
+    ----------
+    axes
+        Names, in the order of the columns.
+    blocks
+        Re-iterable, consecutive from 0 s.
+    historical
+        As for the planned path.
+    """
+
+    axes: tuple[str, ...]
+    blocks: Stream[TrajectoryBlock]
+    historical: bool = False
+
+    def __iter__(self) -> Iterator[TrajectoryBlock]:
+        return iter(self.blocks)
+
+    @cached_property
+    def duration_s(self) -> float:
+        """How long it takes; reads the whole trajectory once."""
+        end = 0.0
+        for block in self:
+            end = block.end_s
+        return end
+
+    def __call__(self, time_s: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return the (m, axes) ``derivative``-th derivative at ``time_s``, held before and after.
+
+        Times may come in any order; the trajectory is read once.
+        """
+        wanted = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
+        result = np.zeros((len(wanted), len(self.axes)))
+        last = None
+        for block in self:
+            begin = -np.inf if last is None else float(block.start_s[0])
+            inside = (wanted >= begin) & (wanted <= block.end_s)
+            if inside.any():
+                result[inside] = block.evaluate(wanted[inside], derivative)
+            last = block
+        if last is not None:
+            after = wanted > last.end_s
+            if after.any():
+                end = np.full(int(after.sum()), last.end_s)
+                result[after] = last.evaluate(end) if derivative == 0 else 0.0
+        return result

@@ -1,0 +1,1 @@
+"""Tick-exact simulation: commands + machine -> recording."""

@@ -1,0 +1,195 @@
+"""Unit strings at the edge, SI inside.
+
+Every file and option writes a number with its unit (``"7.5 in/s"``, ``"55.358 count/mm"``,
+``"10 count/tick"``); everything behind this module is a float in SI. Angles are a dimension of
+their own here, so that millimetres, degrees and plain numbers cannot stand for each other.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import pint
+
+from threadline.errors import UnitError
+
+_DEFINITIONS = """
+nano- = 1e-9 = n-
+micro- = 1e-6 = µ- = μ- = u-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+meter = [length] = m = metre
+second = [time] = s
+gram = [mass] = g
+ampere = [current] = A
+radian = [angle] = rad
+count = [encoder] = counts
+tick = [tick] = ticks
+dac = [dac]
+bit = [bit] = bits
+stitch = [stitch] = stitches
+block = [block] = blocks
+inch = 0.0254 * meter = in
+foot = 12 * inch = ft
+minute = 60 * second = min
+hour = 60 * minute = h
+revolution = 6.283185307179586476925286766559 * radian = rev = turn
+degree = revolution / 360 = deg
+rpm = revolution / minute
+hertz = 1 / second = Hz
+newton = kilogram * meter / second ** 2 = N
+pascal = newton / meter ** 2 = Pa
+bar = 1e5 * pascal
+joule = newton * meter = J
+watt = joule / second = W
+volt = watt / ampere = V
+ohm = volt / ampere
+henry = volt * second / ampere = H
+tex = 1e-6 * kilogram / meter
+percent = 0.01
+"""
+
+_QUANTITY = re.compile(
+    r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s+\-].*?)?\s*"
+)
+_EXACT_TIME_S = {
+    "ns": Fraction(1, 10**9),
+    "us": Fraction(1, 10**6),
+    "µs": Fraction(1, 10**6),
+    "μs": Fraction(1, 10**6),
+    "ms": Fraction(1, 1000),
+    "s": Fraction(1),
+    "min": Fraction(60),
+}
+_EXACT_RATE_HZ = {"Hz": Fraction(1), "kHz": Fraction(1000), "MHz": Fraction(10**6)}
+_MAX_TEXT = 120
+
+
+@cache
+def _registry() -> pint.UnitRegistry[Any]:
+    registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None)
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
+
+
+def split_quantity(text: str) -> tuple[str, str]:
+    """Return the number and the unit of ``text`` as they are written.
+
+    >>> split_quantity("-7.5 in/s")
+    ('-7.5', 'in/s')
+
+    Raises
+    ------
+    UnitError
+        If ``text`` does not begin with one decimal number.
+    """
+    match = _QUANTITY.fullmatch(text) if len(text) <= _MAX_TEXT else None
+    if match is None:
+        shown = text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
+        raise UnitError(
+            f"{shown!r} is not a number with a unit", remedy='Write it like "7.5 mm/s".'
+        )
+    return match["number"], (match["unit"] or "").strip()
+
+
+@cache
+def unit_factor(unit: str, target: str) -> float:
+    """Return what one ``unit`` is in ``target``, both unit strings of one dimension.
+
+    >>> round(unit_factor("in/s", "m/s"), 10)
+    0.0254
+
+    Raises
+    ------
+    UnitError
+        If a unit is unknown or the dimensions differ.
+    """
+    registry = _registry()
+    try:
+        source = registry.parse_units(_normalise(unit))
+    except Exception as error:  # pint raises a dozen unrelated types on malformed text
+        raise UnitError(f"unknown unit {unit!r}", remedy=f"Use a unit like {target!r}.") from error
+    wanted = registry.parse_units(_normalise(target))
+    if source.dimensionality != wanted.dimensionality:
+        raise UnitError(
+            f"{unit!r} is not a unit of the kind of {target!r}",
+            remedy=f"Use a unit like {target!r}.",
+        )
+    factor = registry.Quantity(1.0, source).to(wanted).magnitude
+    return float(factor)
+
+
+def _normalise(unit: str) -> str:
+    # Engineers write products with a blank or a middle dot; pint takes both once the dot is "*".
+    return unit.replace("·", "*").replace("²", "**2").replace("³", "**3").replace("%", "percent")
+
+
+def parse_quantity(text: str, target: str) -> float:
+    """Return the quantity written in ``text`` as a number of ``target`` units.
+
+    >>> round(parse_quantity("7.5 in/s", "m/s"), 6)
+    0.1905
+    >>> parse_quantity("10 count/tick", "count/tick")
+    10.0
+
+    Parameters
+    ----------
+    text
+        A decimal number, a blank and a unit.
+    target
+        The SI unit that the caller computes in; ``""`` for a plain number.
+
+    Raises
+    ------
+    UnitError
+        If the number is malformed or not finite, or the unit has another dimension.
+    """
+    number, unit = split_quantity(text)
+    value = float(number)
+    if not math.isfinite(value):
+        raise UnitError(f"{text!r} is not a finite number")
+    if not unit and target:
+        raise UnitError(f"{text!r} has no unit", remedy=f'Write it like "{number} {target}".')
+    if unit == target:
+        return value
+    scaled = value * unit_factor(unit, target)
+    if not math.isfinite(scaled):
+        raise UnitError(f"{text!r} is too large")
+    return scaled
+
+
+def same_dimension(unit: str, target: str) -> bool:
+    """Say whether two unit strings measure the same kind of thing."""
+    try:
+        unit_factor(unit, target)
+    except UnitError:
+        return False
+    return True
+
+
+def parse_exact_time_s(text: str) -> Fraction:
+    """Return a time, or the period of a rate, as an exact fraction of a second.
+
+    >>> parse_exact_time_s("136 us"), parse_exact_time_s("16 MHz")
+    (Fraction(17, 125000), Fraction(1, 16000000))
+
+    Raises
+    ------
+    UnitError
+        If it is neither a time nor a rate, or not positive.
+    """
+    number, unit = split_quantity(text)
+    exact = Fraction(number)
+    if exact <= 0:
+        raise UnitError(f"{text!r} must be greater than zero")
+    if unit in _EXACT_TIME_S:
+        return exact * _EXACT_TIME_S[unit]
+    if unit in _EXACT_RATE_HZ:
+        return 1 / (exact * _EXACT_RATE_HZ[unit])
+    raise UnitError(f"{text!r} is neither a time nor a rate", remedy='Write it like "5 ms".')

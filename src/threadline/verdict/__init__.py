@@ -1,0 +1,1 @@
+"""Specifications, measures, and the judge."""
