@@ -1,1 +1,195 @@
 """Runs every arrow of the house in order, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from threadline.errors import OptionError, UnitError
+from threadline.jobs import read_job
+from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.machine import Machine
+from threadline.path import plan_path, programmed_path
+from threadline.plan import Plan
+from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.targets import compile_ticks
+from threadline.trajectory import plan_trajectory
+from threadline.twin import simulate
+from threadline.units import parse_quantity, same_dimension, split_quantity
+from threadline.verdict import Spec, Verdict, judge
+
+DEFAULT_INTERPOLATION = "auto"
+DEFAULT_TOLERANCE_M = 1e-4
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction that is done."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How a job is to be planned.
+
+    Parameters
+    ----------
+    interpolation
+        Name of the interpolation.
+    feed
+        Replaces every programmed feed; None keeps the job's.
+    tolerance_m
+        Largest deviation of the planned from the programmed path, at the tool.
+    """
+
+    interpolation: str = DEFAULT_INTERPOLATION
+    feed: Feed | None = None
+    tolerance_m: float = DEFAULT_TOLERANCE_M
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proof:
+    """A plan, what the simulated machine made of it, and the verdict."""
+
+    plan: Plan
+    recording: Recording
+    verdict: Verdict
+
+
+def parse_feed(text: str) -> Feed:
+    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"500 mm/min"``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a positive feed of a known kind.
+    """
+    try:
+        _, unit = split_quantity(text)
+        if same_dimension(unit, "count/tick") if unit else False:
+            feed = Feed(FeedMode.COUNT_PER_TICK, parse_quantity(text, "count/tick"))
+        else:
+            feed = Feed(FeedMode.FASTEST_AXIS, parse_quantity(text, "m/s"))
+    except UnitError as error:
+        raise OptionError(
+            f"feed {text!r}: {error.message}",
+            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min".',
+        ) from error
+    if feed.value <= 0:
+        raise OptionError(f"feed {text!r} must be greater than zero")
+    return feed
+
+
+def parse_tolerance_m(text: str) -> float:
+    """Return a tolerance such as ``"0.1 mm"`` in m.
+
+    Raises
+    ------
+    OptionError
+        If it is not a positive length.
+    """
+    try:
+        value = parse_quantity(text, "m")
+    except UnitError as error:
+        raise OptionError(
+            f"tolerance {text!r}: {error.message}", remedy='Write it like "0.1 mm".'
+        ) from error
+    if value <= 0:
+        raise OptionError(f"tolerance {text!r} must be greater than zero")
+    return value
+
+
+def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan ``job`` on ``machine``: paths, trajectory, commands.
+
+    Raises
+    ------
+    PlanError
+        If the machine cannot do the job.
+    """
+    programmed = programmed_path(job, machine, feed=options.feed)
+    path = plan_path(
+        programmed,
+        machine,
+        interpolation=options.interpolation,
+        tolerance_m=options.tolerance_m,
+    )
+    trajectory = plan_trajectory(path, machine)
+    commands = compile_ticks(trajectory, machine, job)
+    return Plan(
+        job=job,
+        machine=machine,
+        programmed=programmed,
+        path=path,
+        trajectory=trajectory,
+        commands=commands,
+        options=describe(job, machine, options),
+    )
+
+
+def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
+    """Return the options as text: enough to make the same plan again."""
+    feed = "programmed"
+    if options.feed is not None:
+        unit = "count/tick" if options.feed.mode is FeedMode.COUNT_PER_TICK else "m/s"
+        feed = f"{options.feed.value!r} {unit}"
+    return {
+        "job": job.file,
+        "machine": machine.reference,
+        "interpolation": options.interpolation,
+        "feed": feed,
+        "tolerance": f"{options.tolerance_m!r} m",
+    }
+
+
+def options_from(description: dict[str, str]) -> Options:
+    """Return the options that ``describe`` wrote down.
+
+    Raises
+    ------
+    OptionError
+        If one of them is missing or unreadable.
+    """
+    try:
+        feed_text = description["feed"]
+        return Options(
+            interpolation=description["interpolation"],
+            feed=None if feed_text == "programmed" else parse_feed(feed_text),
+            tolerance_m=parse_tolerance_m(description["tolerance"]),
+        )
+    except KeyError as error:
+        raise OptionError(
+            f"the recording does not say with which {error.args[0]} its plan was made",
+            remedy="Give the job, the machine and the options.",
+        ) from error
+
+
+def prove(
+    job_file: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    progress: Progress | None = None,
+) -> Proof:
+    """Plan, simulate and judge a job: the whole question, answered once."""
+    plan = plan_job(read_job(job_file, machine), machine, options)
+    return prove_plan(plan, spec, progress)
+
+
+def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None) -> Proof:
+    """Simulate and judge a plan."""
+    recording = simulate(plan.commands, plan.machine)
+    recording = replace(recording, origin=dict(plan.options))
+    watched = recording if progress is None else _watched(recording, plan, progress)
+    return Proof(plan=plan, recording=recording, verdict=judge([watched], plan, spec))
+
+
+def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:
+    total_s = max(plan.trajectory.duration_s, 1e-9)
+
+    def blocks() -> Iterator[RecordingBlock]:
+        clock = plan.machine.tick_clock
+        for block in recording:
+            yield block
+            done_s = clock.time_s(block.first_tick.get(clock.name, 0))
+            progress("simulating and judging", min(done_s / total_s, 1.0))
+
+    return replace(recording, blocks=Stream(blocks))

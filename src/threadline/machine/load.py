@@ -61,6 +61,7 @@ def load_machine(reference: str | Path) -> Machine:
     canonical = json.dumps(content, sort_keys=True, default=str).encode()
     content["sha256"] = hashlib.sha256(canonical).hexdigest()
     content["file"] = file
+    content["reference"] = str(reference)
     try:
         return _ADAPTER.validate_python(content)
     except ValidationError as error:

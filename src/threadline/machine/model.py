@@ -46,6 +46,8 @@ class Machine:
         The network and what runs on it, by name; the order of ``axes`` is that of all arrays.
     sha256
         Of the resolved content: base file and overlays included.
+    file, reference
+        Where it was read from, and what to ask for to read it again.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Machine:
     operator: Operator | None = None
     sha256: str = ""
     file: str = ""
+    reference: str = ""
 
     @model_validator(mode="after")
     def _references(self) -> Machine:

@@ -1,0 +1,60 @@
+"""``threadline compile``: the tables and programs that a machine's own controller takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.options import (
+    DEFAULT_INTERPOLATION_TEXT,
+    DEFAULT_TOLERANCE_TEXT,
+    FeedOption,
+    InterpolationOption,
+    JobArgument,
+    JsonOption,
+    MachineOption,
+    ParOption,
+    ToleranceOption,
+    machine_from,
+    options_of,
+)
+from threadline.cli.output import print_json
+from threadline.jobs import read_job
+from threadline.pipeline import plan_job
+from threadline.targets import write
+from threadline.trajectory import check_limits
+
+
+def compile_(
+    job: JobArgument,
+    machine: MachineOption,
+    target: Annotated[str, typer.Option(help="ticks, csv, npz or nc.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    feed: FeedOption = None,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    par: ParOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Plan JOB and write it for a controller; every limit is checked before the first byte.
+
+    Exit status: 0 written, 2 wrong input (nothing is written).
+
+    Example: threadline compile examples/x-180.prg -m lathe-winder --target csv -o x-180.csv
+    """
+    chosen = machine_from(machine, par)
+    plan = plan_job(read_job(job, chosen), chosen, options_of(interpolation, feed, tolerance))
+    check_limits(plan.trajectory, chosen)
+    files = write(plan, target, out)
+    if json:
+        print_json({"files": [{"file": str(f.path), "sha256": f.sha256} for f in files]})
+    else:
+        for file in files:
+            typer.echo(f"{file.sha256}  {file.path}")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("compile")(compile_)

@@ -1,0 +1,90 @@
+"""``threadline judge``: recordings from anywhere, judged by the same judge."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.options import (
+    JsonOption,
+    SpecOption,
+    machine_from,
+)
+from threadline.cli.output import print_json, print_table
+from threadline.errors import OptionError
+from threadline.jobs import read_job
+from threadline.pipeline import options_from, plan_job
+from threadline.signals.files import read_recording
+from threadline.verdict import judge as judge_recordings
+from threadline.verdict import load_spec, verdict_json, verdict_rows
+
+
+def judge(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recordings (.npz, .csv, .plt) of one and the same job.")
+    ],
+    spec: SpecOption = None,
+    job: Annotated[
+        Path | None, typer.Option(help="The job; default: what the recording names.")
+    ] = None,
+    machine: Annotated[
+        str | None, typer.Option("--machine", "-m", help="The machine; default: likewise.")
+    ] = None,
+    interpolation: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    feed: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    tolerance: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Judge what a machine did, recorded by Threadline or by anything that writes a table.
+
+    Exit status: 0 in spec, 1 out of spec, 2 wrong input.
+
+    Example: threadline judge run.npz, or: threadline judge trace.csv --job x-180.prg
+    -m lathe-winder --interpolation linear
+    """
+    read = [read_recording(path) for path in recordings]
+    origin = dict(read[0].origin)
+    for key, text in (
+        ("interpolation", interpolation),
+        ("feed", feed),
+        ("tolerance", tolerance),
+        ("job", None if job is None else str(job)),
+        ("machine", machine),
+    ):
+        if text is not None:
+            origin[key] = text
+    for key, option in (("job", "--job"), ("machine", "--machine")):
+        if key not in origin:
+            raise OptionError(
+                f"{recordings[0].name} does not say which {key} it is a recording of",
+                remedy=f"Give it with {option}.",
+            )
+    origin.setdefault("interpolation", "auto")
+    origin.setdefault("feed", "programmed")
+    origin.setdefault("tolerance", "0.1 mm")
+    chosen = machine_from(origin["machine"], None)
+    plan = plan_job(read_job(Path(origin["job"]), chosen), chosen, options_from(origin))
+    for path, recording in zip(recordings, read, strict=True):
+        if recording.job_sha256 and recording.job_sha256 != plan.job.sha256:
+            raise OptionError(
+                f"{path.name} was recorded from another version of {plan.job.name} "
+                f"(sha256 {recording.job_sha256[:12]}, now {plan.job.sha256[:12]})",
+                remedy="Give the job file that was run with --job.",
+            )
+    verdict = judge_recordings(read, plan, load_spec(spec, chosen))
+    if json:
+        print_json(verdict_json(verdict, plan))
+    else:
+        header, rows = verdict_rows(verdict)
+        print_table(
+            f"{', '.join(p.name for p in recordings)} against {plan.job.name}", header, rows
+        )
+        typer.echo("IN SPEC" if verdict.passed else "OUT OF SPEC")
+    raise typer.Exit(0 if verdict.passed else 1)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("judge")(judge)

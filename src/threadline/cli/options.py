@@ -1,0 +1,71 @@
+"""Options that several commands share, so that they read and are explained the same everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.machine import Machine, load_machine
+from threadline.machine.par import read_par
+from threadline.pipeline import (
+    DEFAULT_INTERPOLATION,
+    DEFAULT_TOLERANCE_M,
+    Options,
+    parse_feed,
+    parse_tolerance_m,
+)
+
+JobArgument = Annotated[
+    Path, typer.Argument(help="Part program, seam, embroidery design or move list.")
+]
+MachineOption = Annotated[
+    str,
+    typer.Option(
+        "--machine",
+        "-m",
+        help="Machine file (.toml) or library name, overlays after a plus: lathe-winder+physical.",
+    ),
+]
+SpecOption = Annotated[
+    Path | None,
+    typer.Option("--spec", "-s", help="Specification file (.toml); default: the machine's own."),
+]
+ParOption = Annotated[
+    Path | None,
+    typer.Option(help="FW-CNC.PAR whose settings replace those of the machine file."),
+]
+InterpolationOption = Annotated[
+    str,
+    typer.Option(
+        help="point-to-point, linear, parabolic, cubic, quintic, b-spline, b-spline-pulled, auto."
+    ),
+]
+FeedOption = Annotated[
+    str | None, typer.Option(help='Replaces every programmed feed: "10 count/tick", "36 mm/s".')
+]
+ToleranceOption = Annotated[
+    str, typer.Option(help='Largest deviation from the programmed path: "0.1 mm".')
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
+ReportOption = Annotated[
+    Path | None, typer.Option(help="Folder for the report (HTML, PDF, PNG, SVG).")
+]
+DEFAULT_INTERPOLATION_TEXT = DEFAULT_INTERPOLATION
+DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
+
+
+def machine_from(reference: str, par: Path | None) -> Machine:
+    """Return the machine that the options name."""
+    machine = load_machine(reference)
+    return machine if par is None else read_par(par, machine)
+
+
+def options_of(interpolation: str, feed: str | None, tolerance: str) -> Options:
+    """Return the planning options, read from their text."""
+    return Options(
+        interpolation=interpolation,
+        feed=None if feed is None else parse_feed(feed),
+        tolerance_m=parse_tolerance_m(tolerance),
+    )

@@ -1,0 +1,71 @@
+"""What the commands print: tables for people, one JSON object for machines."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from threadline.pipeline import Progress as ProgressCall
+
+_SHOW_AFTER_S = 1.0
+
+
+def print_json(content: Any) -> None:
+    """Print ``content`` as one JSON object; a number that JSON lacks is an error, not a NaN."""
+    sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; numbers (columns after the first) are aligned right."""
+    console = Console(soft_wrap=True) if not sys.stdout.isatty() else Console()
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for index, name in enumerate(header):
+        table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def note(text: str) -> None:
+    """Print a line for people on standard error, so that --json stays pure."""
+    sys.stderr.write(text + "\n")
+
+
+@contextmanager
+def progress_bar(wanted: bool = True) -> Iterator[ProgressCall | None]:
+    """Give a progress call that draws a bar on a terminal once a second has passed."""
+    if not wanted or not sys.stderr.isatty():
+        yield None
+        return
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    task = bar.add_task("starting", total=1.0)
+    began = time.monotonic()
+    shown = False
+
+    def update(what: str, fraction: float) -> None:
+        nonlocal shown
+        if not shown and time.monotonic() - began > _SHOW_AFTER_S:
+            bar.start()
+            shown = True
+        bar.update(task, description=what, completed=fraction)
+
+    try:
+        yield update
+    finally:
+        if shown:
+            bar.stop()

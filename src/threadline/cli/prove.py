@@ -1,0 +1,78 @@
+"""``threadline prove``: plan, simulate, judge."""
+
+from __future__ import annotations
+
+import typer
+
+from threadline.cli.options import (
+    DEFAULT_INTERPOLATION_TEXT,
+    DEFAULT_TOLERANCE_TEXT,
+    FeedOption,
+    InterpolationOption,
+    JobArgument,
+    JsonOption,
+    MachineOption,
+    ParOption,
+    ReportOption,
+    SpecOption,
+    ToleranceOption,
+    machine_from,
+    options_of,
+)
+from threadline.cli.output import note, print_json, print_table, progress_bar
+from threadline.pipeline import Proof
+from threadline.pipeline import prove as prove_job
+from threadline.report import write_report
+from threadline.targets import calculate
+from threadline.verdict import load_spec, verdict_json, verdict_rows
+
+
+def prove(
+    job: JobArgument,
+    machine: MachineOption,
+    spec: SpecOption = None,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    feed: FeedOption = None,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    par: ParOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Plan JOB, simulate it on the machine, and say whether it is within specification.
+
+    Exit status: 0 in spec, 1 out of spec, 2 wrong input.
+
+    Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
+    """
+    chosen = machine_from(machine, par)
+    options = options_of(interpolation, feed, tolerance)
+    with progress_bar(not json) as progress:
+        proof = prove_job(job, chosen, load_spec(spec, chosen), options, progress)
+        written = None if report is None else write_report(proof, report)
+    if json:
+        content = verdict_json(proof.verdict, proof.plan)
+        if written is not None:
+            content["report"] = str(written)
+        print_json(content)
+    else:
+        show_proof(proof)
+        if written is not None:
+            typer.echo(f"Report: {written}")
+    raise typer.Exit(0 if proof.verdict.passed else 1)
+
+
+def show_proof(proof: Proof) -> None:
+    """Print the verdict of a proof for people."""
+    plan = proof.plan
+    for warning in plan.job.warnings:
+        note(f"warning: {warning}")
+    header, rows = verdict_rows(proof.verdict)
+    print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
+    for line in calculate(plan).lines():
+        typer.echo(line)
+    typer.echo("IN SPEC" if proof.verdict.passed else "OUT OF SPEC")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("prove")(prove)

@@ -1,0 +1,147 @@
+"""The fastest feed that stays in spec.
+
+Passing is not monotone in speed: a loop that rings at one feed can be quiet at a higher one. So
+the whole range is scanned first, then the edges of every interval that passes are refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.verdict import Status, Verdict
+
+Judged = Callable[[float], Verdict]
+SCAN_POINTS = 48
+EDGE_RELATIVE = 2e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interval:
+    """A range of feeds that pass, both ends tried; SI or counts per tick, as searched."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fastest:
+    """What a search found.
+
+    Parameters
+    ----------
+    intervals
+        Every interval found, the fastest first; empty when no feed passes.
+    limited_by
+        The criterion that fails just above the fastest interval, ``"range"`` when the search
+        ended first, ``""`` when nothing passes at all.
+    verdict
+        At the best feed; None when nothing passes.
+    tried
+        Number of feeds tried.
+    """
+
+    intervals: tuple[Interval, ...]
+    limited_by: str
+    verdict: Verdict | None
+    tried: int
+
+    @property
+    def best(self) -> float | None:
+        """The highest feed that was tried and passed."""
+        return self.intervals[0].high if self.intervals else None
+
+
+def find_fastest(
+    judged: Judged,
+    low: float,
+    high: float,
+    *,
+    points: int = SCAN_POINTS,
+    edge_relative: float = EDGE_RELATIVE,
+    progress: Callable[[str, float], None] | None = None,
+) -> Fastest:
+    """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
+
+    Parameters
+    ----------
+    judged
+        Returns the verdict at a feed.
+    low, high
+        Ends of the scan, ``0 < low < high``; evenly spaced on a logarithmic scale, because what
+        limits a machine scales with powers of its speed.
+    points
+        Feeds in the scan. An interval narrower than the spacing can be missed: that is the
+        resolution of the search.
+    edge_relative
+        Edges are refined until pass and fail are this close, relative to the feed.
+
+    Raises
+    ------
+    ValueError
+        If the range or the number of points is empty.
+    """
+    if not 0.0 < low < high or points < 2:
+        raise ValueError(f"nothing to scan between {low!r} and {high!r} with {points} points")
+    seen: dict[float, Verdict] = {}
+    expected = points + 2.0 * np.log2(np.log(high / low) / points / edge_relative + 1.0)
+
+    def verdict_at(feed: float) -> Verdict:
+        if feed not in seen:
+            seen[feed] = judged(feed)
+            if progress is not None:
+                progress("searching", min(len(seen) / float(expected), 1.0))
+        return seen[feed]
+
+    feeds = [float(f) for f in np.geomspace(low, high, points)]
+    feeds[0], feeds[-1] = low, high
+    passes = [verdict_at(feed).passed for feed in feeds]
+    intervals: list[Interval] = []
+    start: float | None = None
+    for index, feed in enumerate(feeds):
+        if passes[index] and start is None:
+            start = feed if index == 0 else _edge(verdict_at, feed, feeds[index - 1], edge_relative)
+        ends = index + 1 == len(feeds) or not passes[index + 1]
+        if passes[index] and ends and start is not None:
+            last = index + 1 == len(feeds)
+            stop = feed if last else _edge(verdict_at, feed, feeds[index + 1], edge_relative)
+            intervals.append(Interval(low=start, high=stop))
+            start = None
+    intervals.reverse()
+    if not intervals:
+        return Fastest(intervals=(), limited_by="", verdict=None, tried=len(seen))
+    best = intervals[0].high
+    above = [feed for feed in seen if feed > best]
+    limited_by = _first_failure(seen[min(above)]) if above else "range"
+    return Fastest(
+        intervals=tuple(intervals),
+        limited_by=limited_by,
+        verdict=seen[best],
+        tried=len(seen),
+    )
+
+
+def _edge(verdict_at: Judged, passing: float, failing: float, edge_relative: float) -> float:
+    """Return the passing end of the bisected gap between a passing and a failing feed."""
+    while abs(failing - passing) > edge_relative * min(passing, failing):
+        middle = float(np.sqrt(passing * failing))
+        if verdict_at(middle).passed:
+            passing = middle
+        else:
+            failing = middle
+    return passing
+
+
+def _first_failure(verdict: Verdict) -> str:
+    """Return the name of the criterion that exceeds its limit by the largest factor."""
+    worst, factor = "", -np.inf
+    for result in verdict.results:
+        if result.status is Status.FAILED and result.limit and result.measured is not None:
+            ratio = result.measured / result.limit
+            if ratio > factor:
+                worst, factor = result.name, ratio
+        elif (result.status is Status.FAILED and not worst) or (result.status is Status.NOT_MEASURED and result.required and not worst):
+            worst = result.name
+    return worst

@@ -1,0 +1,49 @@
+"""The fastest feed of a job: the search run over the whole pipeline."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.machine import Machine
+from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.search.fastest import Fastest, find_fastest
+from threadline.verdict import Spec, Verdict
+
+
+def feed_range_m_s(machine: Machine) -> tuple[float, float]:
+    """Return the feeds between which a search makes sense, m/s of the fastest axis.
+
+    From one count per tick of the coarsest axis, below which a reference stands still between
+    ticks, to the highest velocity limit at the tool.
+    """
+    tick_s = float(machine.tick_clock.period_s)
+    low = float((machine.radius_m / machine.counts_per_unit).max()) / tick_s
+    high = float((machine.velocity_limit * machine.radius_m).max())
+    return low, high
+
+
+def fastest_feed(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Fastest:
+    """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec."""
+    lowest, highest = feed_range_m_s(machine)
+
+    def judged(feed_m_s: float) -> Verdict:
+        feed = Feed(FeedMode.FASTEST_AXIS, feed_m_s)
+        return prove_plan(plan_job(job, machine, replace(options, feed=feed)), spec).verdict
+
+    return find_fastest(
+        judged,
+        lowest if low is None else low,
+        highest if high is None else high,
+        progress=progress,
+    )
