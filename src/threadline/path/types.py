@@ -37,6 +37,9 @@ class VertexBlock:
         (n,) time spent at rest at the vertex before going on.
     line
         (n,) int: line of the job file, 0 for the start.
+    slowed
+        How many of these moves were programmed faster than the operator's normal feed and take
+        that one instead.
     """
 
     positions: FloatArray
@@ -45,6 +48,7 @@ class VertexBlock:
     rest: IntArray
     dwell_s: FloatArray
     line: IntArray
+    slowed: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions, "positions", ndim=2))

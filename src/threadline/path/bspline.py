@@ -1,0 +1,199 @@
+"""The uniform cubic B-spline of the 1994 controller, plain and pulled to its turning points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.machine import Machine
+from threadline.path.linear import chord_time_s, velocity_limit_of, with_previous
+from threadline.path.types import PieceBlock, ProgrammedPath
+
+MULTIPLICITY = 3  # a point that stands three times in a row is met, at rest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlPoints:
+    """A run of control points, with the move into each.
+
+    ``copy`` counts the repetitions of one vertex from 0; ``chord_s`` is the nominal time from
+    the point before, 0 for a repetition.
+    """
+
+    positions: FloatArray
+    chord_s: FloatArray
+    operation: IntArray
+    line: IntArray
+    rest: IntArray
+    dwell_s: FloatArray
+    copy: IntArray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def take(self, rows: IntArray | slice) -> ControlPoints:
+        """Return the points at ``rows``."""
+        return ControlPoints(**{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+
+_COLUMNS = ("positions", "chord_s", "operation", "line", "rest", "dwell_s", "copy")
+
+Refine = Callable[[ControlPoints, FloatArray], ControlPoints]
+"""Turns vertices and their (n,) 0/1 turning points into control points."""
+
+
+def join(parts: list[ControlPoints]) -> ControlPoints:
+    """Return the points of all ``parts`` in a row."""
+    return ControlPoints(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}
+    )
+
+
+def bspline_coefficients(points: FloatArray) -> FloatArray:
+    """Return the (n - 3, 4, axes) a0..a3 of the uniform cubic B-spline on (n, axes) points.
+
+    Thesis, section 8.8.1; ``a0 + a1 u + a2 u^2 + a3 u^3`` for u in [0, 1].
+    """
+    before, here, there, beyond = points[:-3], points[1:-2], points[2:-1], points[3:]
+    a0 = (before + 4.0 * here + there) / 6.0
+    a1 = (there - before) / 2.0
+    a2 = (before - 2.0 * here + there) / 2.0
+    a3 = (-before + 3.0 * here - 3.0 * there + beyond) / 6.0
+    return np.stack([a0, a1, a2, a3], axis=1)
+
+
+def vertices_as_points(
+    programmed: ProgrammedPath, machine: Machine
+) -> Iterator[tuple[ControlPoints, FloatArray]]:
+    """Yield every vertex once, with 1 for those where an axis turns back, 0 for the others.
+
+    Whether a vertex is a turning point shows only at the vertex after it, so the last vertex of
+    each block is held back.
+    """
+    limit = velocity_limit_of(programmed, machine)
+    held: ControlPoints | None = None
+    way = np.zeros(len(programmed.axes))
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        points = ControlPoints(
+            positions=block.positions,
+            chord_s=chord_time_s(displacement, block.nominal_s, limit),
+            operation=block.operation,
+            line=block.line,
+            rest=block.rest,
+            dwell_s=block.dwell_s,
+            copy=np.zeros(len(block), dtype=np.int64),
+        )
+        # Sign of the latest movement of each axis before each displacement.
+        signs = np.vstack([way[None], np.sign(displacement)])
+        moved = np.where(signs != 0, np.arange(len(signs))[:, None], 0)
+        latest = np.take_along_axis(signs, np.maximum.accumulate(moved, axis=0), axis=0)
+        turned = (signs[1:] * latest[:-1] < 0).any(axis=1).astype(np.float64)
+        way = latest[-1]
+        if held is not None:
+            points = join([held, points])
+        else:
+            turned = turned[1:]  # nothing precedes the start
+        yield points.take(slice(0, -1)), turned
+        held = points.take(slice(-1, None))
+    if held is not None:
+        yield held, np.zeros(1)
+
+
+def repeat(points: ControlPoints, times: IntArray) -> ControlPoints:
+    """Return ``points`` with point i standing ``times[i]`` times in a row."""
+    rows = np.repeat(np.arange(len(points)), times)
+    first = np.concatenate([[0], np.cumsum(times)[:-1]])
+    copy = np.arange(len(rows)) - first[rows]
+    out = points.take(rows)
+    return ControlPoints(
+        positions=out.positions,
+        chord_s=np.where(copy == 0, out.chord_s, 0.0),
+        operation=out.operation,
+        line=out.line,
+        rest=out.rest,
+        dwell_s=out.dwell_s,
+        copy=copy,
+    )
+
+
+def plain(points: ControlPoints, turning: FloatArray) -> ControlPoints:
+    """Triple the ends and every other vertex at which the motion rests."""
+    del turning
+    return repeat(points, np.where(points.rest == 1, MULTIPLICITY, 1))
+
+
+def pulled_by_repetition(points: ControlPoints, turning: FloatArray) -> ControlPoints:
+    """Triple the turning points as well."""
+    return repeat(points, np.where((points.rest == 1) | (turning == 1), MULTIPLICITY, 1))
+
+
+def control_points(
+    programmed: ProgrammedPath, machine: Machine, refine: Refine
+) -> Iterator[ControlPoints]:
+    """Yield the control points in blocks that overlap by three, so that each is complete."""
+    carried: ControlPoints | None = None
+    for points, turning in vertices_as_points(programmed, machine):
+        fresh = refine(points, turning)
+        carried = fresh if carried is None else join([carried, fresh])
+        if len(carried) > MULTIPLICITY:
+            yield carried
+            carried = carried.take(slice(-MULTIPLICITY, None))
+
+
+def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> float:
+    """Return the time per knot interval at which the fastest interval just meets the feed.
+
+    The velocity of an interval is a mean of three successive differences of control points with
+    the weights (1-u)^2/2, -u^2+u+1/2, u^2/2. Measured in the time that each takes at its feed,
+    the same mean of nominal times bounds the time that the interval needs, whatever the feed
+    means; the bound is met where the differences point the same way.
+    """
+    longest = 0.0
+    for points in control_points(programmed, machine, refine):
+        t1, t2, t3 = points.chord_s[1:-2], points.chord_s[2:-1], points.chord_s[3:]
+        bend = t1 - 2.0 * t2 + t3
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = np.where(bend < 0, np.clip((t1 - t2) / bend, 0.0, 1.0), 0.0)
+        for at in (np.zeros_like(u), u, np.ones_like(u)):
+            demand = (1 - at) ** 2 / 2 * t1 + (-at * at + at + 0.5) * t2 + at * at / 2 * t3
+            longest = max(longest, float(demand.max(initial=0.0)))
+    return longest
+
+
+def bspline_pieces(
+    programmed: ProgrammedPath, machine: Machine, refine: Refine, interval_s: float
+) -> Iterator[PieceBlock]:
+    """Yield one cubic piece per knot interval, each lasting ``interval_s``."""
+    first = True
+    for points in control_points(programmed, machine, refine):
+        if first and points.dwell_s[0] > 0:
+            yield _dwell_at_start(points)
+        first = False
+        # The interval from point i + 1 to i + 2 belongs to the move into i + 2; between the
+        # last two of three copies it leaves the vertex, and belongs to the move after it.
+        leaves = points.copy[2:-1] == MULTIPLICITY - 1
+        operation = np.where(leaves, points.operation[3:], points.operation[2:-1])
+        arrives = (points.rest[2:-1] == 1) & (points.copy[2:-1] == 1)
+        yield PieceBlock(
+            coefficients=bspline_coefficients(points.positions),
+            operation=operation,
+            nominal_s=np.full(len(points) - 3, interval_s),
+            rest_after=arrives.astype(np.int64),
+            dwell_s=np.where(arrives, points.dwell_s[2:-1], 0.0),
+            line=np.where(leaves, points.line[3:], points.line[2:-1]),
+        )
+
+
+def _dwell_at_start(points: ControlPoints) -> PieceBlock:
+    return PieceBlock(
+        coefficients=points.positions[:1, None, :],
+        operation=points.operation[:1],
+        nominal_s=np.zeros(1),
+        rest_after=np.ones(1, dtype=np.int64),
+        dwell_s=points.dwell_s[:1],
+        line=points.line[:1],
+    )

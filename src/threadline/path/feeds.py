@@ -1,0 +1,76 @@
+"""What a feed means: the time that a move takes at it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import Place, PlanError
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.machine import Machine
+
+
+def check_feed(feed: Feed, axes: tuple[str, ...], place: Place | None) -> None:
+    """Refuse a feed at which nothing would move.
+
+    Raises
+    ------
+    PlanError
+        If the value is not a finite number greater than 0, or a base axis is unknown.
+    """
+    if feed.mode is FeedMode.RAPID:
+        return
+    if not (math.isfinite(feed.value) and feed.value > 0):
+        raise PlanError(
+            f"feed is {feed.value:g} ({feed.mode.value}); it must be greater than 0",
+            place=place,
+            remedy="Program a feed (F) before the first move.",
+        )
+    unknown = set(feed.base_axes) - set(axes)
+    if feed.mode is FeedMode.BASE_AXES and (unknown or not feed.base_axes):
+        raise PlanError(
+            f"feed of base axes {feed.base_axes} on a job with axes {axes}",
+            place=place,
+            remedy="Name axes of the job as the base.",
+        )
+
+
+def feed_time_s(
+    displacement: FloatArray, feed: Feed, axes: tuple[str, ...], machine: Machine
+) -> FloatArray:
+    """Return the (n,) time of moves by (n, axes) ``displacement`` (m or rad) at ``feed``.
+
+    A move of length zero takes no time and a rapid move has no nominal time: both give 0.
+
+    Notes
+    -----
+    * fastest axis: largest displacement / feed, rotary axes at the radius of the tool;
+    * count per tick: largest displacement in counts / feed, in ticks;
+    * path: Euclidean length of the linear axes / feed; a move of rotary axes alone takes the
+      length at the tool;
+    * base axes (CADFIL): Euclidean length of the base at the tool / feed; a move that leaves the
+      base at rest takes the length of all axes instead;
+    * inverse time: 1 / feed.
+    """
+    column = [machine.axis_names.index(axis) for axis in axes]
+    radius = machine.radius_m[column]
+    size = np.abs(displacement)
+    at_tool = size * radius
+    if feed.mode is FeedMode.RAPID:
+        return np.zeros(len(size))
+    if feed.mode is FeedMode.INVERSE_TIME:
+        return np.where(size.max(axis=1) > 0, 1.0 / feed.value, 0.0)
+    if feed.mode is FeedMode.COUNT_PER_TICK:
+        counts = (size * machine.counts_per_unit[column]).max(axis=1)
+        return np.asarray(counts * float(machine.tick_clock.period_s) / feed.value)
+    if feed.mode is FeedMode.FASTEST_AXIS:
+        return np.asarray(at_tool.max(axis=1) / feed.value)
+    if feed.mode is FeedMode.PATH:
+        base = np.array([machine.axes[axis].kind == "linear" for axis in axes])
+    else:
+        base = np.array([axis in feed.base_axes for axis in axes])
+    length = np.sqrt((at_tool[:, base] ** 2).sum(axis=1))
+    whole = np.sqrt((at_tool**2).sum(axis=1))
+    return np.asarray(np.where(length > 0, length, whole) / feed.value)

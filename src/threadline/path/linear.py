@@ -1,0 +1,81 @@
+"""The straight interpolations of the 1994 controller: linear, and point to point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.path.types import PieceBlock, ProgrammedPath, VertexBlock
+
+CUBIC_PEAK_VELOCITY = 1.5  # Cv of the law 3u^2 - 2u^3
+
+
+def chord_time_s(
+    displacement: FloatArray, nominal_s: FloatArray, velocity_limit: FloatArray
+) -> FloatArray:
+    """Return the (n,) time of each chord: at its feed, or as the velocity limits allow if rapid."""
+    fastest = (np.abs(displacement) / velocity_limit).max(axis=1)
+    return np.where(nominal_s > 0, nominal_s, fastest)
+
+
+def velocity_limit_of(programmed: ProgrammedPath, machine: Machine) -> FloatArray:
+    """Return the (axes,) velocity limits in the order of the path's axes."""
+    return machine.velocity_limit[[machine.axis_names.index(axis) for axis in programmed.axes]]
+
+
+def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
+    """Yield one straight piece per move, at constant velocity, all axes arriving together.
+
+    The travel time is rounded up to whole ticks, as the 1994 controller stored it (thesis,
+    section 9.5), so that no axis is faster than the feed.
+    """
+    tick_s = float(machine.tick_clock.period_s)
+    limit = velocity_limit_of(programmed, machine)
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        exact = chord_time_s(displacement, block.nominal_s, limit) / tick_s
+        # A travel time that is whole but for a rounding keeps its ticks.
+        ticks = np.ceil(exact * (1 - 1e-9))
+        begin = block.positions - displacement
+        coefficients = np.stack([begin, displacement], axis=1)
+        yield _pieces(block, coefficients, ticks * tick_s, rest_after=block.rest)
+
+
+def point_to_point_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
+    """Yield one straight piece per move that starts and ends at rest.
+
+    The velocity is a parabola over time, the profile that wastes least heat in the motor (thesis,
+    section 5 and 8.6); its peak meets the feed.
+    """
+    limit = velocity_limit_of(programmed, machine)
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        time_s = CUBIC_PEAK_VELOCITY * chord_time_s(displacement, block.nominal_s, limit)
+        begin = block.positions - displacement
+        zero = np.zeros_like(begin)
+        coefficients = np.stack([begin, zero, 3.0 * displacement, -2.0 * displacement], axis=1)
+        yield _pieces(block, coefficients, time_s, rest_after=np.ones(len(block), dtype=np.int64))
+
+
+def with_previous(programmed: ProgrammedPath) -> Iterator[tuple[VertexBlock, FloatArray]]:
+    """Yield every block with the (1, axes) position before it; the start precedes itself."""
+    previous: FloatArray | None = None
+    for block in programmed:
+        yield block, block.positions[:1] if previous is None else previous
+        previous = block.positions[-1:]
+
+
+def _pieces(
+    block: VertexBlock, coefficients: FloatArray, time_s: FloatArray, *, rest_after: object
+) -> PieceBlock:
+    return PieceBlock(
+        coefficients=coefficients,
+        operation=block.operation,
+        nominal_s=time_s,
+        rest_after=np.asarray(rest_after),
+        dwell_s=block.dwell_s,
+        line=block.line,
+    )

@@ -1,0 +1,123 @@
+"""The interpolations by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.path import bspline, linear
+from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
+from threadline.signals import Stream
+
+DEFAULT_TOLERANCE_M = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathOptions:
+    """What an interpolation may need besides the programmed path."""
+
+    tolerance_m: float = DEFAULT_TOLERANCE_M
+
+
+Planner = Callable[[ProgrammedPath, Machine, PathOptions], PlannedPath]
+
+
+def plan_path(
+    programmed: ProgrammedPath,
+    machine: Machine,
+    interpolation: str = "auto",
+    tolerance_m: float = DEFAULT_TOLERANCE_M,
+) -> PlannedPath:
+    """Return the path that will be followed.
+
+    Parameters
+    ----------
+    programmed, machine
+        What the job says, and the machine that does it.
+    interpolation
+        One of ``interpolation_names()``.
+    tolerance_m
+        Largest distance between planned and programmed path, per axis, rotary axes at the
+        radius of the tool. The historical interpolations and point-to-point ignore it.
+
+    Raises
+    ------
+    OptionError
+        If the interpolation is unknown or the tolerance is not greater than 0.
+    PlanError
+        If the job cannot be done (see ``programmed_path``).
+    """
+    if interpolation not in _PLANNERS:
+        close = difflib.get_close_matches(interpolation, _PLANNERS, n=1)
+        hint = f"Did you mean {close[0]!r}?" if close else f"There are: {', '.join(_PLANNERS)}."
+        raise OptionError(f"unknown interpolation {interpolation!r}", remedy=hint)
+    if not 0 < tolerance_m < float("inf"):
+        raise OptionError(
+            f"tolerance is {tolerance_m!r} m; it must be greater than 0",
+            remedy='Give one like "0.1 mm".',
+        )
+    return _PLANNERS[interpolation](programmed, machine, PathOptions(tolerance_m=tolerance_m))
+
+
+def interpolation_names() -> tuple[str, ...]:
+    """Return the names that ``plan_path`` knows."""
+    return tuple(_PLANNERS)
+
+
+def _historical(
+    name: str,
+    programmed: ProgrammedPath,
+    blocks: Callable[[], Iterator[PieceBlock]],
+    summary: Mapping[str, float],
+) -> PlannedPath:
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=name,
+        timing=Timing.TIME,
+        historical=True,
+        blocks=Stream(blocks),
+        summary=summary,
+    )
+
+
+def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    del options
+    return _historical("linear", programmed, lambda: linear.linear_pieces(programmed, machine), {})
+
+
+def _point_to_point(
+    programmed: ProgrammedPath, machine: Machine, options: PathOptions
+) -> PlannedPath:
+    del options
+    return _historical(
+        "point-to-point",
+        programmed,
+        lambda: linear.point_to_point_pieces(programmed, machine),
+        {},
+    )
+
+
+def _bspline(name: str, refine: bspline.Refine) -> Planner:
+    def planner(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+        del options
+        interval_s = bspline.interval_time_s(programmed, machine, refine)
+        return _historical(
+            name,
+            programmed,
+            lambda: bspline.bspline_pieces(programmed, machine, refine, interval_s),
+            {"interval_s": interval_s},
+        )
+
+    return planner
+
+
+_PLANNERS: dict[str, Planner] = {
+    "point-to-point": _point_to_point,
+    "linear": _linear,
+    "b-spline": _bspline("b-spline", bspline.plain),
+    "b-spline-pulled": _bspline("b-spline-pulled", bspline.pulled_by_repetition),
+}
