@@ -1,0 +1,1 @@
+"""Input shapers designed exactly, their robustness, and on/off commands."""

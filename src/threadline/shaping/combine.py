@@ -1,0 +1,43 @@
+"""Convolution of shapers: one train that does what several do one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.errors import OptionError
+from threadline.shaping.types import Shaper
+
+COINCIDENT_S = 1e-12
+"""Impulses closer than this are one: far below any tick, far above rounding."""
+
+
+def convolve(*shapers: Shaper, name: str = "") -> Shaper:
+    """Convolve shapers: durations add up, vibrations multiply.
+
+    Parameters
+    ----------
+    *shapers
+        At least one.
+    name
+        Name of the result; the names joined by ``*`` if empty.
+
+    Raises
+    ------
+    OptionError
+        If there is none.
+    """
+    if not shapers:
+        raise OptionError("convolution: at least one shaper is needed")
+    amplitudes, times = shapers[0].amplitudes, shapers[0].times_s
+    for other in shapers[1:]:
+        amplitudes = np.outer(amplitudes, other.amplitudes).ravel()
+        times = np.add.outer(times, other.times_s).ravel()
+        order = np.argsort(times, kind="stable")
+        amplitudes, times = amplitudes[order], times[order]
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(times) > COINCIDENT_S) + 1))
+        amplitudes, times = np.add.reduceat(amplitudes, starts), times[starts]
+    return Shaper(
+        amplitudes=amplitudes,
+        times_s=times,
+        name=name or "*".join(shaper.name for shaper in shapers),
+    )

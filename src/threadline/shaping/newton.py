@@ -1,0 +1,105 @@
+"""Newton's method for square systems, and continuation that brings it its seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.shaping.types import ShaperError
+
+System: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Unknowns (n,) -> residuals (m,) and Jacobian (m, n)."""
+
+RESIDUAL = 1e-11
+"""Largest residual of a solved system: ten times below the 1e-10 that designs promise."""
+
+
+def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30) -> FloatArray:
+    """Solve ``system`` from ``seed``; the step is the least-squares one where it isn't square.
+
+    Parameters
+    ----------
+    system
+        Residuals and Jacobian.
+    seed
+        Shape ``(n,)``.
+    what
+        Subject of the error.
+
+    Raises
+    ------
+    ShaperError
+        If the residual does not fall below 1e-11.
+    """
+    x = np.array(seed, dtype=np.float64)
+    worst = np.inf
+    for _ in range(iterations):
+        try:
+            # A step that went astray overflows: that is failure to converge, not a warning.
+            with np.errstate(over="ignore", invalid="ignore"):
+                residual, jacobian = system(x)
+        except OverflowError:
+            break
+        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+            break
+        previous, worst = worst, float(np.abs(residual).max())
+        # One more step after convergence costs little and polishes to rounding.
+        if worst < RESIDUAL and previous < 1e-6:
+            return x
+        x = x - np.linalg.lstsq(jacobian, residual, rcond=1e-14)[0]
+    raise ShaperError(
+        f"{what}: the design did not converge (worst residual {worst:.1e}, wanted {RESIDUAL:.0e})",
+        remedy="Change the tolerance, the damping or the kind of shaper.",
+    )
+
+
+def follow(
+    system_at: Callable[[float], System],
+    seed: FloatArray,
+    *,
+    start: float,
+    end: float,
+    step: float,
+    what: str,
+) -> FloatArray:
+    """Follow a solution as a parameter goes from ``start`` to ``end``.
+
+    Parameters
+    ----------
+    system_at
+        Parameter -> system.
+    seed
+        Approximate solution at ``start``.
+    step
+        Largest step of the parameter; halved where Newton fails.
+
+    Raises
+    ------
+    ShaperError
+        If the solution is lost: 2**-12 of a step was too far.
+    """
+    x = newton(system_at(start), seed, what)
+    at, tangent = start, np.zeros_like(x)
+    size = float(np.copysign(step, end - start))
+    smallest = step * 2.0**-12
+    while at != end:
+        size = end - at if abs(end - at) <= abs(size) else size
+        try:
+            moved = newton(system_at(at + size), x + tangent * size, what, iterations=12)
+            # A jump is another branch, not the solution that is being followed.
+            if np.abs(moved - x - tangent * size).max() > 0.1:
+                raise ShaperError(f"{what}: the followed solution was lost")
+        except ShaperError:
+            size *= 0.5
+            if abs(size) < smallest:
+                raise
+            continue
+        at, tangent, x = at + size, (moved - x) / size, moved
+        size *= 1.5
+        size = float(np.copysign(min(abs(size), step), end - start))
+        if abs(end - at) < 1e-15 * max(1.0, abs(end)):
+            break
+    return x
