@@ -1,6 +1,17 @@
-"""Searches over the whole pipeline: the fastest motion in spec."""
+"""Searches over the whole pipeline: the fastest motion in spec, and comparisons."""
 
+from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed, feed_range_m_s
 
-__all__ = ["Fastest", "Interval", "fastest_feed", "feed_range_m_s", "find_fastest"]
+__all__ = [
+    "PLACEMENT",
+    "Comparison",
+    "Fastest",
+    "Interval",
+    "compare",
+    "fastest_feed",
+    "feed_range_m_s",
+    "find_fastest",
+    "placement_spec",
+]

@@ -142,6 +142,8 @@ def _first_failure(verdict: Verdict) -> str:
             ratio = result.measured / result.limit
             if ratio > factor:
                 worst, factor = result.name, ratio
-        elif (result.status is Status.FAILED and not worst) or (result.status is Status.NOT_MEASURED and result.required and not worst):
+        elif (result.status is Status.FAILED and not worst) or (
+            result.status is Status.NOT_MEASURED and result.required and not worst
+        ):
             worst = result.name
     return worst

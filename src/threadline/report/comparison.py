@@ -1,0 +1,58 @@
+"""The report of a comparison: Chapter 10 of the winder's thesis, for any job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from threadline.pipeline import Proof
+from threadline.report.document import Document, Table, write_document
+from threadline.report.figures import moves, path_figure, profile_figure
+from threadline.report.proof import facts
+from threadline.report.style import figure_style
+from threadline.report.traces import Traces, collect
+from threadline.search import Comparison
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def write_comparison(
+    found: Comparison, folder: Path, tables: list[tuple[str, list[str], list[list[str]]]]
+) -> Path:
+    """Write the report of a comparison; ``tables`` as they were printed: title, header, rows."""
+    first = found.proofs[0]
+    with figure_style():
+        figures: dict[str, Figure] = {}
+        captions: dict[str, str] = {}
+        for proof in found.proofs:
+            traces = collect(proof)
+            label = f"{proof.plan.path.interpolation}, feed {proof.plan.options['feed']}"
+            stem = label.replace(", feed ", "-").replace(" ", "").replace("/", "-per-")
+            for name, figure in _figures(proof, traces).items():
+                figure.axes[0].set_title(f"{label}: {figure.axes[0].get_title(loc='left')}")
+                figures[f"{stem}-{name}"] = figure
+                captions[f"{stem}-{name}"] = (
+                    f"{label}. Programmed, planned and actual; lines are told apart by dash."
+                )
+        good = all(proof.verdict.passed for proof in found.proofs)
+        document = Document(
+            title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",
+            subtitle=first.plan.machine.title,
+            verdicts=[("every case in spec" if good else "not every case is in spec", good)],
+            tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
+            figures=figures,
+            captions=captions,
+            facts=facts(first),
+        )
+        return write_document(document, folder, "comparison")
+
+
+def _figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
+    machine = proof.plan.machine
+    moving = [axis for axis in traces.actual if moves(traces, axis)]
+    linear = [axis for axis in moving if machine.axes[axis].kind == "linear"]
+    figures = {f"profile-{axis}": profile_figure(proof, traces, axis) for axis in linear}
+    if len(linear) > 1:
+        figures[f"path-{linear[0]}{linear[1]}"] = path_figure(proof, traces, linear[0], linear[1])
+    return figures

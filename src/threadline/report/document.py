@@ -1,0 +1,178 @@
+"""One self-contained HTML page, the same as PDF, and every figure as SVG and PNG."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PNG_DPI = 160
+_ROWS_PER_PAGE = 28
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table of a document; ``note`` stands below it."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Document:
+    """What a report says.
+
+    Parameters
+    ----------
+    title, subtitle
+        What was asked.
+    verdicts
+        Text and whether it is good news.
+    tables, figures, captions
+        In the order in which they are read; captions by figure name.
+    facts
+        Versions, hashes, options: what is needed to make the report again.
+    """
+
+    title: str
+    subtitle: str
+    verdicts: Sequence[tuple[str, bool]]
+    tables: Sequence[Table]
+    figures: Mapping[str, Figure]
+    captions: Mapping[str, str]
+    facts: Sequence[tuple[str, str]]
+    warnings: Sequence[str] = field(default_factory=tuple)
+
+
+def write_document(document: Document, folder: Path, stem: str) -> Path:
+    """Write the document into ``folder`` and return the path of its HTML page.
+
+    Everything is made in a temporary folder beside ``folder`` first and moved file by file once
+    it is complete, so that a failure leaves nothing half-written.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as made:
+        temporary = Path(made)
+        svgs = {}
+        for name, figure in document.figures.items():
+            svg = _svg(figure)
+            (temporary / f"{stem}-{name}.svg").write_text(svg, encoding="utf-8")
+            figure.savefig(
+                temporary / f"{stem}-{name}.png", dpi=_PNG_DPI, metadata={"Software": None}
+            )
+            svgs[name] = svg
+        page = temporary / f"{stem}.html"
+        page.write_text(_html(document, svgs), encoding="utf-8")
+        _pdf(document, temporary / f"{stem}.pdf")
+        for file in sorted(temporary.iterdir()):
+            shutil.move(file, folder / file.name)
+    return folder / f"{stem}.html"
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def _html(document: Document, svgs: Mapping[str, str]) -> str:
+    environment = Environment(
+        loader=PackageLoader("threadline.report"), autoescape=True, undefined=StrictUndefined
+    )
+    inline = []
+    for index, (name, svg) in enumerate(svgs.items()):
+        body = svg[svg.index("<svg") :]
+        # Identifiers must be unique once several figures share one page.
+        body = re.sub(r'\bid="', f'id="f{index}-', body)
+        body = re.sub(r'(xlink:href="|href="|url\()#', rf"\1#f{index}-", body)
+        inline.append(
+            {"name": name, "svg": Markup(body), "caption": document.captions.get(name, "")}  # noqa: S704 - our own figure
+        )
+    return environment.get_template("proof.html").render(
+        title=document.title,
+        subtitle=document.subtitle,
+        verdicts=document.verdicts,
+        warnings=document.warnings,
+        tables=document.tables,
+        figures=inline,
+        facts=document.facts,
+    )
+
+
+def _pdf(document: Document, file: Path) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    with PdfPages(file, metadata={"Title": document.title, "CreationDate": None}) as pages:
+        for page in _pages(document):
+            pages.savefig(page)
+        for figure in document.figures.values():
+            pages.savefig(figure)
+
+
+def _pages(document: Document) -> list[Figure]:
+    """Return the title page and the tables as figures of A4 size."""
+    from matplotlib.figure import Figure
+
+    head = [document.subtitle, *(text for text, _ in document.verdicts)]
+    head += [f"warning: {w}" for w in document.warnings]
+    facts = Table(title="What this was made from", header=("", ""), rows=document.facts)
+    pages = []
+    first = True
+    for table in [*document.tables, facts]:
+        for start in range(0, max(len(table.rows), 1), _ROWS_PER_PAGE):
+            figure = Figure(figsize=(11.69, 8.27), layout="none")
+            top = 0.95
+            if first:
+                figure.text(0.05, top, document.title, fontsize=15, weight="bold", va="top")
+                text = "\n".join(head)
+                figure.text(0.05, top - 0.05, text, fontsize=9, va="top", wrap=True)
+                top -= 0.08 + 0.022 * len(head)
+                first = False
+            figure.text(0.05, top, table.title, fontsize=11, weight="bold", va="top")
+            rows = table.rows[start : start + _ROWS_PER_PAGE]
+            if rows:
+                _draw_table(figure, table.header, rows, top - 0.045)
+            pages.append(figure)
+    return pages
+
+
+def _draw_table(
+    figure: Figure, header: Sequence[str], rows: Sequence[Sequence[str]], top: float
+) -> None:
+    widths = [max(len(str(row[c])) for row in [header, *rows]) + 3 for c in range(len(header))]
+    total = max(sum(widths), 110)
+    size = 8.0 if sum(widths) <= 130 else 8.0 * 130 / sum(widths)
+    for number, row in enumerate([header, *rows]):
+        at = 0.05
+        y = top - 0.027 * number
+        for column, cell in enumerate(row):
+            width = 0.9 * widths[column] / total
+            left = column == 0 or len(header) == 2
+            figure.text(
+                at if left else at + width,
+                y,
+                str(cell),
+                fontsize=size,
+                ha="left" if left else "right",
+                va="top",
+                weight="bold" if number == 0 or "failed" in row else "normal",
+            )
+            at += width

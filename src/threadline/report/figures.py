@@ -1,0 +1,190 @@
+"""The figures of a proof: path, unrolled path, profiles, errors along the job."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.pipeline import Proof
+from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST
+from threadline.report.traces import Traces
+from threadline.verdict import Result, Status
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DEGREES = 180.0 / np.pi
+
+
+def display(proof: Proof, axis: str) -> tuple[float, str]:
+    """Return the factor and unit in which positions of ``axis`` are shown."""
+    rotary = proof.plan.machine.axes[axis].kind == "rotary"
+    return (DEGREES, "deg") if rotary else (1e3, "mm")
+
+
+def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
+    """Return every figure that this job has a shape for, by file name."""
+    axes = [axis for axis in proof.plan.trajectory.axes if axis in traces.actual]
+    linear = [a for a in axes if proof.plan.machine.axes[a].kind == "linear" and moves(traces, a)]
+    rotary = [a for a in axes if proof.plan.machine.axes[a].kind == "rotary" and moves(traces, a)]
+    figures: dict[str, Figure] = {}
+    for first, second in pairwise(linear):
+        figures[f"path-{first}{second}"] = path_figure(proof, traces, first, second)
+    for turning in rotary[:1]:
+        for along in linear[:1]:
+            figures[f"path-{turning}{along}"] = path_figure(proof, traces, turning, along)
+    for axis in [*linear, *rotary]:
+        figures[f"profile-{axis}"] = profile_figure(proof, traces, axis)
+    figures["errors"] = error_figure(proof, traces)
+    return figures
+
+
+def moves(traces: Traces, axis: str) -> bool:
+    """Say whether the axis was told to move at all."""
+    commanded = traces.commanded.get(axis, np.zeros(1))
+    return bool(len(commanded) and np.ptp(commanded) > 0)
+
+
+def worst_result(proof: Proof, name: str) -> Result | None:
+    """Return the result of ``name`` that is nearest to, or furthest over, its limit."""
+    results = [
+        r
+        for r in proof.verdict.results
+        if r.name == name and r.measured is not None and r.time_s is not None
+    ]
+    if not results:
+        return None
+    return max(results, key=lambda r: abs(r.measured or 0.0) / (r.limit or 1.0))
+
+
+def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure:
+    """Draw two axes against each other: programmed points, planned and actual path."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.2))
+    axes = figure.subplots()
+    columns = [proof.plan.trajectory.axes.index(axis) for axis in (first, second)]
+    (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
+    planned = [traces.planned[axis][:, 0] for axis in (first, second)]
+    axes.plot(planned[0] * fx, planned[1] * fy, label="planned", **PLANNED)
+    axes.plot(
+        traces.actual[first] * fx, traces.actual[second] * fy, label="actual (load)", **ACTUAL
+    )
+    axes.plot(
+        traces.vertices[:, columns[0]] * fx,
+        traces.vertices[:, columns[1]] * fy,
+        label="programmed points",
+        **PROGRAMMED,
+    )
+    _mark_worst_on_path(proof, traces, axes, (first, second))
+    axes.set_xlabel(f"{first} [{ux}]")
+    axes.set_ylabel(f"{second} [{uy}]")
+    axes.set_title(f"Path {first}-{second}")
+    axes.margins(0.06)
+    axes.legend(loc="best")
+    if ux == uy:
+        axes.set_aspect("equal", adjustable="datalim")
+    return figure
+
+
+def _mark_worst_on_path(proof: Proof, traces: Traces, axes: Axes, pair: tuple[str, str]) -> None:
+    worst = worst_result(proof, "contour_error")
+    if worst is None or worst.time_s is None or not len(traces.time_s):
+        return
+    at = int(np.argmin(np.abs(traces.time_s - worst.time_s)))
+    x, y = (traces.actual[axis][at] * display(proof, axis)[0] for axis in pair)
+    line = "" if worst.job_line is None else f", line {worst.job_line}"
+    axes.plot([x], [y], label=f"largest contour error{line}", **WORST)
+
+
+def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
+    """Draw displacement, velocity and acceleration of one axis, planned and actual."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 6.6))
+    rows = figure.subplots(3, 1, sharex=True)
+    factor, unit = display(proof, axis)
+    limits = proof.plan.machine.axes[axis]
+    actual = (traces.actual[axis], traces.velocity[axis], traces.acceleration[axis])
+    bounds = (None, limits.velocity.si, limits.acceleration.si)
+    names = ("displacement", "velocity", "acceleration")
+    units = (unit, f"{unit}/s", f"{unit}/s²")
+    planned = traces.planned[axis]
+    for row, (name, shown_unit, bound) in enumerate(zip(names, units, bounds, strict=True)):
+        panel: Axes = rows[row]
+        panel.plot(traces.time_s, planned[:, row] * factor, label="planned", **PLANNED)
+        panel.plot(traces.time_s, actual[row] * factor, label="actual", **ACTUAL)
+        panel.set_ylabel(f"{name} [{shown_unit}]")
+        if bound is not None and _near(planned[:, row], actual[row], bound):
+            for sign in (-1.0, 1.0):
+                label = "limit" if sign > 0 else None
+                panel.axhline(sign * bound * factor, label=label, **LIMIT)
+        panel.legend(loc="upper right", ncols=3)
+    rows[0].set_title(f"Axis {axis}: displacement, velocity, acceleration")
+    rows[2].set_xlabel("time [s]")
+    return figure
+
+
+def _near(planned: FloatArray, actual: FloatArray, bound: float) -> bool:
+    """Say whether a limit belongs in the picture, or would only flatten it."""
+    peak = max(float(np.abs(planned).max()), float(np.abs(actual).max()))
+    return bool(np.isfinite(bound)) and 0.35 * bound < peak
+
+
+def error_figure(proof: Proof, traces: Traces) -> Figure:
+    """Draw tracking error along the job, and each measured error against its limit."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 5.4))
+    along, bars = figure.subplots(2, 1, height_ratios=[3, 2])
+    radius = proof.plan.machine.radius_m
+    dashes = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (4, 1, 1, 1)), (0, (8, 2)), (0, (2, 2)))
+    shades = ("#0072B2", "black", "#D55E00", "0.55", "#009E73", "#CC79A7")
+    for index, axis in enumerate(proof.plan.trajectory.axes):
+        if axis not in traces.commanded or not moves(traces, axis):
+            continue
+        error = (traces.actual[axis] - traces.commanded[axis]) * radius[index] * 1e3
+        along.plot(
+            traces.time_s, error, label=axis, color=shades[index], linestyle=dashes[index], lw=1.0
+        )
+    worst = worst_result(proof, "contour_error")
+    if worst is not None and worst.time_s is not None:
+        line = "" if worst.job_line is None else f" (line {worst.job_line})"
+        label = f"largest contour error {abs(worst.measured or 0) * 1e3:.3f} mm{line}"
+        along.axvline(worst.time_s, label=label, **LIMIT)
+    along.set_xlabel("time [s]")
+    along.set_ylabel("actual - commanded [mm]")
+    along.set_title("Tracking error at the tool; lag counts")
+    along.legend(loc="upper right", ncols=4)
+    _bars(proof, bars)
+    return figure
+
+
+def _bars(proof: Proof, panel: Axes) -> None:
+    limited = [r for r in proof.verdict.results if r.limit and r.measured is not None]
+    names = [f"{r.name} {r.axis}".strip() for r in limited]
+    used = [abs(r.measured or 0.0) / (r.limit or 1.0) * 100.0 for r in limited]
+    colours = ["#D55E00" if r.status is Status.FAILED else "0.7" for r in limited]
+    hatches = ["////" if r.status is Status.FAILED else "" for r in limited]
+    shown = np.minimum(used, 200.0) if used else np.empty(0)
+    drawn = panel.barh(names, shown, color=colours, edgecolor="black", linewidth=0.6)
+    for bar, hatch, percent in zip(drawn, hatches, used, strict=True):
+        bar.set_hatch(hatch)
+        panel.text(
+            bar.get_width() + 2,
+            bar.get_y() + bar.get_height() / 2,
+            f"{percent:.0f} %",
+            va="center",
+            fontsize=7,
+        )
+    panel.axvline(100.0, **LIMIT)
+    panel.set_xlim(0, 225)
+    panel.invert_yaxis()
+    panel.tick_params(axis="y", labelsize=7)
+    panel.grid(axis="y", visible=False)
+    panel.set_xlabel("share of the limit [%]; hatched: failed")
+    panel.set_title("Criteria with a limit")

@@ -1,0 +1,77 @@
+"""The report of one proof."""
+
+from __future__ import annotations
+
+import platform
+from pathlib import Path
+
+from threadline import __version__
+from threadline.pipeline import Proof
+from threadline.report.document import Document, Table, write_document
+from threadline.report.figures import all_figures
+from threadline.report.style import figure_style
+from threadline.report.traces import collect
+from threadline.targets import calculate
+from threadline.verdict import verdict_rows
+
+
+def write_report(proof: Proof, folder: Path) -> Path:
+    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    plan = proof.plan
+    with figure_style():
+        traces = collect(proof)
+        header, rows = verdict_rows(proof.verdict)
+        figures = all_figures(proof, traces)
+        thinned = "" if traces.stride == 1 else f" One sample in {traces.stride} is drawn."
+        document = Document(
+            title=f"{plan.job.name} on {plan.machine.name}",
+            subtitle=f"{plan.machine.title}; interpolation {plan.path.interpolation}, "
+            f"feed {plan.options.get('feed', 'programmed')}",
+            verdicts=[("IN SPEC" if proof.verdict.passed else "OUT OF SPEC", proof.verdict.passed)],
+            warnings=plan.job.warnings,
+            tables=[
+                Table(title="Criteria", header=header, rows=rows),
+                Table(
+                    title="The job",
+                    header=("", ""),
+                    rows=[tuple(line.split(": ", 1)) for line in calculate(plan).lines()],
+                ),
+            ],
+            figures=figures,
+            captions={name: _caption(name) + thinned for name in figures},
+            facts=facts(proof),
+        )
+        return write_document(document, folder, "report")
+
+
+def facts(proof: Proof) -> list[tuple[str, str]]:
+    """Return what is needed to make a proof again."""
+    plan = proof.plan
+    return [
+        ("threadline", __version__),
+        ("Python", platform.python_version()),
+        ("job", plan.job.name),
+        ("job sha256", plan.job.sha256),
+        ("machine", f"{plan.machine.name} ({plan.machine.title})"),
+        ("machine sha256", plan.machine.sha256),
+        ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        *sorted(plan.options.items()),
+        *((key, f"{value:g}") for key, value in plan.path.summary.items()),
+    ]
+
+
+def _caption(name: str) -> str:
+    if name.startswith("path-"):
+        return "Programmed points, planned path, and where the driven mass went."
+    if name.startswith("profile-"):
+        return (
+            "Planned and actual displacement, velocity and acceleration; actual velocity and "
+            "acceleration are differences over one tick."
+        )
+    return "Tracking error along the job, and each measured figure as a share of its limit."

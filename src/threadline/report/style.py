@@ -1,0 +1,59 @@
+"""How every figure looks: readable in print, without colour, and by the colour-blind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+# Okabe and Ito's palette, ordered so that neighbours differ in grey value too; every line also
+# differs in dash, so that nothing depends on colour.
+PLANNED = {"color": "0.45", "linestyle": (0, (6, 2)), "linewidth": 1.6}
+ACTUAL = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1}
+PROGRAMMED: dict[str, Any] = {
+    "color": "black",
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 3.2,
+    "markerfacecolor": "none",
+    "markeredgewidth": 0.8,
+}
+LIMIT = {"color": "#D55E00", "linestyle": (0, (1, 1.5)), "linewidth": 1.4}
+WORST: dict[str, Any] = {
+    "color": "#D55E00",
+    "linestyle": "none",
+    "marker": "v",
+    "markersize": 8,
+    "markeredgecolor": "black",
+    "zorder": 5,
+}
+
+_RC = {
+    "figure.dpi": 110,
+    "figure.constrained_layout.use": True,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "grid.color": "0.88",
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "threadline",
+    "path.simplify": True,
+    "agg.path.chunksize": 20000,
+}
+
+
+@contextmanager
+def figure_style() -> Iterator[None]:
+    """Apply the style, with a backend that needs no screen."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    with mpl.rc_context(_RC):
+        yield

@@ -1,0 +1,77 @@
+"""The same job with several interpolations at several feeds, and the fastest of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from threadline.jobs.operations import Feed, Job
+from threadline.machine import Machine
+from threadline.pipeline import Options, Proof, plan_job, prove_plan
+from threadline.search.fastest import Fastest
+from threadline.search.feed import fastest_feed
+from threadline.verdict import Spec
+
+PLACEMENT = ("contour_error", "turning_point_error")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """What was compared.
+
+    Parameters
+    ----------
+    proofs
+        One per interpolation and feed, interpolations outermost.
+    fastest
+        Per interpolation: the fastest feed within the placement criteria alone, which is how the
+        1994 experiment was judged; empty when it was not asked for.
+    """
+
+    proofs: tuple[Proof, ...]
+    fastest: dict[str, Fastest]
+
+
+def placement_spec(spec: Spec) -> Spec:
+    """Return ``spec`` with its placement criteria only; every other is reported, not limited."""
+    criteria = tuple(
+        criterion if criterion.name in PLACEMENT else replace(criterion, limit=None, required=False)
+        for criterion in spec.criteria
+    )
+    return replace(spec, name=f"{spec.name}, placement only", criteria=criteria)
+
+
+def compare(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    interpolations: Sequence[str],
+    feeds: Sequence[Feed | None],
+    options: Options,
+    *,
+    with_fastest: bool = True,
+    progress: Callable[[str, float], None] | None = None,
+) -> Comparison:
+    """Prove ``job`` with every interpolation at every feed, and find the fastest of each."""
+    proofs = []
+    steps = len(interpolations) * (len(feeds) + (1 if with_fastest else 0))
+    done = 0
+
+    def stepped(what: str) -> None:
+        nonlocal done
+        if progress is not None:
+            progress(what, done / steps)
+        done += 1
+
+    for interpolation in interpolations:
+        for feed in feeds:
+            stepped(interpolation)
+            chosen = replace(options, interpolation=interpolation, feed=feed)
+            proofs.append(prove_plan(plan_job(job, machine, chosen), spec))
+    fastest = {}
+    if with_fastest:
+        for interpolation in interpolations:
+            stepped(f"fastest {interpolation}")
+            chosen = replace(options, interpolation=interpolation)
+            fastest[interpolation] = fastest_feed(job, machine, placement_spec(spec), chosen)
+    return Comparison(proofs=tuple(proofs), fastest=fastest)
