@@ -1,1 +1,35 @@
 """Jobs and the readers that make them, one per file format."""
+
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    Operation,
+    SetOutput,
+    Source,
+    Stop,
+    ToolEvent,
+    WaitInput,
+)
+from threadline.jobs.part_program import read_part_program
+from threadline.jobs.reading import FORMATS, Format, read_job
+
+__all__ = [
+    "FORMATS",
+    "Dwell",
+    "Feed",
+    "FeedMode",
+    "Format",
+    "Job",
+    "Move",
+    "Operation",
+    "SetOutput",
+    "Source",
+    "Stop",
+    "ToolEvent",
+    "WaitInput",
+    "read_job",
+    "read_part_program",
+]

@@ -1,0 +1,132 @@
+"""The reader of part programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from threadline.errors import BudgetError, MachineError
+from threadline.jobs.blocks import Dialect
+from threadline.jobs.feeds import FeedRule, feed_rule
+from threadline.jobs.interpreter import PartProgram
+from threadline.jobs.operations import FeedMode, Job
+from threadline.jobs.programs import Structure
+from threadline.jobs.scan import Findings, Scanner
+from threadline.jobs.textfile import SourceFile, identify
+from threadline.jobs.words import ONE
+from threadline.machine import Machine
+from threadline.signals import Stream
+
+_RESERVED = "EFGLMNOP"
+_MAX_WARNINGS = 5
+
+
+def read_part_program(
+    path: str | Path,
+    *,
+    machine: Machine,
+    feed_mode: FeedMode | str = FeedMode.FASTEST_AXIS,
+    base_axes: tuple[str, ...] = (),
+    normal_feed_caps: bool = True,
+) -> Job:
+    """Return the job of a part program.
+
+    The file is read once here: every block is checked, and the moves are counted with their
+    calls multiplied out. The job reads it again each time it is gone through.
+
+    Parameters
+    ----------
+    path
+        A program in the dialect of ``docs/part-programs.md``.
+    machine
+        Its axes are the only ones that the program may move.
+    feed_mode, base_axes
+        What F means, see ``threadline.jobs.feeds``.
+    normal_feed_caps
+        Whether the operator's normal feed caps F.
+
+    Raises
+    ------
+    JobError
+        With file and line, if the program cannot be read.
+    BudgetError
+        If it has more moves than the machine's tick budget.
+    OptionError
+        If the options do not fit together.
+    """
+    path = Path(path)
+    for name in machine.axis_names:
+        if name in _RESERVED:
+            raise MachineError(
+                f"the axis {name} of {machine.name!r} has the letter of another word",
+                remedy="A part program moves axes A B C U V W X Y Z.",
+            )
+    rule = feed_rule(machine, feed_mode=feed_mode, base_axes=base_axes, cap=normal_feed_caps)
+    file = identify(path)
+    dialect = Dialect(str(path), machine.name, {n: i for i, n in enumerate(machine.axis_names)})
+    scanner = Scanner(file, dialect)
+    structure = scanner.run()
+    _check_budget(structure, file, machine)
+    program = PartProgram(file, dialect, structure, rule)
+    return Job(
+        name=path.name,
+        file=str(path),
+        sha256=file.sha256,
+        axes=machine.axis_names,
+        start=(0.0,) * len(machine.axis_names),
+        operations=Stream(program.operations),
+        warnings=_warnings(scanner.findings, rule, machine, file),
+    )
+
+
+def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> None:
+    """Refuse more moves than ticks: a move takes one tick at least."""
+    budget = int(machine.tick_budget.si)
+    main = structure.main
+    totals = structure.totals[main.label]
+    needed = totals.operations
+    if needed <= budget:
+        return
+    call = max(
+        main.calls.items(),
+        key=lambda item: item[1].passes * structure.totals[item[0]].operations,
+        default=None,
+    )
+    line = main.line if call is None else call[1].line
+    asked = f"{needed}" if needed < 10**15 else "more than 10^15"
+    raise BudgetError(
+        f"the program asks for {asked} operations with all passes; the machine's tick budget is "
+        f"{budget} and each takes a tick or more",
+        place=file.place(line),
+        remedy="Lower L, or raise tick_budget in the machine file.",
+    )
+
+
+def _warnings(
+    findings: Findings, rule: FeedRule, machine: Machine, file: SourceFile
+) -> tuple[str, ...]:
+    warnings = []
+    used = sorted(findings.axes) or range(len(rule.counts))
+    lowest = min(rule.cap_m_s[i] for i in used)
+    for (feed, tenth_mm), line in findings.feeds.items():
+        speed_m_s = feed * tenth_mm / (600_000 * ONE)
+        if speed_m_s > lowest:
+            assert rule.cap is not None
+            caps = ", ".join(f"{machine.axis_names[i]} {1e3 * rule.cap_m_s[i]:.1f}" for i in used)
+            warnings.append(
+                f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
+                f"normal feed of {rule.cap.value:g} count/tick ({caps} mm/s), which caps it. "
+                "Choose another feed with --feed, or raise operator.normal_feed."
+            )
+    warnings += [
+        f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
+        for line in findings.long_dwells
+    ]
+    warnings += [
+        f"{file.place(line)}: G64 is for other controllers; here the interpolation decides how "
+        "corners are rounded."
+        for line in findings.blends
+    ]
+    if len(warnings) > _MAX_WARNINGS:
+        more = len(warnings) - _MAX_WARNINGS
+        warnings = [*warnings[:_MAX_WARNINGS], f"{more} more warnings of these kinds."]
+    return tuple(warnings)

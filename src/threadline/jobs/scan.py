@@ -1,0 +1,139 @@
+"""The first pass over a part program: every block checked, nothing followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from threadline.errors import JobError
+from threadline.jobs.blocks import Block, Dialect, parse_block
+from threadline.jobs.programs import Call, Collector, Structure
+from threadline.jobs.textfile import SourceFile, lines_of
+from threadline.jobs.words import ONE
+
+TAPE = "%"
+_MAX_REMEMBERED = 1000
+_LONG_DWELL_S = 1000
+
+
+@dataclass(slots=True)
+class Findings:
+    """What the scan notes for warnings and budgets.
+
+    Parameters
+    ----------
+    feeds
+        First line of each F in G94: by exact F and tenths of a millimetre in its unit of length.
+    long_dwells, blends
+        Lines of dwells that look like milliseconds, and of G64.
+    axes
+        Indices of the axes that the file moves.
+    """
+
+    feeds: dict[tuple[int, int], int] = field(default_factory=dict)
+    long_dwells: list[int] = field(default_factory=list)
+    blends: list[int] = field(default_factory=list)
+    axes: set[int] = field(default_factory=set)
+
+
+class Scanner:
+    """Takes the blocks of a file in the order in which they stand there."""
+
+    def __init__(self, file: SourceFile, dialect: Dialect) -> None:
+        self.findings = Findings()
+        self._file = file
+        self._dialect = dialect
+        self._programs = Collector(file)
+        self._tapes: list[int] = []
+        self._begun = False
+        self._unit = 10
+        self._inverse_time = False
+
+    def run(self) -> Structure:
+        """Read the file once and return its programs.
+
+        Raises
+        ------
+        JobError
+            At the first line that is no block of the dialect, or where the programs do not fit
+            together.
+        """
+        number = 0
+        for number, offset, text in lines_of(self._file):
+            if text.strip() == TAPE:
+                self._take_tape(number)
+                continue
+            block = parse_block(text, number, self._dialect)
+            if block is not None:
+                self._take(block, offset)
+        if len(self._tapes) == 1:
+            raise JobError(
+                f"the % on line {self._tapes[0]} opens the program and none closes it: the file "
+                "may be truncated",
+                place=self._file.place(number),
+                remedy="Add a line with % at the end.",
+            )
+        return self._programs.finish(number)
+
+    def _take_tape(self, line: int) -> None:
+        self._tapes.append(line)
+        if len(self._tapes) > 2 or (len(self._tapes) == 1 and self._begun):
+            raise JobError(
+                "this % closes a program that none has opened",
+                place=self._file.place(line),
+                remedy="Write % on the first line and on the last, or on none.",
+            )
+
+    def _take(self, block: Block, offset: int) -> None:
+        if len(self._tapes) > 1:
+            raise JobError(
+                "a block after the % that ends the file is never run",
+                place=self._file.place(block.line),
+                remedy="Take it out.",
+            )
+        programs = self._programs
+        if block.label >= 0:
+            programs.begin(block.label, offset, block.line)
+        elif programs.current is None:
+            if self._begun:
+                raise JobError(
+                    "a block after the end of a program is never run",
+                    place=self._file.place(block.line),
+                    remedy="Begin another program with an O number, or take it out.",
+                )
+            programs.begin(None, offset, block.line)
+        self._begun = True
+        program = programs.current
+        assert program is not None
+        program.blocks += 1
+        if block.action == 28:
+            program.moves += 2
+        elif block.axes:
+            program.moves += 1
+        program.stops += (block.action == 4) + block.tool_off + (block.program in (0, 2, 30))
+        self._note(block)
+        if block.program == 98:
+            assert block.p is not None
+            call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
+            call.passes += block.passes
+        elif block.program in (2, 30, 99):
+            programs.end(block.program)
+
+    def _note(self, block: Block) -> None:
+        """Note what may deserve a warning; units in the order of the file, not of the calls."""
+        findings = self.findings
+        for code in block.settings:
+            if code in (20, 21):
+                self._unit = 254 if code == 20 else 10
+            elif code in (93, 94):
+                self._inverse_time = code == 93
+            elif code == 64 and len(findings.blends) < _MAX_REMEMBERED:
+                findings.blends.append(block.line)
+        if block.feed is not None and not self._inverse_time:
+            key = (block.feed, self._unit)
+            if len(findings.feeds) < _MAX_REMEMBERED:
+                findings.feeds.setdefault(key, block.line)
+        if block.action == 4 and block.p is not None and block.p >= _LONG_DWELL_S * ONE:
+            findings.long_dwells.append(block.line)
+            del findings.long_dwells[_MAX_REMEMBERED:]
+        for index, _ in block.axes:
+            findings.axes.add(index)

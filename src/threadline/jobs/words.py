@@ -1,0 +1,162 @@
+"""The words of a block: a letter and a number each, comments apart.
+
+Numbers are kept exactly, as integers of 10**-18 of what is written: sums of programmed increments
+do not depend on their order, and 780 times 0.1 is 78.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple, NoReturn
+
+from threadline.errors import JobError, Place
+
+DECIMALS = 18
+MAX_DECIMALS = 17  # one less: an inch is 25.4 mm, and the product has to be exact too
+ONE: int = int(10**DECIMALS)
+MAX_MAGNITUDE = 10**12
+_MAX_SHOWN = 40
+
+_NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)"
+_WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
+_BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.]))*+[ \t]*+")
+_PARENTHESES = re.compile(r"\([^()]*\)")
+_TAG = re.compile(rf"\s*([A-Za-z_][A-Za-z0-9_-]*)\s*=\s*({_NUMBER})\s*")
+_POWERS: tuple[int, ...] = tuple(int(10**k) for k in range(DECIMALS + 1))
+
+
+class RawBlock(NamedTuple):
+    """Letters (upper case) and number texts of a line, and the numbers that its comment names."""
+
+    words: list[tuple[str, str]]
+    tags: tuple[tuple[str, float], ...]
+
+
+def split_words(text: str, file: str, line: int) -> RawBlock:
+    """Return the words of one line.
+
+    Raises
+    ------
+    JobError
+        If it holds anything but words and comments.
+    """
+    tags: tuple[tuple[str, float], ...] = ()
+    if ";" in text or "(" in text or ")" in text:
+        text, comment = _without_comments(text, file, line)
+        if "=" in comment:
+            tags = _tags_of(comment)
+    if _BLOCK.fullmatch(text) is None:
+        _diagnose(text, file, line)
+    return RawBlock([(letter.upper(), number) for letter, number in _WORD.findall(text)], tags)
+
+
+def exact(number: str) -> int | None:
+    """Return ``number`` in units of 10**-18, None if it is too large or too fine.
+
+    >>> exact("10.13"), exact("-.5"), exact("1" + "0" * 40)
+    (10130000000000000000, -500000000000000000, None)
+    """
+    whole, _, fraction = number.partition(".")
+    decimals = len(fraction)
+    if decimals > MAX_DECIMALS or len(whole) > DECIMALS:
+        return _exact_unusual(whole, fraction)
+    return int(whole + fraction) * _POWERS[DECIMALS - decimals]
+
+
+def _exact_unusual(whole: str, fraction: str) -> int | None:
+    sign = "-" if whole.startswith("-") else ""
+    whole, fraction = whole.lstrip("+-").lstrip("0"), fraction.rstrip("0")
+    if len(fraction) > MAX_DECIMALS or len(whole) > DECIMALS:
+        return None
+    return int(f"{sign}{whole or '0'}{fraction.ljust(DECIMALS, '0')}")
+
+
+def _without_comments(text: str, file: str, line: int) -> tuple[str, str]:
+    """Return ``text`` without its comments, and what stands behind the semicolon.
+
+    In the printed dialect ``;`` ends a block, elsewhere it begins a comment. Text that would be
+    a block in the one and a comment in the other is refused.
+    """
+    code, _, comment = _cut_at_semicolon(text)
+    if "(" in code or ")" in code:
+        code = _PARENTHESES.sub(" ", code)
+        if "(" in code or ")" in code:
+            wrong = "is opened and not closed" if "(" in code else "is closed and not opened"
+            raise JobError(
+                f"a comment in parentheses {wrong}",
+                place=Place(file, line),
+                remedy="Put a comment between one ( and one ) on the same line.",
+            )
+    if comment.strip() and code.strip() and _WORD.match(comment) and _BLOCK.fullmatch(comment):
+        raise JobError(
+            f"what follows ';' reads as another block: {_shown(comment.strip())}",
+            place=Place(file, line),
+            remedy="Put it on a line of its own, or in parentheses if it is a comment.",
+        )
+    return code, comment
+
+
+def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
+    """Cut ``text`` at the first semicolon outside parentheses."""
+    if "(" not in text:
+        return text.partition(";")
+    open_ = False
+    for at, character in enumerate(text):
+        if character == "(":
+            open_ = True
+        elif character == ")":
+            open_ = False
+        elif character == ";" and not open_:
+            return text[:at], ";", text[at + 1 :]
+    return text, "", ""
+
+
+def _tags_of(comment: str) -> tuple[tuple[str, float], ...]:
+    match = _TAG.fullmatch(comment)
+    return ((match[1], float(match[2])),) if match else ()
+
+
+def _shown(text: str) -> str:
+    short = text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
+    return repr(short)
+
+
+def _diagnose(text: str, file: str, line: int) -> NoReturn:
+    """Say what in ``text``, which is no block, is wrong."""
+    at = 0
+    while match := _WORD.match(text, at):
+        if match.end() < len(text) and text[match.end()] in "eE,.":
+            break
+        at = match.end()
+    rest = text[at:].strip()
+    place = Place(file, line)
+    word = re.split(r"[ \t](?![-+.\d])", rest, maxsplit=1)[0] if rest else ""
+    if re.match(rf"[A-Za-z][ \t]*{_NUMBER}[eE][-+]?\d", rest):
+        raise JobError(
+            f"{_shown(word)} has an exponent",
+            place=place,
+            remedy="Write the number with digits and a decimal point only.",
+        )
+    if re.match(rf"[A-Za-z][ \t]*{_NUMBER},", rest):
+        raise JobError(
+            f"{_shown(word)} has a decimal comma", place=place, remedy="Write a decimal point."
+        )
+    if re.match(rf"[A-Za-z][ \t]*{_NUMBER}\.", rest):
+        raise JobError(f"{_shown(word)} is not a number", place=place, remedy="Correct it.")
+    if rest[:1].isascii() and rest[:1].isalpha():
+        raise JobError(
+            f"{_shown(rest)}: the letter {rest[0].upper()} has no number",
+            place=place,
+            remedy="Write a letter and a number, like X 15.79.",
+        )
+    if rest[:1].isdigit() or rest[:1] in {"-", "+", "."}:
+        raise JobError(
+            f"{_shown(rest)} has no letter before it",
+            place=place,
+            remedy="Write a letter and a number, like X 15.79.",
+        )
+    raise JobError(
+        f"{_shown(rest)} is not part of this dialect",
+        place=place,
+        remedy="A block holds words (a letter and a number) and comments only.",
+    )
