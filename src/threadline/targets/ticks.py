@@ -1,0 +1,284 @@
+"""Trajectory -> tick table: whole encoder counts per tick, with the remainder carried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import BudgetError, LimitError, Place, PlanError
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.signals import Clock, Event, Stream, TickBlock, TickTable
+from threadline.targets.events import EventPlacer, first_tick_from
+from threadline.trajectory.types import Trajectory, TrajectoryBlock
+
+ROWS = 1 << 16
+"""Rows of a block of the table, whatever the blocks of the trajectory are."""
+
+_EXACT_COUNTS = 2.0**53
+_ROUNDING_COUNTS = 1.0 + 1e-6  # two roundings of half a count each
+
+
+def compile_ticks(
+    trajectory: Trajectory, machine: Machine, job: Job | None = None, *, rows: int = ROWS
+) -> TickTable:
+    """Return the counts that each axis travels in each tick.
+
+    Row k is ``round(c p[k+1]) - round(c p[k])``, where p[k] is the position at tick k and c the
+    counts per unit: positions are rounded, never increments, so that the sum of any run of rows
+    is within one count of the way travelled and the sum of all is exact. A trajectory that is
+    not a whole number of ticks long comes to its end in the last row.
+
+    Parameters
+    ----------
+    trajectory
+        Axis positions over time, m or rad. Its axes are the columns of the table.
+    machine
+        Gives clock, scales, velocity limits and tick budget.
+    job
+        Gives the events and the hash; without it the table has none.
+    rows
+        Rows of a block of the table.
+
+    Returns
+    -------
+    TickTable
+        Made block by block while it is read. The operation of a row is the one under way in the
+        middle of the tick. Events at the end of the last row are in the last block, with the
+        tick after it.
+
+    Raises
+    ------
+    PlanError
+        If the machine lacks an axis of the trajectory.
+    LimitError
+        While the table is read: if a row is above the velocity limit of its axis by more than
+        the count that rounding adds; historical trajectories are not held to it.
+    BudgetError
+        While the table is read: if it has more ticks than the machine file allows.
+    """
+    for axis in trajectory.axes:
+        if axis not in machine.axes:
+            raise PlanError(
+                f"axis {axis} is not an axis of machine {machine.name!r}, "
+                f"which has {', '.join(machine.axis_names)}"
+            )
+    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    scale = machine.counts_per_unit[column]
+    start = _start(trajectory, job)
+    return TickTable(
+        clock=machine.tick_clock,
+        axes=trajectory.axes,
+        counts_per_unit=scale,
+        start_counts=_to_counts(start[None], scale, trajectory.axes)[0],
+        blocks=Stream(lambda: _blocks(trajectory, machine, job, rows)),
+        job_sha256="" if job is None else job.sha256,
+        machine_sha256=machine.sha256,
+    )
+
+
+def _start(trajectory: Trajectory, job: Job | None) -> FloatArray:
+    for block in trajectory:
+        return np.asarray(block.evaluate(block.start_s[:1])[0])
+    if job is None:
+        return np.zeros(len(trajectory.axes))
+    return np.array([job.start[job.axes.index(axis)] for axis in trajectory.axes])
+
+
+def _blocks(
+    trajectory: Trajectory, machine: Machine, job: Job | None, rows: int
+) -> Iterator[TickBlock]:
+    clock = machine.tick_clock
+    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    limit = None if trajectory.historical else machine.velocity_limit[column]
+    table = _Table(
+        axes=trajectory.axes,
+        scale=machine.counts_per_unit[column],
+        clock=clock,
+        budget=machine.tick_budget.si,
+        velocity_limit=limit,
+        job=job,
+        rows=rows,
+    )
+    placer = EventPlacer(job, clock)
+    last = None
+    for block in trajectory:
+        if not len(block):
+            continue
+        if last is None:
+            table.begin(block)
+        table.add_events(placer.events_in(block))
+        for times_s in table.ticks_before(block.end_s):
+            table.add_rows(block.evaluate(times_s), times_s, block)
+            yield from table.full_blocks()
+        last = block
+    table.finish(last)
+    table.add_events(placer.events_at_end(0.0 if last is None else last.end_s))
+    yield from table.full_blocks()
+    yield from table.remaining_block()
+
+
+@dataclass(slots=True, kw_only=True)
+class _Table:
+    """The part of the table that is under way."""
+
+    axes: tuple[str, ...]
+    scale: FloatArray
+    clock: Clock
+    budget: float
+    velocity_limit: FloatArray | None
+    job: Job | None
+    rows: int
+    first_tick: int = 0  # of the first row that has not been handed out
+    buffered: int = 0
+    counts: list[IntArray] = field(default_factory=list)
+    operation: list[IntArray] = field(default_factory=list)
+    labelled: int = 0  # rows whose operation is known, from tick 0
+    events: list[Event] = field(default_factory=list)
+    position: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def begin(self, block: TrajectoryBlock) -> None:
+        start = block.evaluate(block.start_s[:1])
+        self.position = _to_counts(start, self.scale, self.axes)[0]
+
+    @property
+    def end_tick(self) -> int:
+        return self.first_tick + self.buffered
+
+    def ticks_before(self, end_s: float) -> Iterator[FloatArray]:
+        """Yield the instants of the ticks after the last row and before ``end_s``, in runs."""
+        period = float(self.clock.period_s)
+        if end_s / period > self.budget:
+            raise BudgetError(
+                f"the job needs more than {end_s / period:.3g} ticks of {period * 1e3:g} ms, "
+                f"the machine file allows {self.budget:.3g}",
+                remedy="Shorten the job or raise tick_budget in the machine file.",
+            )
+        while True:
+            tick = self.end_tick + 1
+            count = min(self.rows, max(1, int((end_s - self.clock.time_s(tick)) / period) + 2))
+            times_s = self.clock.times_s(tick, count)
+            inside = int(np.searchsorted(times_s, end_s))
+            # The operations reach half a tick further than the positions, so a run without a
+            # position may still have one.
+            yield times_s[:inside]
+            if inside < count:
+                return
+
+    def add_rows(self, positions: FloatArray, times_s: FloatArray, block: TrajectoryBlock) -> None:
+        if len(positions):
+            self._append(_to_counts(positions, self.scale, self.axes))
+        self._label(block, len(times_s) + 1)
+
+    def _append(self, target: IntArray) -> None:
+        self.counts.append(np.diff(target, axis=0, prepend=self.position[None]))
+        self.position = target[-1]
+        self.buffered += len(target)
+
+    def _label(self, block: TrajectoryBlock, count: int) -> None:
+        """Note the operation in the middle of the next rows, as far as ``block`` reaches."""
+        half = Clock(self.clock.name, self.clock.period_s / 2)
+        middle_s = half.times_s(2 * self.labelled + 1, count, stride=2)
+        middle_s = middle_s[: np.searchsorted(middle_s, block.end_s)]
+        piece = np.searchsorted(block.start_s, middle_s, side="right") - 1
+        self.operation.append(block.operation[np.maximum(piece, 0)])
+        self.labelled += len(middle_s)
+
+    def finish(self, last: TrajectoryBlock | None) -> None:
+        """Bring the last row to the end of the trajectory."""
+        if last is None:
+            return
+        ticks = max(1, first_tick_from(last.end_s, self.clock))
+        end = _to_counts(last.evaluate(np.array([last.end_s])), self.scale, self.axes)
+        if self.end_tick == ticks:
+            self.counts[-1] = self.counts[-1].copy()
+            self.counts[-1][-1] += end[0] - self.position
+            self.position = end[0]
+        else:
+            self._append(end)
+        missing = max(0, self.end_tick - self.labelled)
+        self.operation.append(np.repeat(last.operation[-1:], missing))
+
+    def add_events(self, events: list[Event]) -> None:
+        for event in events:
+            # Only where a shaped motion left no dwell to be found can a tick have gone by.
+            late = event.tick < self.first_tick
+            self.events.append(
+                Event(
+                    tick=self.first_tick if late else event.tick,
+                    kind=event.kind,
+                    operation=event.operation,
+                    name=event.name,
+                    value=event.value,
+                )
+            )
+
+    def full_blocks(self) -> Iterator[TickBlock]:
+        """Hand out full blocks; the last row stays, for ``finish`` may have to amend it."""
+        while self.buffered > self.rows:
+            yield self._take(self.rows, last=False)
+
+    def remaining_block(self) -> Iterator[TickBlock]:
+        if self.buffered or self.events:
+            yield self._take(self.buffered, last=True)
+
+    def _take(self, size: int, *, last: bool) -> TickBlock:
+        none = np.zeros((0, len(self.axes)), dtype=np.int64)
+        counts = np.concatenate([none, *self.counts])
+        operation = np.concatenate([none[:, 0], *self.operation])
+        end = self.first_tick + size
+        block = TickBlock(
+            first_tick=self.first_tick,
+            counts=counts[:size],
+            operation=operation[:size],
+            events=tuple(e for e in self.events if last or e.tick < end),
+        )
+        self.events = [] if last else [e for e in self.events if e.tick >= end]
+        self.counts, self.operation = [counts[size:]], [operation[size:]]
+        self.first_tick, self.buffered = end, self.buffered - size
+        self._check(block)
+        return block
+
+    def _check(self, block: TickBlock) -> None:
+        if self.velocity_limit is None or not len(block):
+            return
+        allowed = self.velocity_limit * self.scale * float(self.clock.period_s)
+        over = np.abs(block.counts) > allowed + _ROUNDING_COUNTS
+        if not over.any():
+            return
+        row, axis = np.argwhere(over)[0]
+        counts = abs(int(block.counts[row, axis]))
+        raise LimitError(
+            f"axis {self.axes[axis]} travels {counts} counts in tick {block.first_tick + row}, "
+            f"its velocity limit is {allowed[axis]:.6g} counts per tick",
+            axis=self.axes[axis],
+            quantity="velocity",
+            value_si=counts / self.scale[axis] / float(self.clock.period_s),
+            limit_si=float(self.velocity_limit[axis]),
+            place=place_of(self.job, int(block.operation[row])),
+            remedy="Lower the feed there, or use an interpolation that respects the limits.",
+        )
+
+
+def place_of(job: Job | None, operation: int) -> Place | None:
+    """Return the file and line of an operation; reads the job up to it."""
+    if job is not None:
+        for index, found in enumerate(job):
+            if index == operation:
+                return found.source.place
+    return None
+
+
+def _to_counts(positions: FloatArray, scale: FloatArray, axes: tuple[str, ...]) -> IntArray:
+    counts = np.rint(positions * scale)
+    if len(counts) and (np.abs(counts) >= _EXACT_COUNTS).any():
+        axis = axes[int(np.argwhere(np.abs(counts) >= _EXACT_COUNTS)[0][1])]
+        raise PlanError(
+            f"axis {axis} goes beyond {_EXACT_COUNTS:.3g} counts, "
+            "further than a counter can be exact",
+            remedy="Divide the job.",
+        )
+    return np.asarray(counts.astype(np.int64))
