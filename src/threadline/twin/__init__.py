@@ -1,1 +1,5 @@
-"""Tick-exact simulation: commands + machine -> recording."""
+"""Tick-exact simulation: commands and machine in, recording out."""
+
+from threadline.twin.simulate import simulate
+
+__all__ = ["simulate"]

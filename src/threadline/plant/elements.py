@@ -1,0 +1,337 @@
+"""Elements whose force law changes: limits, belts, play, friction, as modes with linear guards.
+
+An element adds ``direction * (law . z)`` to the derivative of the state, where
+``z = [states, held inputs, 1]`` and the law depends on the element's mode. A mode holds while
+every guard ``low <= row . z <= high`` does; a guard that is left names the next mode. A mode may
+also hold one state still (a sticking body, a clamped current); the guard of such a mode may
+watch the force that would move it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+
+INFINITE = np.inf
+STAY = -1
+"""As a guard's next mode: it has none, the bound is infinite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Guard:
+    """``low <= row . z <= high``; leaving it below or above leads to another mode.
+
+    Parameters
+    ----------
+    row
+        (variants, N); None watches the net force on the state that the mode holds still.
+    low, high
+        (variants,) or plain numbers.
+    low_to, high_to
+        Next mode of the element.
+    switch
+        Index of the limit switch that this guard is, -1 for none.
+    """
+
+    row: FloatArray | None
+    low: FloatArray | float = -INFINITE
+    high: FloatArray | float = INFINITE
+    low_to: int = STAY
+    high_to: int = STAY
+    switch: int = -1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mode:
+    """One law of an element and how long it holds.
+
+    Parameters
+    ----------
+    name
+        For people.
+    law
+        (variants, N): the element's force (or current) is ``law . z``.
+    guards
+        What ends the mode.
+    holds
+        Index of the state that stays still, -1 for none.
+    held_at
+        (variants,) the value that this state takes on entry.
+    net_scale
+        (variants,) turns the derivative of the held state into the force that guards watch.
+    """
+
+    name: str
+    law: FloatArray
+    guards: tuple[Guard, ...] = ()
+    holds: int = -1
+    held_at: FloatArray | float = 0.0
+    net_scale: FloatArray | float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Element:
+    """A force or current with several laws.
+
+    Parameters
+    ----------
+    name
+        The part of the machine file that it comes from.
+    direction
+        (variants, n): what a unit of it adds to the derivative of each state.
+    modes
+        Its laws; the simulation starts in the first.
+    working_mode
+        The mode that a linear model takes; its constant part is left out there.
+    """
+
+    name: str
+    direction: FloatArray
+    modes: tuple[Mode, ...]
+    working_mode: int = 0
+
+
+def friction(
+    name: str,
+    direction: FloatArray,
+    velocity: int,
+    inertia: FloatArray,
+    sliding: FloatArray,
+    breakaway: FloatArray,
+    size: int,
+) -> Element:
+    """Return Coulomb friction on a body: sticking, sliding forwards, sliding backwards.
+
+    Parameters
+    ----------
+    velocity
+        Index of the body's velocity in the state.
+    inertia, sliding, breakaway
+        (variants,) kg or kg m^2; N or N m.
+    size
+        N.
+    """
+    none = np.zeros((len(inertia), size))
+    forwards, backwards, speed = none.copy(), none.copy(), none.copy()
+    forwards[:, -1], backwards[:, -1] = -sliding, sliding
+    speed[:, velocity] = 1.0
+    return Element(
+        name=name,
+        direction=direction,
+        modes=(
+            Mode(
+                name="stick",
+                law=none,
+                guards=(Guard(row=None, low=-breakaway, high=breakaway, low_to=2, high_to=1),),
+                holds=velocity,
+                net_scale=inertia,
+            ),
+            Mode(name="forwards", law=forwards, guards=(Guard(row=speed, low=0.0, low_to=0),)),
+            Mode(name="backwards", law=backwards, guards=(Guard(row=speed, high=0.0, high_to=0),)),
+        ),
+        working_mode=1,
+    )
+
+
+def belt(
+    name: str,
+    direction: FloatArray,
+    spring: FloatArray,
+    preload: FloatArray,
+) -> Element:
+    """Return a preloaded belt of two equal runs, each of which pulls only while it is tight.
+
+    The force is ``max(0, P + s/2) - max(0, P - s/2)`` with ``s`` the force of the linear spring
+    and damper: continuous, and with half the stiffness once a run is slack.
+
+    Parameters
+    ----------
+    spring
+        (variants, N): the linear law ``k stretch + c stretch'``.
+    preload
+        (variants,) tension of each run at rest, N.
+    """
+    half = 0.5 * spring
+    upper, lower = half.copy(), half.copy()
+    upper[:, -1] += preload
+    lower[:, -1] -= preload
+    return Element(
+        name=name,
+        direction=direction,
+        modes=(
+            Mode(
+                name="tight",
+                law=spring,
+                guards=(Guard(row=half, low=-preload, high=preload, low_to=2, high_to=1),),
+            ),
+            Mode(name="stretched", law=upper, guards=(Guard(row=half, low=preload, low_to=0),)),
+            Mode(name="slackened", law=lower, guards=(Guard(row=half, high=-preload, high_to=0),)),
+        ),
+    )
+
+
+def play(
+    name: str,
+    direction: FloatArray,
+    stretch: FloatArray,
+    spring: FloatArray,
+    stiffness: FloatArray,
+    width: FloatArray,
+    damped: bool,
+) -> Element:
+    """Return a spring and damper behind a dead band; a contact pushes and never pulls.
+
+    A damped contact lets go while it is still compressed, as soon as its force falls to zero;
+    until the stretch is back inside the band the sides are ``separating``.
+
+    Parameters
+    ----------
+    stretch, spring
+        (variants, N): the stretch and the linear law without the band.
+    stiffness, width
+        (variants,) of the spring, and the full width of the band.
+    """
+    half = 0.5 * width
+    none = np.zeros_like(stretch)
+    above, below = spring.copy(), spring.copy()
+    above[:, -1] -= stiffness * half
+    below[:, -1] += stiffness * half
+    modes = [
+        Mode(
+            name="free",
+            law=none,
+            guards=(Guard(row=stretch, low=-half, high=half, low_to=2, high_to=1),),
+        ),
+        Mode(
+            name="touching above",
+            law=above,
+            guards=(Guard(row=above, low=0.0, low_to=3 if damped else 0),),
+        ),
+        Mode(
+            name="touching below",
+            law=below,
+            guards=(Guard(row=below, high=0.0, high_to=4 if damped else 0),),
+        ),
+    ]
+    if damped:
+        modes += [
+            Mode(
+                name="separating above",
+                law=none,
+                guards=(
+                    Guard(row=stretch, low=half, low_to=0),
+                    Guard(row=above, high=0.0, high_to=1),
+                ),
+            ),
+            Mode(
+                name="separating below",
+                law=none,
+                guards=(
+                    Guard(row=stretch, high=-half, high_to=0),
+                    Guard(row=below, low=0.0, low_to=2),
+                ),
+            ),
+        ]
+    return Element(name=name, direction=direction, modes=tuple(modes), working_mode=1)
+
+
+def motor(
+    name: str,
+    direction: FloatArray,
+    free: FloatArray,
+    *,
+    current_limit: FloatArray | None,
+    voltage_modes: tuple[tuple[FloatArray, float], ...],
+    state: int,
+    net_scale: FloatArray,
+    switches: tuple[Guard, ...],
+) -> Element:
+    """Return a motor's current: free, limited, and cut off by a switch for good.
+
+    Parameters
+    ----------
+    free
+        (variants, N): the current without limits.
+    current_limit
+        (variants,) A, None for none.
+    voltage_modes
+        Of a current amplifier with a supply limit: the current at the upper and at the lower
+        limit of the supply, each with its sign (+1, -1); empty otherwise.
+    state
+        Index of the current in the state, -1 when the motor has no inductance.
+    net_scale
+        (variants,) turns the derivative of that state into volts.
+    switches
+        Guards that cut the supply; their next modes are filled in here.
+    """
+    none = np.zeros_like(free)
+    limits = (1.0, -1.0) if current_limit is not None else ()
+    off = 1 + len(limits) + len(voltage_modes)
+    cut = tuple(
+        Guard(
+            row=s.row,
+            low=s.low,
+            high=s.high,
+            low_to=off if np.any(np.isfinite(s.low)) else STAY,
+            high_to=off if np.any(np.isfinite(s.high)) else STAY,
+            switch=s.switch,
+        )
+        for s in switches
+    )
+    modes: list[Mode] = []
+    if limits:
+        assert current_limit is not None
+        modes.append(
+            Mode(
+                name="free",
+                law=free,
+                guards=(
+                    Guard(row=free, low=-current_limit, high=current_limit, low_to=2, high_to=1),
+                    *cut,
+                ),
+            )
+        )
+        for sign in limits:
+            clipped = none.copy()
+            clipped[:, -1] = sign * current_limit
+            towards = {"low": 0.0, "low_to": 0} if sign > 0 else {"high": 0.0, "high_to": 0}
+            if state >= 0:
+                # The state is clamped: it leaves once its own volts drive it back inside.
+                guard = Guard(row=None, **towards)  # type: ignore[arg-type]
+            else:
+                excess = free.copy()
+                excess[:, -1] -= sign * current_limit
+                guard = Guard(row=excess, **towards)  # type: ignore[arg-type]
+            modes.append(
+                Mode(
+                    name=f"limited {'+' if sign > 0 else '-'}",
+                    law=free if state >= 0 else clipped,
+                    guards=(guard, *cut),
+                    holds=state,
+                    held_at=sign * current_limit,
+                    net_scale=net_scale,
+                )
+            )
+    elif voltage_modes:
+        rows = [free - at_limit for at_limit, _ in voltage_modes]
+        guards = (
+            Guard(row=rows[0], high=0.0, high_to=1),
+            Guard(row=rows[1], low=0.0, low_to=2),
+        )
+        modes.append(Mode(name="free", law=free, guards=(*guards, *cut)))
+        for (at_limit, sign), row in zip(voltage_modes, rows, strict=True):
+            back = (
+                Guard(row=row, low=0.0, low_to=0)
+                if sign > 0
+                else Guard(row=row, high=0.0, high_to=0)
+            )
+            modes.append(Mode(name="supply limit", law=at_limit, guards=(back, *cut)))
+    else:
+        modes.append(Mode(name="free", law=free, guards=cut))
+    if cut:
+        law = none if state < 0 else free
+        modes.append(Mode(name="cut", law=law, holds=state))
+    return Element(name=name, direction=direction, modes=tuple(modes))

@@ -1,0 +1,368 @@
+"""Machine -> equations: every connected piece of the network as a piecewise linear system.
+
+With coordinates q of the bodies, ``M q'' + C q' + K q = forces``: M is diagonal; a link with
+stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C; a motor acts with
+``Kt i`` along its own ``w`` and turns with ``w . q'``. What is not linear is an ``Element``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import MachineError, Place
+from threadline.machine import Machine
+from threadline.machine.quantity import Quantity
+from threadline.plant import elements as el
+from threadline.plant.linear import StateSpace
+from threadline.plant.parts import Group, connected_groups
+from threadline.plant.values import Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PiecewiseLinear:
+    """One connected piece: ``x' = base . z + sum of elements``, ``z = [x, inputs, 1]``.
+
+    Parameters
+    ----------
+    group
+        Its parts; the inputs are its drives, in order, in volts behind a voltage amplifier and
+        in amperes behind a current amplifier (gain and fixed limits already applied).
+    states
+        (n,) names: ``"x"`` is a coordinate, ``"x'"`` its rate, ``"x.i"`` a motor's current.
+    base
+        (variants, n, N).
+    elements
+        What is not linear; each drive is one of them, under ``"drives.NAME"``.
+    sensor_rows
+        (variants, sensors, N), counts from the start.
+    load_rows, frame_rows
+        (variants, axes, N), axis units from the start.
+    has_frame
+        (axes,) whether the axis has a frame.
+    input_gain, input_limit
+        (variants, drives) from volts of the controller to the input, and its fixed limit.
+    """
+
+    group: Group
+    states: tuple[str, ...]
+    base: FloatArray
+    elements: tuple[el.Element, ...]
+    sensor_rows: FloatArray
+    load_rows: FloatArray
+    frame_rows: FloatArray
+    has_frame: tuple[bool, ...]
+    input_gain: FloatArray
+    input_limit: FloatArray
+
+    @property
+    def variants(self) -> int:
+        """Number of variants."""
+        return len(self.base)
+
+
+def piecewise_linear(
+    machine: Machine, values: Values | None = None, start_si: FloatArray | None = None
+) -> tuple[PiecewiseLinear, ...]:
+    """Return the equations of every connected piece of ``machine``.
+
+    Parameters
+    ----------
+    values
+        Replaced numbers; the machine's own when None.
+    start_si
+        (axes,) position of each axis at the start, m or rad: limit switches stand at absolute
+        positions. Zero when None.
+
+    Raises
+    ------
+    MachineError
+        If a combination of parts has no equations here.
+    """
+    used = Values.of(machine) if values is None else values
+    start = np.zeros(len(machine.axes)) if start_si is None else start_si
+    return tuple(
+        _Builder(machine, used, group, start).build() for group in connected_groups(machine)
+    )
+
+
+class _Builder:
+    """Fills the arrays of one group; lives only as long as ``build`` runs."""
+
+    def __init__(self, machine: Machine, values: Values, group: Group, start: FloatArray) -> None:
+        self.machine, self.values, self.group = machine, values, group
+        self.start = dict(zip(machine.axes, start, strict=True))
+        self.count = values.count
+        bodies = len(group.bodies)
+        self.position = {b: i for i, b in enumerate(group.bodies)}
+        self.velocity = {b: bodies + i for i, b in enumerate(group.bodies)}
+        with_coil = [
+            d
+            for d in group.drives
+            if machine.drives[d].inductance is not None
+            and machine.drives[d].amplifier.mode == "voltage"
+        ]
+        self.coil = {d: 2 * bodies + i for i, d in enumerate(with_coil)}
+        self.n = 2 * bodies + len(with_coil)
+        self.size = self.n + len(group.drives) + 1
+        self.input = {d: self.n + i for i, d in enumerate(group.drives)}
+        self.states = (
+            *group.bodies,
+            *(f"{b}'" for b in group.bodies),
+            *(f"{d}.i" for d in with_coil),
+        )
+        self.inertia = {
+            b: self._value(f"bodies.{b}.inertia", machine.bodies[b].inertia) for b in group.bodies
+        }
+        self.base = np.zeros((self.count, self.n, self.size))
+        self.elements: list[el.Element] = []
+
+    def build(self) -> PiecewiseLinear:
+        for body in self.group.bodies:
+            self._add_body(body)
+        for link in self.group.links:
+            self._add_link(link)
+        gains, limits = [], []
+        for drive in self.group.drives:
+            gain, limit = self._add_drive(drive)
+            gains.append(gain)
+            limits.append(limit)
+        for body in self.group.bodies:
+            self._add_friction(body)
+        axes = [self.machine.axes[a] for a in self.group.axes]
+        return PiecewiseLinear(
+            group=self.group,
+            states=self.states,
+            base=self.base,
+            elements=tuple(self.elements),
+            sensor_rows=self._stack([self._sensor_row(s) for s in self.group.sensors]),
+            load_rows=self._stack([self._load_row(a) for a in self.group.axes]),
+            frame_rows=self._stack([self._weights(a.frame or {}, self.position) for a in axes]),
+            has_frame=tuple(a.frame is not None for a in axes),
+            input_gain=np.stack(gains, axis=1) if gains else np.zeros((self.count, 0)),
+            input_limit=np.stack(limits, axis=1) if limits else np.zeros((self.count, 0)),
+        )
+
+    def _value(self, path: str, quantity: Quantity | None) -> FloatArray:
+        value = self.values.at(path, quantity)
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.count,)).copy()
+
+    def _stack(self, rows: list[FloatArray]) -> FloatArray:
+        return np.stack(rows, axis=1) if rows else np.zeros((self.count, 0, self.size))
+
+    def _weights(
+        self, parts: Mapping[str, Quantity], where: dict[str, int], path: str = ""
+    ) -> FloatArray:
+        row = np.zeros((self.count, self.size))
+        for body, quantity in parts.items():
+            row[:, where[body]] = self._value(f"{path}.{body}", quantity)
+        return row
+
+    def _direction(
+        self, parts: Mapping[str, Quantity], path: str, factor: FloatArray | float = 1.0
+    ) -> FloatArray:
+        direction = np.zeros((self.count, self.n))
+        for body, quantity in parts.items():
+            weight = self._value(f"{path}.{body}", quantity)
+            direction[:, self.velocity[body]] = factor * weight / self.inertia[body]
+        return direction
+
+    def _apply(self, direction: FloatArray, law: FloatArray) -> None:
+        self.base += direction[:, :, None] * law[:, None, :]
+
+    def _refuse(self, message: str, remedy: str) -> MachineError:
+        place = Place(self.machine.file) if self.machine.file else None
+        return MachineError(message, place=place, remedy=remedy)
+
+    def _add_body(self, name: str) -> None:
+        body = self.machine.bodies[name]
+        at = self.velocity[name]
+        self.base[:, self.position[name], at] = 1.0
+        damping = self._value(f"bodies.{name}.damping", body.damping)
+        self.base[:, at, at] -= damping / self.inertia[name]
+
+    def _add_friction(self, name: str) -> None:
+        body = self.machine.bodies[name]
+        if body.friction is None:
+            return
+        sliding = self._value(f"bodies.{name}.friction", body.friction)
+        breakaway = self._value(f"bodies.{name}.stiction", body.stiction or body.friction)
+        if body.stiction is None:
+            breakaway = sliding
+        if (breakaway < sliding).any():
+            raise self._refuse(
+                f"bodies.{name}: a stiction below the friction", "Raise stiction or lower friction."
+            )
+        direction = np.zeros((self.count, self.n))
+        direction[:, self.velocity[name]] = 1.0 / self.inertia[name]
+        self.elements.append(
+            el.friction(
+                f"bodies.{name}.friction",
+                direction,
+                self.velocity[name],
+                self.inertia[name],
+                sliding,
+                breakaway,
+                self.size,
+            )
+        )
+
+    def _add_link(self, name: str) -> None:
+        link, path = self.machine.links[name], f"links.{name}"
+        stiffness = self._value(f"{path}.stiffness", link.stiffness)
+        damping = self._value(f"{path}.damping", link.damping)
+        weights = dict(link.stretch)
+        stretch = self._weights(weights, self.position, f"{path}.stretch")
+        rate = self._weights(weights, self.velocity, f"{path}.stretch")
+        spring = stiffness[:, None] * stretch + damping[:, None] * rate
+        direction = self._direction(weights, f"{path}.stretch", -1.0)
+        if link.preload is not None and link.play is not None:
+            raise self._refuse(
+                f"{path} has both a preload and a play",
+                "Make two links of it with a body between them.",
+            )
+        if link.preload is not None:
+            preload = self._value(f"{path}.preload", link.preload)
+            self.elements.append(el.belt(path, direction, spring, preload))
+        elif link.play is not None:
+            width = self._value(f"{path}.play", link.play)
+            damped = bool((damping > 0).any())
+            self.elements.append(
+                el.play(path, direction, stretch, spring, stiffness, width, damped)
+            )
+        else:
+            self._apply(direction, spring)
+
+    def _add_drive(self, name: str) -> tuple[FloatArray, FloatArray]:
+        drive, path = self.machine.drives[name], f"drives.{name}"
+        amplifier = drive.amplifier
+        torque = self._value(f"{path}.torque_constant", drive.torque_constant)
+        emf = self._value(f"{path}.back_emf", drive.back_emf)
+        resistance = self._value(f"{path}.resistance", drive.resistance)
+        gain = self._value(f"{path}.amplifier.gain", amplifier.gain)
+        volts = self._limit(f"{path}.amplifier.voltage_limit", amplifier.voltage_limit)
+        amps = self._limit(f"{path}.amplifier.current_limit", amplifier.current_limit)
+        turning = self._weights(dict(drive.acts_on), self.velocity, f"{path}.acts_on")
+        held = np.zeros((self.count, self.size))
+        held[:, self.input[name]] = 1.0
+        one = np.zeros((self.count, self.size))
+        one[:, -1] = 1.0
+        no_limit = np.full(self.count, np.inf)
+        voltage_modes: tuple[tuple[FloatArray, float], ...] = ()
+        state, limit_on_current, limit_on_input = self.coil.get(name, -1), amps, no_limit
+        if amplifier.mode == "current":
+            free, limit_on_current = held, None
+            limit_on_input = no_limit if amps is None else amps
+            if volts is not None:
+                if drive.inductance is not None:
+                    raise self._refuse(
+                        f"{path}: a current amplifier with both a voltage limit and an inductance",
+                        "Leave one of them out; the loop inside the amplifier is not modelled.",
+                    )
+                supply = [
+                    (sign * volts[:, None] * one - emf[:, None] * turning) / resistance[:, None]
+                    for sign in (1.0, -1.0)
+                ]
+                voltage_modes = ((supply[0], 1.0), (supply[1], -1.0))
+        else:
+            limit_on_input = no_limit if volts is None else volts
+            law = (held - emf[:, None] * turning) / resistance[:, None]
+            if state >= 0:
+                inductance = self._value(f"{path}.inductance", drive.inductance)
+                coil = np.zeros((self.count, self.size))
+                coil[:, state] = 1.0
+                self.base[:, state] = (law - coil) * (resistance / inductance)[:, None]
+                free = coil
+            else:
+                inductance, free = np.ones(self.count), law
+        scale = inductance if state >= 0 else np.ones(self.count)
+        self.elements.append(
+            el.motor(
+                path,
+                self._direction(dict(drive.acts_on), f"{path}.acts_on", torque),
+                free,
+                current_limit=limit_on_current,
+                voltage_modes=voltage_modes,
+                state=state,
+                net_scale=scale,
+                switches=self._switches(name),
+            )
+        )
+        return gain, limit_on_input
+
+    def _limit(self, path: str, quantity: Quantity | None) -> FloatArray | None:
+        return None if quantity is None else self._value(path, quantity)
+
+    def _switches(self, drive: str) -> tuple[el.Guard, ...]:
+        guards = []
+        for index, name in enumerate(self.group.inputs):
+            switch = self.machine.inputs[name]
+            if switch.cuts != drive:
+                continue
+            row = self._load_row(switch.axis)
+            at = switch.at.si - self.start[switch.axis]
+            low, high = (at, np.inf) if switch.beyond == "below" else (-np.inf, at)
+            guards.append(el.Guard(row=row, low=low, high=high, switch=index))
+        return tuple(guards)
+
+    def _sensor_row(self, name: str) -> FloatArray:
+        reads = dict(self.machine.sensors[name].reads)
+        return self._weights(reads, self.position, f"sensors.{name}.reads")
+
+    def _load_row(self, axis_name: str) -> FloatArray:
+        axis = self.machine.axes[axis_name]
+        if axis.load is not None:
+            return self._weights(dict(axis.load), self.position)
+        sensor = self.machine.controllers[axis.controller].sensor
+        return self._sensor_row(sensor) / axis.counts.si
+
+
+def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
+    """Return the linear model of every connected piece, one for each group of the network.
+
+    Limits, friction and play are left out and a preloaded belt is tight, as in small motions
+    about a working point. Inputs are the drives, ``"drives.x"``, in volts of the controller;
+    outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"`` and
+    ``"X.frame"`` in m or rad. The dead time of each drive is in ``delay_s``.
+
+    Raises
+    ------
+    MachineError
+        If a combination of parts has no equations here.
+    """
+    return tuple(_linear(machine, piece) for piece in piecewise_linear(machine, values))
+
+
+def _linear(machine: Machine, piece: PiecewiseLinear) -> StateSpace:
+    group, n = piece.group, len(piece.states)
+    full = piece.base[0].copy()
+    for element in piece.elements:
+        law = element.modes[element.working_mode].law[0].copy()
+        law[-1] = 0.0
+        full += element.direction[0][:, None] * law[None, :]
+    rows, names = [], []
+    for index, sensor in enumerate(group.sensors):
+        rows.append(piece.sensor_rows[0, index, :n])
+        names.append(f"sensors.{sensor}")
+    for index, axis in enumerate(group.axes):
+        sensor = machine.controllers[machine.axes[axis].controller].sensor
+        counts = piece.sensor_rows[0, group.sensors.index(sensor), :n]
+        rows += [counts / machine.axes[axis].counts.si, piece.load_rows[0, index, :n]]
+        names += [f"{axis}.measured", f"{axis}.load"]
+        if piece.has_frame[index]:
+            rows.append(piece.frame_rows[0, index, :n])
+            names.append(f"{axis}.frame")
+    delays = [machine.drives[d].delay for d in group.drives]
+    return StateSpace(
+        A=full[:, :n],
+        B=full[:, n : n + len(group.drives)] * piece.input_gain[0],
+        C=np.array(rows),
+        D=np.zeros((len(rows), len(group.drives))),
+        delay_s=np.array([0.0 if d is None else d.si for d in delays]),
+        states=piece.states,
+        inputs=tuple(f"drives.{d}" for d in group.drives),
+        outputs=tuple(names),
+    )

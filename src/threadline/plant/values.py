@@ -1,0 +1,85 @@
+"""Numbers of a machine by path, one value or one for each variant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import FloatArray, read_only
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.machine.quantity import Quantity
+
+_TABLES = ("bodies", "links", "drives", "sensors", "controllers")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Values:
+    """The numbers of ``machine``, with some of them replaced in each of ``count`` variants.
+
+    Parameters
+    ----------
+    machine
+        Gives the structure and every number that is not replaced.
+    replaced
+        Path of a number, such as ``"bodies.x.inertia"``, to its (count,) SI values.
+    count
+        Number of variants; 1 when nothing is replaced.
+
+    Raises
+    ------
+    OptionError
+        If a path names no number of this machine, or the lengths differ.
+    """
+
+    machine: Machine
+    replaced: Mapping[str, FloatArray]
+    count: int
+
+    @classmethod
+    def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
+        """Check and keep the replaced numbers."""
+        given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
+        known = tuple(_paths(machine))
+        for path in given:
+            if path not in known:
+                close = difflib.get_close_matches(path, known, n=1)
+                hint = f"Did you mean {close[0]!r}?" if close else f"It has {', '.join(known)}."
+                raise OptionError(f"machine {machine.name!r} has no number {path!r}", remedy=hint)
+        lengths = {len(v) for v in given.values()} or {1}
+        if len(lengths) > 1:
+            raise OptionError(f"variants have different lengths: {sorted(lengths)}")
+        return cls(machine, given, lengths.pop())
+
+    def at(self, path: str, quantity: Quantity | None) -> FloatArray | float:
+        """Return the (count,) values of ``path``, or the machine's own ``quantity`` (0 if None)."""
+        if path in self.replaced:
+            return self.replaced[path]
+        return 0.0 if quantity is None else quantity.si
+
+    def slice(self, start: int, stop: int) -> Values:
+        """Return the variants from ``start`` up to ``stop``."""
+        part = {k: v[start:stop] for k, v in self.replaced.items()}
+        return Values(self.machine, part, min(stop, self.count) - start)
+
+
+def _paths(machine: Machine) -> Iterator[str]:
+    for table in _TABLES:
+        for name, part in getattr(machine, table).items():
+            yield from _numbers(part, f"{table}.{name}")
+
+
+def _numbers(part: Any, path: str) -> Iterator[str]:
+    for field in fields(part):
+        value = getattr(part, field.name)
+        where = f"{path}.{field.name}"
+        if isinstance(value, Quantity):
+            yield where
+        elif isinstance(value, dict):
+            yield from (f"{where}.{k}" for k, v in value.items() if isinstance(v, Quantity))
+        elif is_dataclass(value):
+            yield from _numbers(value, where)

@@ -1,0 +1,125 @@
+"""When what happens: several integer clocks and dead times on one exact grid.
+
+Everything that repeats does so within the hyperperiod, the least common multiple of all periods.
+Its instants are exact fractions; dead times that are no multiple of a tick split a step exactly
+where the command arrives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import groupby
+from math import gcd, lcm
+
+from threadline.arrays import IntArray, read_only_int
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.plant.parts import Group
+from threadline.signals import common_period_s
+
+TICK, CONTROL, ARRIVE = 0, 1, 2
+"""What an action does: next reference row and sample; a controller acts; its command arrives."""
+
+_MAX_ACTIONS = 200_000
+_MAX_LENGTHS = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Schedule:
+    """One hyperperiod as a list of steps: actions first, then the advance to the next instant.
+
+    Parameters
+    ----------
+    grid_s
+        Exact period of which every advance is a whole multiple.
+    first_action
+        (steps + 1,) int: step i has the actions ``first_action[i]`` up to ``first_action[i+1]``.
+    actions
+        (actions, 2) int: what, and which controller of the group.
+    length
+        (steps,) int: index into ``lengths`` of the advance after the actions.
+    lengths
+        (k,) int: distinct advances in grid periods.
+    in_flight
+        (controllers,) int: whole commands under way in each dead time.
+    """
+
+    grid_s: Fraction
+    first_action: IntArray
+    actions: IntArray
+    length: IntArray
+    lengths: IntArray
+    in_flight: IntArray
+
+    def __post_init__(self) -> None:
+        for name, ndim in (
+            ("first_action", 1),
+            ("actions", 2),
+            ("length", 1),
+            ("lengths", 1),
+            ("in_flight", 1),
+        ):
+            object.__setattr__(self, name, read_only_int(getattr(self, name), name, ndim=ndim))
+
+
+def make_schedule(machine: Machine, group: Group) -> Schedule:
+    """Return the schedule of one connected piece of ``machine``.
+
+    Raises
+    ------
+    MachineError
+        If the clocks and dead times have no practical common grid.
+    """
+    tick = machine.tick_clock.period_s
+    periods, delays = [], []
+    for name in group.controllers:
+        controller = machine.controllers[name]
+        periods.append(machine.clock(controller.clock).period_s)
+        delay = machine.drives[controller.drive].delay
+        exact = Fraction(0) if delay is None else delay.exact_s
+        assert exact is not None
+        delays.append(exact)
+    hyper = _least_common([tick, *periods])
+    count = sum(int(hyper / p) for p in (tick, *periods, *periods))
+    if count > _MAX_ACTIONS:
+        raise MachineError(
+            f"the clocks repeat only after {float(hyper):.6g} s, {count} actions, "
+            f"limit {_MAX_ACTIONS}",
+            remedy="Choose clock periods with a common multiple.",
+        )
+    happenings: list[tuple[Fraction, int, int]] = []
+    happenings += [(tick * k, TICK, 0) for k in range(int(hyper / tick))]
+    for index, (period, delay_s) in enumerate(zip(periods, delays, strict=True)):
+        for k in range(int(hyper / period)):
+            happenings.append((period * k, CONTROL, index))
+            happenings.append(((period * k + delay_s) % hyper, ARRIVE, index))
+    happenings.sort()
+    instants = sorted({at for at, _, _ in happenings})
+    advances = [b - a for a, b in zip(instants, [*instants[1:], hyper], strict=True)]
+    grid = common_period_s(advances)
+    distinct = sorted({int(a / grid) for a in advances})
+    if len(distinct) > _MAX_LENGTHS:
+        raise MachineError(
+            f"clocks and dead times cut time into {len(distinct)} different lengths, "
+            f"limit {_MAX_LENGTHS}",
+            remedy="Choose clock periods and dead times with a coarser common grid.",
+        )
+    first, actions = [0], []
+    for _, same_instant in groupby(happenings, key=lambda happening: happening[0]):
+        actions += [(what, index) for _, what, index in same_instant]
+        first.append(len(actions))
+    return Schedule(
+        grid_s=grid,
+        first_action=first,  # type: ignore[arg-type]
+        actions=actions,  # type: ignore[arg-type]
+        length=[distinct.index(int(a / grid)) for a in advances],  # type: ignore[arg-type]
+        lengths=distinct,  # type: ignore[arg-type]
+        in_flight=[int(d / p) for p, d in zip(periods, delays, strict=True)],  # type: ignore[arg-type]
+    )
+
+
+def _least_common(periods: list[Fraction]) -> Fraction:
+    numerator = lcm(*(p.numerator for p in periods))
+    denominator = gcd(*(p.denominator for p in periods))
+    return Fraction(numerator, denominator)

@@ -1,0 +1,142 @@
+"""The simulated winder against an integrator with events, closed forms, and its own streaming."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from threadline.errors import OptionError
+from threadline.machine.load import load_machine
+from threadline.twin import simulate
+
+TICK = 5e-3
+COUNTS = 4000 / (2 * np.pi)
+KT, KE, R = 0.082, 8.6 / (1000 * 2 * np.pi / 60), 0.4
+
+
+def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0):
+    """Integrate one axis of the winder tick by tick with DOP853; return (n,) angles in rad.
+
+    The clipped current is a function of the speed, continuous with a kink; the kinks are events
+    at which the integration starts anew, so that its order holds.
+    """
+    theta = omega = 0.0
+    reference, previous_error, previous_level = 0.0, 0.0, 0.0
+    angles = []
+    for row in rows:
+        angles.append(theta)
+        read = theta * COUNTS
+        if quantised:
+            read = np.floor(read + 0.5)
+        error = reference - read
+        level = kp * error + kd * (error - previous_error)
+        if quantised:
+            level = np.rint(level)
+        level = np.clip(level, -2048, 2047)
+        if level * previous_level < 0:
+            level = 0.0
+        previous_error, previous_level = error, level
+        volts = level * 20 / 4096 * gain
+
+        def slope(_t, y, volts=volts):
+            current = np.clip((volts - KE * y[1]) / R, -limit, limit)
+            return [y[1], KT * current / inertia]
+
+        def kinks(_t, y, volts=volts):
+            return (volts - KE * y[1]) / R - limit
+
+        def kinks_low(_t, y, volts=volts):
+            return (volts - KE * y[1]) / R + limit
+
+        kinks.terminal = kinks_low.terminal = True
+        at = 0.0
+        while at < TICK:
+            events = [e for e in (kinks, kinks_low) if abs(e(0, [theta, omega])) > 1e-9]
+            done = solve_ivp(
+                slope, (at, TICK), [theta, omega], "DOP853", rtol=1e-12, atol=1e-13, events=events
+            )
+            theta, omega = done.y[:, -1]
+            at = done.t[-1]
+        reference += row
+    return np.array(angles)
+
+
+@pytest.mark.parametrize("feed", [10, 80])
+@pytest.mark.parametrize("quantised", [True, False])
+def test_winder_follows_integrator(feed, quantised, table, there_and_back):
+    """Within 1e-6 rad (2e-8 m) without quantisers, within one count with them; saturated at 80."""
+    machine = load_machine("lathe-winder")
+    rows = there_and_back(feed, 3200)
+    recording = simulate(table(machine, {"X": rows}), machine, quantised=quantised, settle_s=0.2)
+    _, load = recording.samples("X.load")
+    _, current = recording.samples("X.current_peak")
+    padded = np.concatenate((rows, np.zeros(len(load) - len(rows), dtype=int)))
+    expected = reference_winder(padded, 3.606e-4, 4.0, quantised) * COUNTS / 55.358e3
+
+    tolerance = 1.0 / 55.358e3 if quantised else 2e-8
+    np.testing.assert_allclose(load, expected, atol=tolerance)
+    saturates = np.abs(current).max() > 4.0 - 1e-9
+    assert saturates == (feed == 80)
+
+
+def test_blocks_do_not_matter(table, there_and_back):
+    """However the commands are cut into blocks, every sample is the same to the bit."""
+    machine = load_machine("lathe-winder+stiction")
+    rows = there_and_back(80)
+    whole = simulate(table(machine, {"X": rows, "A": 2 * rows}), machine, record_every=7)
+    cut = simulate(table(machine, {"X": rows, "A": 2 * rows}, 13), machine, record_every=7)
+    for channel in whole.channels:
+        times, one = whole.samples(channel.name)
+        other_times, other = cut.samples(channel.name)
+        np.testing.assert_array_equal(times, other_times)
+        np.testing.assert_array_equal(one, other)
+
+
+def test_reading_twice_is_the_same(table, there_and_back):
+    machine = load_machine("lathe-winder")
+    recording = simulate(table(machine, {"Y": there_and_back(20)}), machine)
+    first, second = recording.samples("Y.load")[1], recording.samples("Y.load")[1]
+    np.testing.assert_array_equal(first, second)
+    assert first.max() > 0.1
+
+
+def test_recording_says_where_it_was_told_to_be(table):
+    """Commanded at tick k is the sum of the rows before it, and holds through the settling."""
+    machine = load_machine("lathe-winder")
+    rows = np.array([3, -1, 4, 1, -5, 9])
+    recording = simulate(table(machine, {"X": rows}), machine, settle_s=0.1)
+    times, commanded = recording.samples("X.commanded")
+    expected = np.concatenate(([0], np.cumsum(rows), np.full(20, rows.sum())))
+    np.testing.assert_allclose(commanded * 55.358e3, expected, atol=1e-9)
+    np.testing.assert_allclose(times, TICK * np.arange(len(expected)))
+
+
+def test_switch_cuts_the_motor(table):
+    """Beyond the switch the motor coasts: with no friction it keeps the speed that it had."""
+    machine = load_machine("lathe-winder")
+    start = 500  # mm; the switch stands at 510
+    rows = np.full(2000, 20)
+    commands = table(machine, {"X": rows})
+    object.__setattr__(commands, "start_counts", np.array([0, round(start * 55.358), 0]))
+    recording = simulate(commands, machine)
+    _, load = recording.samples("X.load")
+    _, pressed = recording.samples("x_high")
+    _, current = recording.samples("X.current")
+    assert pressed[0] == 0 and pressed[-1] == 1
+    first = int(np.argmax(pressed))
+    assert load[first - 1] < 0.510 <= load[first]
+    after = load[first + 1 :]
+    assert np.ptp(np.diff(after)) < 1e-12
+    assert np.abs(current[first:]).max() == 0.0
+
+
+def test_wrong_commands_are_refused(table):
+    machine = load_machine("lathe-winder")
+    commands = table(machine, {"X": np.array([1])})
+    with pytest.raises(OptionError, match="record_every"):
+        simulate(commands, machine, record_every=0)
+    with pytest.raises(OptionError, match="encoder_phase"):
+        simulate(commands, machine, encoder_phase=np.array([0.0, 1.0, 0.0]))
+    with pytest.raises(OptionError, match="settle_s"):
+        simulate(commands, machine, settle_s=-1.0)
