@@ -1,0 +1,196 @@
+"""Export to Klipper's ``[input_shaper]``, where one of its types makes the same impulses.
+
+Klipper has its types computed from frequency and damping ratio by its own formulas: zv, mzv and
+zvd exactly, ei, 2hump_ei and 3hump_ei by published curve fits (Singhose et al.) at 5 %, valid to
+damping ratios of 0.4, 0.3 and 0.2. What it would play is computed here and judged on the mode,
+so that a fit that is too coarse is not called a match.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.shaping.types import FlexibleMode, Shaper
+from threadline.shaping.vibration import residual_vibration
+
+MATCH = 0.01
+"""A type fits where V differs by at most this over f (1 +- 25 %)."""
+
+_MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
+
+# Times in undamped periods and amplitudes as polynomials of the damping ratio, constant first.
+_FITTED = {
+    "2hump_ei": (
+        (
+            (0.0, 0.0, 0.0, 0.0),
+            (0.49890, 0.16270, -0.54262, 6.16180),
+            (0.99748, 0.18382, -1.58270, 8.17120),
+            (1.49920, -0.09297, -0.28338, 1.85710),
+        ),
+        (
+            (0.16054, 0.76699, 2.26560, -1.22750),
+            (0.33911, 0.45081, -2.58080, 1.73650),
+            (0.34089, -0.61533, -0.68765, 0.42261),
+            (0.15997, -0.60246, 1.00280, -0.93145),
+        ),
+    ),
+    "3hump_ei": (
+        (
+            (0.0, 0.0, 0.0, 0.0),
+            (0.49974, 0.23834, 0.44559, 12.4720),
+            (0.99849, 0.29808, -2.36460, 23.3990),
+            (1.49870, 0.10306, -2.01390, 17.0320),
+            (1.99960, -0.28231, 0.61536, 5.40450),
+        ),
+        (
+            (0.11275, 0.76632, 3.29160, -1.44380),
+            (0.23698, 0.61164, -2.57850, 4.85220),
+            (0.30008, -0.19062, -2.14560, 0.13744),
+            (0.23775, -0.73297, 0.46885, -2.08650),
+            (0.11244, -0.45439, 0.96382, -1.46000),
+        ),
+    ),
+}
+
+
+def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
+    """The impulses that Klipper plays for a type, normalised to sum 1.
+
+    Raises
+    ------
+    OptionError
+        If the type is unknown or the damping ratio is beyond what Klipper takes for it.
+    """
+    if shaper_type not in _MAX_DAMPING:
+        raise OptionError(
+            f"Klipper type {shaper_type!r} is unknown", remedy=f"Types: {', '.join(_MAX_DAMPING)}."
+        )
+    zeta = mode.damping_ratio
+    if zeta > _MAX_DAMPING[shaper_type]:
+        raise OptionError(
+            f"Klipper's {shaper_type} takes damping ratios up to {_MAX_DAMPING[shaper_type]:g}, "
+            f"got {zeta:g}"
+        )
+    root = math.sqrt(1.0 - zeta**2)
+    if shaper_type in _FITTED:
+        powers = zeta ** np.arange(4)
+        periods, weights = (np.array(table) @ powers for table in _FITTED[shaper_type])
+        times = periods / mode.frequency_hz
+    else:
+        spacing = 0.375 if shaper_type == "mzv" else 0.5
+        decay = math.exp(-2.0 * math.pi * zeta * spacing / root)
+        weights = {
+            "zv": np.array([1.0, decay]),
+            "mzv": np.array([1.0, math.sqrt(2.0) * decay, decay**2]),
+            "zvd": np.array([1.0, 2.0 * decay, decay**2]),
+            "ei": _ei_weights(zeta),
+        }[shaper_type]
+        times = np.arange(len(weights)) * spacing / (root * mode.frequency_hz)
+        if shaper_type == "ei":
+            times[1] *= 2.0 * _ei_middle(zeta)
+    return Shaper(
+        amplitudes=weights / float(weights.sum()), times_s=times, name=f"klipper {shaper_type}"
+    )
+
+
+def _ei_weights(zeta: float) -> FloatArray:
+    v = 0.05
+    first = (
+        (0.24968 + 0.24961 * v) + (0.80008 + 1.23328 * v) * zeta + (0.49599 + 3.17316 * v) * zeta**2
+    )
+    last = (
+        (0.25149 + 0.21474 * v)
+        + (-0.83249 + 1.41498 * v) * zeta
+        + (0.85181 - 4.90094 * v) * zeta**2
+    )
+    return np.array([first, 1.0 - first - last, last])
+
+
+def _ei_middle(zeta: float) -> float:
+    """Time of the middle impulse in damped periods."""
+    v = 0.05
+    return (
+        0.4999
+        + (0.46159 + 8.57843 * v) * v * zeta
+        + (4.26169 - 108.644 * v) * v * zeta**2
+        + (1.75601 + 336.989 * v) * v * zeta**3
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class KlipperExport:
+    """The section to paste, or why there is none.
+
+    Parameters
+    ----------
+    section
+        Text of ``[input_shaper]`` for both axes; empty where no type fits.
+    shaper_type
+        Klipper's word, or empty.
+    difference
+        Largest difference of V between Klipper's train and ours over f (1 +- 25 %).
+    explanation
+        One sentence.
+    """
+
+    section: str
+    shaper_type: str
+    difference: float
+    explanation: str
+
+
+def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> KlipperExport:
+    """Find Klipper's type that plays ``shaper``, which was made for ``mode``.
+
+    Parameters
+    ----------
+    shaper
+        Positive train; unit-magnitude and negative ones fit no type.
+    mode
+        Its mode: Klipper's frequency is the undamped one too.
+    axes
+        Of "x", "y" or both.
+
+    Raises
+    ------
+    OptionError
+        If ``axes`` names another axis.
+    """
+    if not axes or set(axes) - {"x", "y"}:
+        raise OptionError(f"Klipper shapes axes x and y, got {axes!r}")
+    f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
+    ours = residual_vibration(shaper, f, mode.damping_ratio)
+    candidates = []
+    for name, most in _MAX_DAMPING.items():
+        if mode.damping_ratio > most:
+            continue
+        theirs = klipper_impulses(name, mode)
+        if len(theirs.times_s) != len(shaper.times_s):
+            continue
+        v = residual_vibration(theirs, f, mode.damping_ratio)
+        candidates.append((float(np.abs(v - ours).max()), name))
+    best = min(candidates, default=(math.inf, ""))
+    if best[0] > MATCH or bool(np.any(shaper.amplitudes < 0.0)):
+        nearest = f"; the nearest, {best[1]}, is {best[0]:.3f} of V off" if best[1] else ""
+        return KlipperExport(
+            "", "", best[0], f"no type of Klipper's plays shaper '{shaper.name}'{nearest}"
+        )
+    difference, name = best
+    lines = ["[input_shaper]"]
+    for axis in axes:
+        lines += [
+            f"shaper_type_{axis}: {name}",
+            f"shaper_freq_{axis}: {mode.frequency_hz:.6g}",
+            f"damping_ratio_{axis}: {mode.damping_ratio:.6g}",
+        ]
+    return KlipperExport(
+        "\n".join(lines) + "\n",
+        name,
+        difference,
+        f"Klipper's {name} plays it: V differs by at most {difference:.4f} within 25 %",
+    )

@@ -1,0 +1,230 @@
+"""The fastest command for a machine whose frequency is only known within a band.
+
+Levels are free within [-1, 1]: the bound that any valve, switched or proportional, is measured
+against. For a given time the largest distance with |ringing| <= tolerance over the band is a
+convex program; circles and band are met by cutting planes, to 1e-4 of the tolerance, and the
+time is found by bisection, so the optimum is the global one of the grid of intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.shaping.onoff.model import (
+    Command,
+    RestToRest,
+    ringing_rows,
+    shaped_command,
+    travel_rows,
+    worst_ringing,
+)
+from threadline.shaping.onoff.optimal import time_optimal
+from threadline.shaping.program import InfeasibleError, minimise
+from threadline.shaping.types import Shaper, ShaperError
+
+_ACCURACY = 1e-4
+_SWEEP = 201
+
+
+class _Band:
+    """Half planes Re(exp(-j phase) ringing) <= tolerance that have been needed so far."""
+
+    def __init__(self, move: RestToRest, relative: float) -> None:
+        if not 0.0 <= relative < 1.0:
+            raise OptionError(f"robust move: the band must be in [0, 1), got {relative!r}")
+        self._move, self._relative = move, relative
+        phases = np.arange(4) * 0.5 * np.pi
+        start = np.linspace(1.0 - relative, 1.0 + relative, 7) if relative else np.ones(1)
+        self._cuts = [
+            (i, float(r), float(p)) for i in range(len(move.modes)) for r in start for p in phases
+        ]
+
+    def rows(self, edges: FloatArray) -> FloatArray:
+        """One row per cut, shape ``(cuts, n)``."""
+        table = np.empty((len(self._cuts), len(edges) - 1))
+        for i, mode in enumerate(self._move.modes):
+            mine = [k for k, cut in enumerate(self._cuts) if cut[0] == i]
+            ratio = np.array([self._cuts[k][1] for k in mine])
+            phase = np.array([self._cuts[k][2] for k in mine])
+            complex_rows = ringing_rows(edges, mode.frequency_hz * ratio, mode.damping_ratio)
+            table[mine] = (complex_rows * np.exp(-1j * phase)[:, None]).real
+        return table
+
+    def cut(self, command: Command, tolerance: float) -> bool:
+        """Add the half planes that ``command`` breaks; False if it breaks none."""
+        found = False
+        sweep = np.linspace(1.0 - self._relative, 1.0 + self._relative, _SWEEP)
+        for i, mode in enumerate(self._move.modes):
+            rows = ringing_rows(command.times_s, mode.frequency_hz * sweep, mode.damping_ratio)
+            value = rows @ command.levels
+            height = np.abs(value)
+            padded = np.concatenate(([-1.0], height, [-1.0]))
+            top = (height >= padded[:-2]) & (height >= padded[2:])
+            for k in np.flatnonzero(top & (height > tolerance * (1.0 + _ACCURACY) + 1e-12)):
+                self._cuts.append((i, float(sweep[k]), float(np.angle(value[k]))))
+                found = True
+        return found
+
+
+def farthest(
+    move: RestToRest, duration_s: float, tolerance: float, band: _Band, intervals: int
+) -> tuple[float, Command]:
+    """Largest distance, m, within ``duration_s``, and its command."""
+    edges = np.linspace(0.0, duration_s, intervals + 1)
+    speed, distance = travel_rows(edges)
+    for _ in range(60):
+        rows = band.rows(edges)
+        solved = minimise(
+            -distance / duration_s**2,
+            equal=(speed[None, :] / duration_s, np.zeros(1)),
+            below=(rows, np.full(len(rows), tolerance)),
+            bounds=(-1.0, 1.0),
+            what="robust move",
+        )
+        command = Command(edges, solved.x)
+        if not band.cut(command, tolerance):
+            return float(distance @ solved.x) * move.acceleration_m_s2, command
+    raise ShaperError("robust move: the cutting planes did not converge in 60 rounds")
+
+
+def robust_optimum(
+    move: RestToRest, *, relative: float, tolerance: float, intervals: int = 160
+) -> Command:
+    """Fastest command with ringing <= ``tolerance`` over every mode's f (1 +- ``relative``).
+
+    Parameters
+    ----------
+    move
+        What has to be done.
+    relative
+        Half width of the band, in [0, 1).
+    tolerance
+        Ringing allowed, as a fraction of that of one full step of acceleration.
+    intervals
+        Of constant level; the optimum found is an upper bound that falls as they grow finer.
+
+    Returns
+    -------
+    Command
+        Levels free within [-1, 1].
+
+    Raises
+    ------
+    ShaperError
+        If a linear program fails.
+    """
+    if not tolerance > 0.0:
+        raise OptionError(f"robust move: tolerance must be positive, got {tolerance!r}")
+    band = _Band(move, relative)
+    low = move.rigid_duration_s
+
+    def missing(duration: float) -> float:
+        return farthest(move, duration, tolerance, band, intervals)[0] - move.distance_m
+
+    # Nothing beats the rigid body; from there on, half a period of the slowest mode at a time.
+    stride = max(0.5 * m.damped_period_s for m in move.modes)
+    high = low + stride
+    for _ in range(40):
+        if missing(high) >= 0.0:
+            break
+        low, high = high, high + stride
+    else:
+        raise ShaperError(
+            f"robust move: no command within {high:.4g} s keeps the ringing below {tolerance:g} "
+            f"over {relative:.0%} of the frequency",
+            remedy="Narrow the band or allow more ringing.",
+        )
+    duration = float(brentq(missing, low, high, xtol=2e-6, rtol=2e-6))
+    return farthest(move, duration, tolerance, band, intervals)[1]
+
+
+def least_ringing(
+    move: RestToRest, *, relative: float, tick_s: float, ticks: int
+) -> tuple[float, Command] | None:
+    """Command on a controller's tick, free levels, that covers the distance and rings least.
+
+    Returns
+    -------
+    tuple of float and Command, or None
+        The worst ringing over the band; None where the distance can't be covered in that time.
+    """
+    edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
+    speed, distance = travel_rows(edges)
+    reach = move.distance_m / move.acceleration_m_s2
+    band = _Band(move, relative)
+    cost = np.append(np.zeros(ticks), 1.0)
+    for _ in range(60):
+        rows = band.rows(edges)
+        try:
+            solved = minimise(
+                cost,
+                equal=(
+                    np.pad(np.array([speed / edges[-1], distance / reach]), ((0, 0), (0, 1))),
+                    [0.0, 1.0],
+                ),
+                below=(np.hstack((rows, -np.ones((len(rows), 1)))), np.zeros(len(rows))),
+                bounds=[(-1.0, 1.0)] * ticks + [(0.0, None)],
+                what="robust move",
+            )
+        except InfeasibleError:
+            return None
+        command = Command(edges, solved.x[:-1])
+        if not band.cut(command, max(float(solved.x[-1]), 1e-9)):
+            return worst_ringing(command, move.modes, relative), command
+    raise ShaperError("robust move: the cutting planes did not converge in 60 rounds")
+
+
+@dataclass(frozen=True, slots=True)
+class ShapedMove:
+    """One shaped move beside the bounds.
+
+    Parameters
+    ----------
+    name
+        The shaper's.
+    duration_s
+        Of the whole move.
+    over_optimal, over_robust
+        Duration over the time-optimal one (no robustness) and over the robust optimum (free
+        levels).
+    worst_step, worst_unshaped
+        Worst ringing over the band: as a fraction of one full step's, and of the unshaped
+        move's own worst over the same band.
+    """
+
+    name: str
+    duration_s: float
+    over_optimal: float
+    over_robust: float
+    worst_step: float
+    worst_unshaped: float
+
+
+def compare_shapers(
+    move: RestToRest, shapers: list[Shaper], *, relative: float, tolerance: float
+) -> list[ShapedMove]:
+    """Every shaped move's time over the time-optimal and the robust optimum, with its ringing.
+
+    Parameters are those of :func:`robust_optimum`; the shapers should be made for its modes.
+    """
+    optimal = time_optimal(move).command.duration_s
+    robust = robust_optimum(move, relative=relative, tolerance=tolerance).duration_s
+    unshaped = worst_ringing(
+        shaped_command(move, Shaper(amplitudes=np.ones(1), times_s=np.zeros(1))),
+        move.modes,
+        relative,
+    )
+    rows = []
+    for shaper in shapers:
+        command = shaped_command(move, shaper)
+        worst = worst_ringing(command, move.modes, relative)
+        time = command.duration_s
+        rows.append(
+            ShapedMove(shaper.name, time, time / optimal, time / robust, worst, worst / unshaped)
+        )
+    return rows
