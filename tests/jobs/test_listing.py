@@ -52,13 +52,13 @@ def test_every_move_is_the_printed_one(examples: Path) -> None:
 
 
 def test_the_listing_stops_and_ends(examples: Path) -> None:
-    """M00 waits for the operator, M30 ends; F 12000 is capped at 10 counts per tick, with a word."""
+    """M00 waits for the operator, M30 ends; F 12000 is 200 mm/s, which a warning calls too much."""
     job = read_job(examples / "cone-dome-cylinder.prg", load_machine("lathe-winder"))
     operations = list(job)
 
     assert [op.final for op in operations[-2:] if isinstance(op, Stop)] == [False, True]
     feeds = {op.feed for op in operations if isinstance(op, Move)}
-    assert [(f.mode, f.value) for f in feeds if f] == [(FeedMode.COUNT_PER_TICK, 10.0)]
+    assert [(f.mode, f.value) for f in feeds if f] == [(FeedMode.FASTEST_AXIS, 0.2)]
     assert job.warnings[0].startswith("cone-dome-cylinder.prg:2: F 12000 is 200.0 mm/s")
 
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NoReturn
+
+import numpy as np
 
 from threadline.errors import JobError
+from threadline.jobs import kernel
 from threadline.jobs.blocks import Block, Dialect, parse_block
-from threadline.jobs.feeds import FeedRule
+from threadline.jobs.kernel import PlainReader
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
     Feed,
     FeedMode,
     Move,
+    MoveRun,
     Operation,
     Source,
     Stop,
@@ -23,143 +26,197 @@ from threadline.jobs.operations import (
 )
 from threadline.jobs.programs import Program, Structure
 from threadline.jobs.scan import TAPE
-from threadline.jobs.textfile import SourceFile, lines_of
+from threadline.jobs.textfile import Chunk, Lines, SourceFile
 from threadline.jobs.words import ONE
 
-_KEPT_BLOCKS = 20_000
+_KEPT_BYTES = 1 << 21
+_KEPT_BLOCKS = 10_000
+_KEPT_FEEDS = 1000
 _RAPID = Feed(FeedMode.RAPID, 0.0)
 _MM_PER_M = 1000 * ONE
+_FINE = ONE // kernel.STEPS
 
 
 @dataclass(frozen=True, slots=True)
 class PartProgram:
-    """A scanned part program, ready to be followed any number of times."""
+    """A scanned part program, ready to be followed any number of times.
+
+    Parameters
+    ----------
+    linear
+        (axes,) whether an axis is linear.
+    mode, base_axes
+        What F means in G94.
+    plain
+        Whether plain blocks are left to the kernel; the operations are the same without it.
+    """
 
     file: SourceFile
     dialect: Dialect
     structure: Structure
-    rule: FeedRule
+    linear: tuple[bool, ...]
+    mode: FeedMode
+    base_axes: tuple[str, ...]
+    plain: bool = True
 
-    def blocks(self, program: Program) -> Iterator[Block]:
-        """Return the blocks of one program, read from the file."""
-        left = program.blocks
-        for number, _, text in lines_of(self.file, program.offset, program.line):
-            if text.strip() == TAPE:
-                continue
-            block = parse_block(text, number, self.dialect)
-            if block is not None:
-                yield block
-                left -= 1
-                if left == 0:
-                    return
-
-    def operations(self) -> Iterator[Operation]:
-        """Return the operations from the start position on.
+    def runs(self) -> Iterator[Operation | MoveRun]:
+        """Return the operations from the start position on, moves in runs.
 
         Raises
         ------
         JobError
             Where a block does not say what it needs to: a feed, or a mode of motion.
         """
-        return _Interpreter(self).run()
+        return Interpreter(self).run()
 
 
 @dataclass(slots=True)
 class _Frame:
     program: Program
-    blocks: Iterator[Block]
+    lines: Lines
     pass_: int
     passes: int
 
 
-class _Interpreter:
+class Interpreter:
     """The state of one reading. Positions are exact: 10**-18 mm or degrees."""
 
     def __init__(self, program: PartProgram) -> None:
         self._program = program
-        self._rule = program.rule
         self._path = program.file.path
-        count = len(program.rule.linear)
-        self._exact = [0] * count
-        self._position = [0.0] * count
-        self._linear = program.rule.linear
+        self._linear = program.linear
+        self._exact = [0] * len(program.linear)
+        self._position = [0.0] * len(program.linear)
         self._motion = -1
         self._relative = False
         self._tenth_mm = 10  # tenths of a millimetre in the unit of length
         self._inverse_time = False
         self._feed: Feed | None = None
-        self._kept: dict[int | None, tuple[Block, ...]] = {}
-        self._kept_blocks = 0
         self._passes: tuple[int, ...] = ()
+        self._plain = PlainReader(program.dialect.axes, program.linear, follow=True)
+        self._kept: dict[int | None, Chunk] = {}
+        self._kept_bytes = 0
+        self._parsed: dict[int, Block | None] = {}
+        self._feeds: dict[tuple[FeedMode, float], Feed] = {}
 
-    def run(self) -> Iterator[Operation]:
+    def run(self) -> Iterator[Operation | MoveRun]:
+        """Return the operations, moves in runs where the kernel has read them."""
         structure = self._program.structure
-        frames = [_Frame(structure.main, self._blocks(structure.main), 1, 1)]
+        frames = [_Frame(structure.main, self._lines(structure.main), 1, 1)]
         while frames:
             frame = frames[-1]
-            for block in frame.blocks:
-                yield from self._step(block)
-                if block.program == 98:
-                    assert block.p is not None
-                    callee = structure.programs[block.p // ONE]
-                    frames.append(
-                        _Frame(callee, self._blocks(callee), 1, self._turns(callee, block))
-                    )
-                    self._passes = (*self._passes, 1)
-                    break
-                if block.program in (2, 30):
-                    return
-            else:
+            lines = frame.lines
+            if not lines.more():
+                raise self._error(lines.number, "the program has no end", "Start again.")
+            if self._program.plain and self._plain.worth_trying():
+                run = self._read_plain(lines)
+                if run is not None:
+                    yield run
+                    continue
+                if not lines.more():
+                    continue
+            block = self._next(lines)
+            if block is None:
+                continue
+            yield from self._step(block)
+            if block.program == 98:
+                callee = structure.programs[(block.p or 0) // ONE]
+                frames.append(_Frame(callee, self._lines(callee), 1, self._turns(callee, block)))
+                self._passes = (*self._passes, 1)
+            elif block.program == 99:
                 if frame.pass_ < frame.passes:
                     frame.pass_ += 1
-                    frame.blocks = self._blocks(frame.program)
+                    frame.lines = self._lines(frame.program)
                     self._passes = (*self._passes[:-1], frame.pass_)
                 else:
                     frames.pop()
                     self._passes = self._passes[:-1]
+            elif block.program in (2, 30):
+                return
 
     def _turns(self, callee: Program, block: Block) -> int:
         """Return the passes; a body that only sets modes sets the same in every pass."""
         totals = self._program.structure.totals[callee.label]
-        return block.passes if totals.moves or totals.others else 1
+        return block.passes if totals.operations else 1
 
-    def _blocks(self, program: Program) -> Iterator[Block]:
+    def _lines(self, program: Program) -> Lines:
+        """Return the lines of a program; short ones are kept in memory."""
+        size = program.end - program.offset
         kept = self._kept.get(program.label)
-        if kept is not None:
-            return iter(kept)
-        blocks = self._program.blocks(program)
-        if self._kept_blocks + program.blocks <= _KEPT_BLOCKS:
-            self._kept_blocks += program.blocks
-            kept = tuple(blocks)
+        if kept is None and self._kept_bytes + size <= _KEPT_BYTES:
+            chunks = self._program.file.chunks(program.offset, max(size, 1), program.end)
+            kept = Chunk(program.offset, b"".join(chunk.data for chunk in chunks))
             self._kept[program.label] = kept
-            return iter(kept)
-        return blocks
+            self._kept_bytes += size
+        return Lines(self._program.file, program.offset, program.line, kept)
 
-    def _step(self, block: Block) -> Iterable[Operation]:
+    def _next(self, lines: Lines) -> Block | None:
+        """Return the block on the next line, None if it has none; blocks are kept for loops."""
+        offset = lines.offset
+        if self._passes and offset in self._parsed:
+            lines.skip()
+            return self._parsed[offset]
+        number, _, text = lines.take()
+        block = None
+        if text.strip() != TAPE:
+            block = parse_block(text, number, self._program.dialect)
+        if self._passes and len(self._parsed) < _KEPT_BLOCKS:
+            self._parsed[offset] = block
+        return block
+
+    def _read_plain(self, lines: Lines) -> MoveRun | None:
+        """Let the kernel go on; return what it moved."""
+        plain = self._plain
+        for index, exact in enumerate(self._exact):
+            if exact % _FINE or not -kernel.EXACT_LIMIT < exact // _FINE < kernel.EXACT_LIMIT:
+                return None  # more digits than the kernel has
+            plain.exact[index] = exact // _FINE
+        plain.position[:] = self._position
+        plain.feed[0] = math.nan if self._feed is None else self._feed.value
+        state = plain.state
+        state[kernel.MOTION] = self._motion
+        state[kernel.RELATIVE] = self._relative
+        state[kernel.TENTH_MM] = self._tenth_mm
+        state[kernel.INVERSE] = self._inverse_time
+        count = plain.read(lines)
+        self._motion = int(state[kernel.MOTION])
+        self._relative = bool(state[kernel.RELATIVE])
+        if count == 0:
+            return None
+        self._exact = [exact * _FINE for exact in plain.exact.tolist()]
+        self._position = plain.position.tolist()
+        value = float(plain.feed[0])
+        self._feed = None if math.isnan(value) else self._feed_of(value)
+        values = plain.out_feed[:count]
+        changes = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
+        feeds = tuple(
+            (at, _RAPID if value < 0 else self._feed_of(value))
+            for at, value in zip(changes, values[changes].tolist(), strict=True)
+        )
+        targets, line = plain.out_position[:count].copy(), plain.out_line[:count].copy()
+        return MoveRun(targets, line, feeds, self._path, self._passes)
+
+    def _step(self, block: Block) -> Iterator[Operation]:
         """Return the operations of one block, in the order of RS274/NGC."""
         if block.settings:
             self._set(block.settings)
         if block.feed is not None:
-            self._feed = self._read_feed(block.feed)
+            self._feed = self._feed_of(self._speed(block.feed))
         if block.motion >= 0:
             self._motion = block.motion
-        if block.action == -1 and block.program in (-1, 98, 99) and not block.tool_off:
-            return (self._move(block),) if block.axes else ()
-        return self._step_with_actions(block)
-
-    def _step_with_actions(self, block: Block) -> Iterator[Operation]:
-        source = Source(self._path, block.line, self._passes)
-        if block.action == 28:
-            yield from self._return_to_start(block, source)
-        elif block.action == 4:
-            assert block.p is not None
-            yield Dwell(block.p / ONE, source)
-        elif block.axes:
+        if block.axes and block.action == -1:
             yield self._move(block)
+        elif block.action == 28:
+            yield from self._return_to_start(block)
+        elif block.action == 4:
+            yield Dwell((block.p or 0) / ONE, self._source(block))
         if block.tool_off:
-            yield ToolEvent("spindle", 0.0, source)
+            yield ToolEvent("spindle", 0.0, self._source(block))
         if block.program in (0, 2, 30):
-            yield Stop(block.program != 0, source)
+            yield Stop(block.program != 0, self._source(block))
+
+    def _source(self, block: Block) -> Source:
+        return Source(self._path, block.line, self._passes)
 
     def _set(self, settings: tuple[int, ...]) -> None:
         for code in settings:
@@ -172,51 +229,55 @@ class _Interpreter:
                 self._inverse_time = code == 93
                 self._feed = None
 
-    def _read_feed(self, exact: int) -> Feed:
+    def _speed(self, exact: int) -> float:
+        """Return F in m/s, in G93 in 1/s."""
         if self._inverse_time:
-            return Feed(FeedMode.INVERSE_TIME, exact / (60 * ONE))
-        metres_per_s = exact * self._tenth_mm / (10 * 60 * _MM_PER_M)
-        return Feed(self._rule.mode, metres_per_s, self._rule.base_names)
+            return exact / (60 * ONE)
+        return exact * self._tenth_mm / (10 * 60 * _MM_PER_M)
 
-    def _go(self, block: Block) -> list[float]:
-        """Take the axis words of ``block``; return the differences, (axes,) m or rad."""
-        difference = [0.0] * len(self._position)
+    def _feed_of(self, value: float) -> Feed:
+        """Return the feed with ``value`` in the present mode; equal feeds are one object."""
+        program = self._program
+        mode = FeedMode.INVERSE_TIME if self._inverse_time else program.mode
+        feed = self._feeds.get((mode, value))
+        if feed is None:
+            if len(self._feeds) >= _KEPT_FEEDS:
+                self._feeds.clear()
+            feed = Feed(mode, value, program.base_axes if mode is FeedMode.BASE_AXES else ())
+            self._feeds[mode, value] = feed
+        return feed
+
+    def _go(self, block: Block) -> None:
+        """Take the axis words of ``block``."""
         for index, value in block.axes:
             linear = self._linear[index]
             target = value * self._tenth_mm // 10 if linear else value
             if self._relative:
                 target += self._exact[index]
             self._exact[index] = target
-            si = target / _MM_PER_M if linear else math.radians(target / ONE)
-            difference[index] = si - self._position[index]
-            self._position[index] = si
-        return difference
+            self._position[index] = target / _MM_PER_M if linear else math.radians(target / ONE)
 
     def _move(self, block: Block) -> Move:
-        place_line = block.line
+        feed = _RAPID if self._motion == 0 else self._feed
         if self._motion == -1:
-            self._refuse(place_line, "axis words before any G0 or G1", "Write G1 and a feed first.")
-        difference = self._go(block)
-        feed: Feed | None
-        if self._motion == 0:
-            feed = _RAPID
-        elif self._inverse_time:
-            if block.feed is None:
-                self._refuse(
-                    place_line,
-                    "in G93 every G1 block needs its own F",
-                    "Give F as 1 / minutes of the move.",
-                )
-            feed = self._feed
-        elif self._feed is None:
-            self._refuse(place_line, "G1 moves before any feed F", "Give F in mm/min.")
-        else:
-            feed = self._rule.capped(self._feed, difference, self._program.file.place(place_line))
+            raise self._error(
+                block.line, "axis words before any G0 or G1", "Write G1 and a feed first."
+            )
+        if feed is None:
+            raise self._error(block.line, "G1 moves before any feed F", "Give F, in mm/min.")
+        if feed.mode is FeedMode.INVERSE_TIME and block.feed is None:
+            raise self._error(
+                block.line,
+                "in G93 every G1 block needs its own F",
+                "Give F as 1 / minutes of the move.",
+            )
+        self._go(block)
         tags = dict(block.tags) if block.tags else NO_TAGS
-        source = Source(self._path, place_line, self._passes)
-        return Move(tuple(self._position), feed, source, tags)
+        return Move(tuple(self._position), feed, self._source(block), tags)
 
-    def _return_to_start(self, block: Block, source: Source) -> Iterator[Operation]:
+    def _return_to_start(self, block: Block) -> Iterator[Operation]:
+        """Return the two moves of G28: by way of the words of the block, then to the start."""
+        source = self._source(block)
         if block.axes:
             self._go(block)
             yield Move(tuple(self._position), _RAPID, source)
@@ -225,5 +286,5 @@ class _Interpreter:
             self._position[index] = 0.0
         yield Move(tuple(self._position), _RAPID, source)
 
-    def _refuse(self, line: int, message: str, remedy: str) -> NoReturn:
-        raise JobError(message, place=self._program.file.place(line), remedy=remedy)
+    def _error(self, line: int, message: str, remedy: str) -> JobError:
+        return JobError(message, place=self._program.file.place(line), remedy=remedy)

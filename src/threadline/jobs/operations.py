@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import repeat
 from typing import TypeAlias
 
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import Place
 from threadline.signals import Stream
 
@@ -69,6 +71,40 @@ class Move:
     tags: Mapping[str, float | str] = field(default_factory=lambda: NO_TAGS)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MoveRun:
+    """Consecutive moves as arrays: the same as as many ``Move``s, for stages that are in a hurry.
+
+    Parameters
+    ----------
+    targets
+        (n, axes) m or rad.
+    line
+        (n,) line of the file.
+    feeds
+        ``(i, feed)``: the feed from move ``i`` on; the first has i = 0.
+    file, passes
+        As in ``Source``, the same for all.
+    """
+
+    targets: FloatArray
+    line: IntArray
+    feeds: tuple[tuple[int, Feed], ...]
+    file: str
+    passes: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def __iter__(self) -> Iterator[Move]:
+        ends = [*[begin for begin, _ in self.feeds[1:]], len(self.targets)]
+        for (begin, feed), end in zip(self.feeds, ends, strict=True):
+            lines = self.line[begin:end].tolist()
+            sources = map(Source, repeat(self.file), lines, repeat(self.passes))
+            targets = map(tuple, self.targets[begin:end].tolist())
+            yield from map(Move, targets, repeat(feed), sources, repeat(NO_TAGS))
+
+
 @dataclass(frozen=True, slots=True)
 class Dwell:
     """Standing still for ``duration_s``."""
@@ -116,6 +152,34 @@ class ToolEvent:
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Stop | ToolEvent
 
 
+class OperationStream(Stream[Operation]):
+    """A stream of operations whose moves can be had in runs too.
+
+    Parameters
+    ----------
+    runs
+        Called once per reading; returns a fresh iterator over operations and runs of moves.
+    """
+
+    __slots__ = ("_runs",)
+
+    def __init__(self, runs: Callable[[], Iterator[Operation | MoveRun]]) -> None:
+        super().__init__(lambda: _one_by_one(runs()))
+        self._runs = runs
+
+    def runs(self) -> Iterator[Operation | MoveRun]:
+        """Return a fresh reading with moves in runs."""
+        return self._runs()
+
+
+def _one_by_one(runs: Iterator[Operation | MoveRun]) -> Iterator[Operation]:
+    for item in runs:
+        if isinstance(item, MoveRun):
+            yield from item
+        else:
+            yield item
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Job:
     """A job of any length.
@@ -147,4 +211,10 @@ class Job:
     warnings: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[Operation]:
+        return iter(self.operations)
+
+    def runs(self) -> Iterator[Operation | MoveRun]:
+        """Return the same operations, with moves in runs of arrays where the reader can."""
+        if isinstance(self.operations, OperationStream):
+            return self.operations.runs()
         return iter(self.operations)

@@ -6,15 +6,14 @@ from pathlib import Path
 
 from threadline.errors import BudgetError, MachineError
 from threadline.jobs.blocks import Dialect
-from threadline.jobs.feeds import FeedRule, feed_rule
+from threadline.jobs.feeds import check_feed_mode, normal_feed_m_s
 from threadline.jobs.interpreter import PartProgram
-from threadline.jobs.operations import FeedMode, Job
+from threadline.jobs.operations import FeedMode, Job, OperationStream
 from threadline.jobs.programs import Structure
-from threadline.jobs.scan import Findings, Scanner
+from threadline.jobs.scan import Scanner
 from threadline.jobs.textfile import SourceFile, identify
 from threadline.jobs.words import ONE
 from threadline.machine import Machine
-from threadline.signals import Stream
 
 _RESERVED = "EFGLMNOP"
 _MAX_WARNINGS = 5
@@ -26,7 +25,6 @@ def read_part_program(
     machine: Machine,
     feed_mode: FeedMode | str = FeedMode.FASTEST_AXIS,
     base_axes: tuple[str, ...] = (),
-    normal_feed_caps: bool = True,
 ) -> Job:
     """Return the job of a part program.
 
@@ -41,8 +39,6 @@ def read_part_program(
         Its axes are the only ones that the program may move.
     feed_mode, base_axes
         What F means, see ``threadline.jobs.feeds``.
-    normal_feed_caps
-        Whether the operator's normal feed caps F.
 
     Raises
     ------
@@ -60,21 +56,22 @@ def read_part_program(
                 f"the axis {name} of {machine.name!r} has the letter of another word",
                 remedy="A part program moves axes A B C U V W X Y Z.",
             )
-    rule = feed_rule(machine, feed_mode=feed_mode, base_axes=base_axes, cap=normal_feed_caps)
+    mode = check_feed_mode(machine, str(feed_mode), tuple(base_axes))
     file = identify(path)
     dialect = Dialect(str(path), machine.name, {n: i for i, n in enumerate(machine.axis_names)})
     scanner = Scanner(file, dialect)
     structure = scanner.run()
     _check_budget(structure, file, machine)
-    program = PartProgram(file, dialect, structure, rule)
+    linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
+    program = PartProgram(file, dialect, structure, linear, mode, tuple(base_axes))
     return Job(
         name=path.name,
         file=str(path),
         sha256=file.sha256,
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
-        operations=Stream(program.operations),
-        warnings=_warnings(scanner.findings, rule, machine, file),
+        operations=OperationStream(program.runs),
+        warnings=_warnings(scanner, machine, file),
     )
 
 
@@ -101,21 +98,21 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
     )
 
 
-def _warnings(
-    findings: Findings, rule: FeedRule, machine: Machine, file: SourceFile
-) -> tuple[str, ...]:
+def _warnings(scanner: Scanner, machine: Machine, file: SourceFile) -> tuple[str, ...]:
+    findings = scanner.findings
+    used = scanner.moved_axes
+    caps_m_s = normal_feed_m_s(machine)
     warnings = []
-    used = sorted(findings.axes) or range(len(rule.counts))
-    lowest = min(rule.cap_m_s[i] for i in used)
     for (feed, tenth_mm), line in findings.feeds.items():
         speed_m_s = feed * tenth_mm / (600_000 * ONE)
-        if speed_m_s > lowest:
-            assert rule.cap is not None
-            caps = ", ".join(f"{machine.axis_names[i]} {1e3 * rule.cap_m_s[i]:.1f}" for i in used)
+        if machine.operator is None or caps_m_s is None:
+            break
+        if speed_m_s > min(caps_m_s[i] for i in used):
+            caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
             warnings.append(
                 f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
-                f"normal feed of {rule.cap.value:g} count/tick ({caps} mm/s), which caps it. "
-                "Choose another feed with --feed, or raise operator.normal_feed."
+                f"normal feed of {machine.operator.normal_feed.si:g} count/tick ({caps} mm/s), "
+                "which caps it. Choose another feed with --feed, or raise operator.normal_feed."
             )
     warnings += [
         f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."

@@ -33,10 +33,10 @@ class Program:
         O number, None for a main program without one.
     offset, line
         Where it begins: byte, and line from 1.
+    end
+        The byte behind its last line.
     ends_with
         99, 2 or 30; None while it is open.
-    blocks
-        Number of blocks.
     moves
         Moves of its own, subroutines apart.
     stops
@@ -48,8 +48,8 @@ class Program:
     label: int | None
     offset: int
     line: int
+    end: int = 0
     ends_with: int | None = None
-    blocks: int = 0
     moves: int = 0
     stops: int = 0
     calls: dict[int, Call] = field(default_factory=dict)
@@ -118,9 +118,10 @@ class Collector:
             self._programs[label] = self.current
         return self.current
 
-    def end(self, code: int) -> None:
-        """End the program in hand with M99, M2 or M30."""
+    def end(self, code: int, offset: int) -> None:
+        """End the program in hand with M99, M2 or M30, in the line before byte ``offset``."""
         assert self.current is not None
+        self.current.end = offset
         self.current.ends_with = code
         if code != 99:
             self._mains.append(self.current)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from threadline.errors import JobError
 from threadline.jobs.blocks import Block, Dialect, parse_block
+from threadline.jobs.kernel import STEPS, PlainReader
 from threadline.jobs.programs import Call, Collector, Structure
-from threadline.jobs.textfile import SourceFile, lines_of
+from threadline.jobs.textfile import Lines, SourceFile
 from threadline.jobs.words import ONE
 
 TAPE = "%"
@@ -25,14 +28,11 @@ class Findings:
         First line of each F in G94: by exact F and tenths of a millimetre in its unit of length.
     long_dwells, blends
         Lines of dwells that look like milliseconds, and of G64.
-    axes
-        Indices of the axes that the file moves.
     """
 
     feeds: dict[tuple[int, int], int] = field(default_factory=dict)
     long_dwells: list[int] = field(default_factory=list)
     blends: list[int] = field(default_factory=list)
-    axes: set[int] = field(default_factory=set)
 
 
 class Scanner:
@@ -43,6 +43,7 @@ class Scanner:
         self._file = file
         self._dialect = dialect
         self._programs = Collector(file)
+        self._plain = PlainReader(dialect.axes, (True,) * len(dialect.axes), follow=False)
         self._tapes: list[int] = []
         self._begun = False
         self._unit = 10
@@ -57,14 +58,23 @@ class Scanner:
             At the first line that is no block of the dialect, or where the programs do not fit
             together.
         """
-        number = 0
-        for number, offset, text in lines_of(self._file):
+        lines = Lines(self._file, self._file.begin, 1)
+        while lines.more():
+            program = self._programs.current
+            if program is not None and self._plain.worth_trying():
+                count = self._plain.read(lines)
+                program.moves += count
+                self._note_plain(count)
+                if count or not lines.more():
+                    continue
+            number, offset, text = lines.take()
             if text.strip() == TAPE:
                 self._take_tape(number)
                 continue
             block = parse_block(text, number, self._dialect)
             if block is not None:
-                self._take(block, offset)
+                self._take(block, offset, lines.offset)
+        number = max(1, lines.number - 1)
         if len(self._tapes) == 1:
             raise JobError(
                 f"the % on line {self._tapes[0]} opens the program and none closes it: the file "
@@ -83,7 +93,7 @@ class Scanner:
                 remedy="Write % on the first line and on the last, or on none.",
             )
 
-    def _take(self, block: Block, offset: int) -> None:
+    def _take(self, block: Block, offset: int, behind: int) -> None:
         if len(self._tapes) > 1:
             raise JobError(
                 "a block after the % that ends the file is never run",
@@ -104,7 +114,6 @@ class Scanner:
         self._begun = True
         program = programs.current
         assert program is not None
-        program.blocks += 1
         if block.action == 28:
             program.moves += 2
         elif block.axes:
@@ -116,7 +125,26 @@ class Scanner:
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
             call.passes += block.passes
         elif block.program in (2, 30, 99):
-            programs.end(block.program)
+            programs.end(block.program, behind)
+
+    @property
+    def moved_axes(self) -> list[int]:
+        """Indices of the axes that have words in the file."""
+        return [int(index) for index in np.flatnonzero(self._plain.used)]
+
+    def _note_plain(self, count: int) -> None:
+        """Note what the plain reader has found in ``count`` blocks."""
+        plain = self._plain
+        if count and not self._inverse_time:
+            words, first = np.unique(plain.out_word[:count], return_index=True)
+            for word, at in zip(words.tolist(), first.tolist(), strict=True):
+                if word >= 0:
+                    self._note_feed(word * (ONE // STEPS), int(plain.out_line[at]))
+
+    def _note_feed(self, feed: int, line: int) -> None:
+        feeds = self.findings.feeds
+        if len(feeds) < _MAX_REMEMBERED:
+            feeds.setdefault((feed, self._unit), line)
 
     def _note(self, block: Block) -> None:
         """Note what may deserve a warning; units in the order of the file, not of the calls."""
@@ -129,11 +157,9 @@ class Scanner:
             elif code == 64 and len(findings.blends) < _MAX_REMEMBERED:
                 findings.blends.append(block.line)
         if block.feed is not None and not self._inverse_time:
-            key = (block.feed, self._unit)
-            if len(findings.feeds) < _MAX_REMEMBERED:
-                findings.feeds.setdefault(key, block.line)
+            self._note_feed(block.feed, block.line)
         if block.action == 4 and block.p is not None and block.p >= _LONG_DWELL_S * ONE:
             findings.long_dwells.append(block.line)
             del findings.long_dwells[_MAX_REMEMBERED:]
         for index, _ in block.axes:
-            findings.axes.add(index)
+            self._plain.used[index] = True

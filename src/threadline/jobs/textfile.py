@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from threadline.errors import JobError, Place
 
 MAX_LINE_BYTES = 4096
@@ -52,13 +55,15 @@ class SourceFile:
         """Return a place in this file."""
         return Place(self.path, line)
 
-    def chunks(self, offset: int, size: int = CHUNK_BYTES) -> Iterator[Chunk]:
-        """Return the whole lines from the byte ``offset`` on, a chunk of them at a time.
+    def chunks(
+        self, offset: int, size: int = CHUNK_BYTES, end: int | None = None
+    ) -> Iterator[Chunk]:
+        """Return the whole lines from byte ``offset`` to ``end``, a chunk of them at a time.
 
         Raises
         ------
         JobError
-            If the file was changed since it was hashed, or no line ends within a chunk.
+            If the file was changed since it was hashed.
         """
         with open_binary(Path(self.path)) as stream:
             status = Path(self.path).stat()
@@ -71,12 +76,13 @@ class SourceFile:
             stream.seek(offset)
             rest = b""
             at = offset
-            while at < self.end:
-                data = rest + stream.read(min(size, self.end - at - len(rest)))
-                last = at + len(data) >= self.end
+            end = self.end if end is None else min(end, self.end)
+            while at < end:
+                data = rest + stream.read(min(size, end - at - len(rest)))
+                last = at + len(data) >= end
                 cut = len(data) if last else data.rfind(b"\n") + 1
                 if cut == 0:
-                    # The caller counts lines and says which one it is.
+                    # One line fills the chunk: whoever takes it refuses it, with its number.
                     yield Chunk(at, data)
                     return
                 yield Chunk(at, data[:cut])
@@ -142,21 +148,68 @@ class TextLine(NamedTuple):
     text: str
 
 
-def lines_of(file: SourceFile, offset: int | None = None, number: int = 1) -> Iterator[TextLine]:
-    """Return the lines of ``file`` from the byte ``offset`` on, which begins line ``number``.
+class Lines:
+    """A place in a text file that goes forward, line by line or as far as someone else reads.
 
-    Raises
-    ------
-    JobError
-        If a line is too long or is not text.
+    Parameters
+    ----------
+    file
+        The file.
+    offset, number
+        The byte and the line, from 1, to begin with.
+    kept
+        The lines from there on, where they are in memory already.
     """
-    at = file.begin if offset is None else offset
-    for chunk in file.chunks(at):
-        at = chunk.offset
-        for raw in chunk.data.removesuffix(b"\n").split(b"\n"):
-            yield TextLine(number, at, decode_line(raw, file.path, number))
-            at += len(raw) + 1
-            number += 1
+
+    def __init__(
+        self, file: SourceFile, offset: int, number: int, kept: Chunk | None = None
+    ) -> None:
+        self._file = file
+        self._chunks = iter((kept,)) if kept is not None else file.chunks(offset)
+        self._chunk = Chunk(offset, b"")
+        self.data: NDArray[np.uint8] = np.empty(0, np.uint8)
+        self.at = 0
+        self.number = number
+
+    @property
+    def offset(self) -> int:
+        """The byte of the file that comes next."""
+        return self._chunk.offset + self.at
+
+    def more(self) -> bool:
+        """Say whether there is another line, and have it in ``data`` from ``at`` on."""
+        if self.at < len(self._chunk.data):
+            return True
+        chunk = next(self._chunks, None)
+        if chunk is None or not chunk.data:
+            return False
+        self._chunk = chunk
+        self.data = np.frombuffer(chunk.data, np.uint8)
+        self.at = 0
+        return True
+
+    def skip(self) -> None:
+        """Go on behind the next line."""
+        end = self._chunk.data.find(b"\n", self.at)
+        self.at = (len(self._chunk.data) if end < 0 else end) + 1
+        self.number += 1
+
+    def take(self) -> TextLine:
+        """Return the next line and go on behind it; ``more`` has said that there is one.
+
+        Raises
+        ------
+        JobError
+            If it is too long or is not text.
+        """
+        data = self._chunk.data
+        end = data.find(b"\n", self.at)
+        end = len(data) if end < 0 else end
+        text = decode_line(data[self.at : end], self._file.path, self.number)
+        line = TextLine(self.number, self.offset, text)
+        self.at = end + 1
+        self.number += 1
+        return line
 
 
 def decode_line(raw: bytes, file: str, number: int) -> str:
