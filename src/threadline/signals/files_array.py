@@ -1,0 +1,232 @@
+"""The trajectory array of the 1994 controller: travel ticks, and counts per tick of every axis.
+
+Each line holds a constant speed for some ticks. Speeds are whole counts per tick plus a
+remainder, which is spread evenly: with ``n`` ticks, remainder ``r`` and phase ``h``, tick k
+travels ``v + floor((h + (k + 1) r) / n) - floor((h + k r) / n)``. That gives back every row of
+the table from which the array was made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import Place, RecordingError
+from threadline.signals.commands import Event, TickBlock, TickTable
+from threadline.signals.files_common import (
+    Written,
+    atomic_file,
+    clear_errors,
+    meta_lines,
+    written,
+)
+from threadline.signals.files_events import events_cell, parse_events_cell
+from threadline.signals.files_table import (
+    END,
+    READ_ROWS,
+    checked_counts,
+    empty_block,
+    table_from,
+    table_meta,
+)
+from threadline.signals.files_table_text import (
+    body_lines,
+    check_columns,
+    check_end,
+    read_head,
+    whole_number,
+)
+from threadline.signals.stream import Stream
+
+TITLE = "trajectory-array 1"
+MAX_TICKS = 1 << 31  # of one line: products with a remainder stay exact in 64 bits
+
+
+def _columns(axes: tuple[str, ...]) -> list[str]:
+    of_axis = [f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")]
+    return ["ticks", *of_axis, "operation", "events"]
+
+
+def write_array(table: TickTable, path: Path) -> Written:
+    """Write ``table`` as a trajectory array."""
+    with atomic_file(path) as file:
+        for line in meta_lines(TITLE, table_meta(table)):
+            file.write(f"{line}\n".encode())
+        file.write((",".join(_columns(table.axes)) + "\n").encode())
+        ticks = 0
+        for block in table:
+            file.write("".join(_lines(block, len(table.axes))).encode())
+            ticks += len(block)
+        file.write(f"{END}{ticks}\n".encode())
+    return written(path)
+
+
+def _lines(block: TickBlock, axes: int) -> Iterator[str]:
+    pending = list(block.events)
+    operation = block.operation
+    cuts = {0, len(block), *(np.flatnonzero(np.diff(operation)) + 1).tolist()}
+    cuts |= {e.tick - block.first_tick for e in pending if e.tick < block.first_tick + len(block)}
+    marks = np.array(sorted(cuts), dtype=np.int64)
+    begins, spans, phases = _runs(np.ascontiguousarray(block.counts), marks)
+    for begin, span, phase in zip(begins.tolist(), spans.tolist(), phases.tolist(), strict=True):
+        total = block.counts[begin : begin + span].sum(axis=0).tolist()
+        cells = [f"{t // span},{t % span},{h}" for t, h in zip(total, phase, strict=True)]
+        tick = block.first_tick + begin
+        here = [e for e in pending if e.tick == tick]
+        if here:
+            pending = [e for e in pending if e.tick != tick]
+        yield f"{span},{','.join(cells)},{operation[begin]},{events_cell(here)}\n"
+    if pending:  # at the end of the last row
+        end = block.first_tick + len(block)
+        if any(e.tick != end for e in pending):
+            raise ValueError(f"an event lies outside its block: {pending[0]}")
+        yield f"0{',' * (3 * axes + 2)}{events_cell(pending)}\n"
+
+
+@numba.njit(cache=True)
+def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
+    """Return a phase for which one line gives ``counts[begin:begin + n, axis]``, or -1."""
+    total = 0
+    for k in range(n):
+        total += counts[begin + k, axis]
+    remainder = total % n
+    speed = (total - remainder) // n
+    lowest, highest = 0, n - 1
+    travelled = 0
+    for k in range(1, n):
+        # floor((h + k r) / n) must be what was travelled above k times the speed.
+        travelled += counts[begin + k - 1, axis] - speed
+        low = n * travelled - k * remainder
+        lowest = max(lowest, low)
+        highest = min(highest, low + n - 1)
+        if lowest > highest:
+            return -1
+    return lowest
+
+
+@numba.njit(cache=True)
+def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
+    for axis in range(counts.shape[1]):
+        phase = _phase(counts, begin, n, axis)
+        if phase < 0:
+            return False
+        phases[axis] = phase
+    return True
+
+
+@numba.njit(cache=True)
+def _runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Cut rows into runs that one line each can give; none reaches over a mark.
+
+    A run is the whole way to the next mark where that fits; else it doubles while it fits and
+    then takes the longest of ever smaller additions.
+    """
+    rows, axes = counts.shape
+    begins = np.empty(rows, np.int64)
+    spans = np.empty(rows, np.int64)
+    phases = np.empty((rows, axes), np.int64)
+    trial = np.empty(axes, np.int64)
+    found = 0
+    for m in range(len(marks) - 1):
+        begin, end = marks[m], marks[m + 1]
+        whole = True
+        while begin < end:
+            span = end - begin
+            if not (whole and _fits(counts, begin, span, trial)):
+                whole = False
+                span = 1
+                step = 1
+                while begin + span + step <= end and _fits(counts, begin, span + step, trial):
+                    span += step
+                    step *= 2
+                while step > 0:
+                    if begin + span + step <= end and _fits(counts, begin, span + step, trial):
+                        span += step
+                    step //= 2
+                _fits(counts, begin, span, trial)
+            begins[found], spans[found] = begin, span
+            phases[found] = trial
+            found += 1
+            begin += span
+    return begins[:found], spans[:found], phases[:found]
+
+
+def read_array(path: Path) -> TickTable:
+    """Read what ``write_array`` wrote; the lines stay in the file until they are wanted.
+
+    Raises
+    ------
+    RecordingError
+        If it is something else; while it is read, if a line is wrong.
+    """
+    with clear_errors(path):
+        meta, number, columns = read_head(path, TITLE)
+        table = table_from(meta, Stream(lambda: _blocks(path, number, len(table.axes))), path)
+        check_columns(columns, _columns(table.axes), Place(str(path), number))
+    return table
+
+
+def _blocks(path: Path, head: int, axes: int) -> Iterator[TickBlock]:
+    first, ready = 0, 0  # tick of the next block, rows in hand
+    counts: list[IntArray] = []
+    operation: list[IntArray] = []
+    events: list[Event] = []
+
+    def block() -> TickBlock:
+        return TickBlock(
+            first_tick=first,
+            counts=np.concatenate(counts),
+            operation=np.concatenate(operation),
+            events=tuple(events),
+        )
+
+    with clear_errors(path):
+        for number, line in body_lines(path, head):
+            place = Place(str(path), number)
+            if line.startswith(END):
+                check_end(line, first + ready, place)
+                continue
+            cells = line.split(",", 3 * axes + 2)
+            if len(cells) != 3 * axes + 3:
+                raise RecordingError(
+                    f"the line has {len(cells)} cells, expected {3 * axes + 3}", place=place
+                )
+            span = whole_number(cells[0], place)
+            here = parse_events_cell(cells[-1], first + ready, place)
+            if span == 0:
+                events += here
+                continue
+            if not 0 < span <= MAX_TICKS:
+                raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
+            for part in _rows(cells[1:-2], span, path, place):
+                if ready >= READ_ROWS:
+                    yield block()
+                    first, ready = first + ready, 0
+                    counts, operation, events = [], [], []
+                events += here
+                here = []
+                counts.append(part)
+                operation.append(np.full(len(part), whole_number(cells[-2], place)))
+                ready += len(part)
+        if ready:
+            yield block()
+        elif events:
+            yield empty_block(axes, tuple(events))
+
+
+def _rows(cells: list[str], span: int, path: Path, place: Place) -> Iterator[IntArray]:
+    """Yield the rows of one line, in parts of bounded length."""
+    numbers = np.array([whole_number(cell, place) for cell in cells], dtype=np.int64)
+    speed, remainder, phase = numbers[0::3], numbers[1::3], numbers[2::3]
+    if ((remainder < 0) | (remainder >= span) | (phase < 0) | (phase >= span)).any():
+        raise RecordingError(
+            f"remainders and phases must lie between 0 and {span - 1}", place=place
+        )
+    for begin in range(0, span, READ_ROWS):
+        k = np.arange(begin, min(begin + READ_ROWS, span) + 1, dtype=np.int64)[:, None]
+        extra = np.diff((phase + k * remainder) // span, axis=0)
+        yield checked_counts(speed + extra, path)

@@ -1,0 +1,220 @@
+"""Tick tables in ``.npz`` and ``.csv`` files; both keep everything, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from threadline.arrays import IntArray
+from threadline.errors import Place, RecordingError
+from threadline.signals.clock import Clock
+from threadline.signals.commands import Event, TickBlock, TickTable
+from threadline.signals.files_common import (
+    Counts,
+    Finite,
+    FractionText,
+    Hash,
+    Label,
+    Written,
+    atomic_file,
+    checked_meta,
+    clear_errors,
+    fraction_text,
+    meta_lines,
+    positive_fraction,
+    written,
+)
+from threadline.signals.files_events import EventColumns, EventSpool, events_cell
+from threadline.signals.files_zip import ColumnArchive, ColumnSpool
+from threadline.signals.stream import Stream
+
+READ_ROWS = 1 << 16
+MAX_AXES = 64
+TITLE = "tick-table 1"
+END = "# end after ticks: "
+"""Begins the last line of a text table: without it a file that was cut off could pass."""
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class TableMeta:
+    """What a file says of a tick table beside its rows."""
+
+    clock: tuple[Label, FractionText]
+    axes: Annotated[tuple[Label, ...], Field(min_length=1, max_length=MAX_AXES)]
+    counts_per_unit: tuple[Finite, ...]
+    start_counts: tuple[Counts, ...]
+    job_sha256: Hash
+    machine_sha256: Hash
+
+
+_META = TypeAdapter(TableMeta)
+
+
+def table_meta(table: TickTable) -> dict[str, Any]:
+    """Return what is to be written of ``table`` beside its rows."""
+    return {
+        "clock": [table.clock.name, fraction_text(table.clock.period_s)],
+        "axes": list(table.axes),
+        "counts_per_unit": table.counts_per_unit.tolist(),
+        "start_counts": table.start_counts.tolist(),
+        "job_sha256": table.job_sha256,
+        "machine_sha256": table.machine_sha256,
+    }
+
+
+def table_from(meta: Any, blocks: Stream[TickBlock], path: Path) -> TickTable:
+    """Return the table of a file's description and rows."""
+    found = checked_meta(_META, meta, path)
+    place = Place(str(path))
+    if not len(found.axes) == len(found.counts_per_unit) == len(found.start_counts):
+        raise RecordingError(
+            f"the description names {len(found.axes)} axes, {len(found.counts_per_unit)} scales "
+            f"and {len(found.start_counts)} start positions",
+            place=place,
+        )
+    if len(set(found.axes)) < len(found.axes):
+        raise RecordingError("the description names an axis twice", place=place)
+    return TickTable(
+        clock=Clock(found.clock[0], positive_fraction(found.clock[1], place)),
+        axes=found.axes,
+        counts_per_unit=np.array(found.counts_per_unit),
+        start_counts=np.array(found.start_counts, dtype=np.int64),
+        blocks=blocks,
+        job_sha256=found.job_sha256,
+        machine_sha256=found.machine_sha256,
+    )
+
+
+def write_table_npz(table: TickTable, path: Path) -> Written:
+    """Write ``table`` as an archive of columns: ``numpy.load(path)["counts"]`` is (n, axes).
+
+    Memory is bounded by a block; the columns grow in temporary files beside ``path``.
+    """
+    with atomic_file(path) as file, ColumnSpool(path.parent) as spool:
+        spool.column("counts", "<i8", (len(table.axes),))
+        spool.column("operation", "<i8")
+        events = EventSpool(spool)
+        for block in table:
+            spool.append("counts", block.counts)
+            spool.append("operation", block.operation)
+            events.append(block.events)
+        content = {"format": TITLE, **table_meta(table), "event_names": events.names}
+        spool.pack(file, content)
+    return written(path)
+
+
+def read_table_npz(path: Path) -> TickTable:
+    """Read what ``write_table_npz`` wrote; the rows stay in the file until they are wanted.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged or something else.
+    """
+    with clear_errors(path), ColumnArchive(path) as archive:
+        meta, names = _split_npz_meta(archive.meta(), path)
+        table = table_from(meta, Stream(lambda: _npz_blocks(path, names, len(table.axes))), path)
+        # Open every column once, so that a wrong one is found now and not half-way.
+        _open_npz(archive, names, len(table.axes), path)
+    return table
+
+
+def _split_npz_meta(meta: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
+    if not isinstance(meta, dict) or meta.pop("format", None) != TITLE:
+        raise RecordingError(
+            "the archive does not hold a tick table of a known version", place=Place(str(path))
+        )
+    names = meta.pop("event_names", None)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise RecordingError("event_names is not a list of names", place=Place(str(path)))
+    return meta, names
+
+
+def _open_npz(
+    archive: ColumnArchive, names: list[str], axes: int, path: Path
+) -> tuple[Any, Any, EventColumns]:
+    counts = archive.column("counts", "<i8", (axes,))
+    operation = archive.column("operation", "<i8")
+    if counts.rows != operation.rows:
+        raise RecordingError(
+            f"counts has {counts.rows} rows, operation has {operation.rows}", place=Place(str(path))
+        )
+    return counts, operation, EventColumns(archive, names, Place(str(path)))
+
+
+def _npz_blocks(path: Path, names: list[str], axes: int) -> Iterator[TickBlock]:
+    with clear_errors(path), ColumnArchive(path) as archive:
+        counts, operation, columns = _open_npz(archive, names, axes, path)
+        pending: list[Event] = []
+        first, total = 0, counts.rows
+        for rows in counts.runs(READ_ROWS):
+            end = first + len(rows)
+            last = end == total
+            while columns.left and (last or not pending or pending[-1].tick < end):
+                pending += columns.take(4096)
+            here = [e for e in pending if last or e.tick < end]
+            pending = pending[len(here) :]
+            yield TickBlock(
+                first_tick=first,
+                counts=checked_counts(rows, path),
+                operation=operation.take(len(rows)),
+                events=tuple(here),
+            )
+            first = end
+        if not total and columns.left:
+            yield empty_block(axes, tuple(columns.take(columns.left)))
+
+
+def empty_block(axes: int, events: tuple[Event, ...]) -> TickBlock:
+    """Return a block without rows that carries events."""
+    return TickBlock(
+        first_tick=0,
+        counts=np.zeros((0, axes), dtype=np.int64),
+        operation=np.zeros(0, dtype=np.int64),
+        events=events,
+    )
+
+
+def checked_counts(counts: IntArray, path: Path) -> IntArray:
+    """Return ``counts``; refuse numbers whose sums could overflow."""
+    if counts.size and (np.abs(counts) > 2**40).any():
+        raise RecordingError(
+            f"a row travels {int(np.abs(counts).max())} counts in one tick",
+            place=Place(str(path)),
+            remedy="The table is damaged.",
+        )
+    return counts
+
+
+def write_table_csv(table: TickTable, path: Path) -> Written:
+    """Write ``table`` as text: one line per tick, after comment lines with the rest."""
+    with atomic_file(path) as file:
+        for line in meta_lines(TITLE, table_meta(table)):
+            file.write(f"{line}\n".encode())
+        columns = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
+        file.write((",".join(columns) + "\n").encode())
+        rows = 0
+        for block in table:
+            file.write(_csv_rows(block, len(table.axes)).encode())
+            rows += len(block)
+        file.write(f"{END}{rows}\n".encode())
+    return written(path)
+
+
+def _csv_rows(block: TickBlock, axes: int) -> str:
+    cells: dict[int, list[Event]] = {}
+    for event in block.events:
+        cells.setdefault(event.tick, []).append(event)
+    lines = []
+    rows = zip(block.counts.tolist(), block.operation.tolist(), strict=True)
+    for tick, (counts, operation) in enumerate(rows, start=block.first_tick):
+        cell = events_cell(cells.pop(tick)) if tick in cells else ""
+        lines.append(f"{tick},{','.join(map(str, counts))},{operation},{cell}\n")
+    for tick, events in cells.items():  # after the last row: no counts, no operation
+        lines.append(f"{tick}{',' * (axes + 2)}{events_cell(events)}\n")
+    return "".join(lines)

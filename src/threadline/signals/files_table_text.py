@@ -1,0 +1,190 @@
+"""Reading tick tables from text: the CSV table of every tick."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.errors import Place, RecordingError
+from threadline.signals.commands import Event, TickBlock, TickTable
+from threadline.signals.files_common import (
+    MAX_COUNTS,
+    clear_errors,
+    nearest,
+    parse_meta_lines,
+    text_lines,
+)
+from threadline.signals.files_events import parse_events_cell
+from threadline.signals.files_table import (
+    END,
+    READ_ROWS,
+    TITLE,
+    checked_counts,
+    empty_block,
+    table_from,
+)
+from threadline.signals.stream import Stream
+
+
+def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
+    """Return description, line number and text of the line that names the columns.
+
+    Raises
+    ------
+    RecordingError
+        If the first line is not ``title``.
+    """
+    lines = text_lines(path)
+    _, first = next(lines, (1, ""))
+    if first != f"# threadline {title}":
+        raise RecordingError(
+            f"the file begins with {first[:60]!r}, expected '# threadline {title}'",
+            place=Place(str(path), 1),
+            remedy="Give a table that Threadline wrote.",
+        )
+    columns: list[tuple[int, str]] = []
+
+    def is_comment(numbered: tuple[int, str]) -> bool:
+        if numbered[1].startswith("#"):
+            return True
+        columns.append(numbered)
+        return False
+
+    meta = parse_meta_lines(takewhile(is_comment, lines), path)
+    if not columns:
+        raise RecordingError("the file ends before its columns", place=Place(str(path)))
+    return meta, *columns[0]
+
+
+def check_columns(found: str, expected: list[str], place: Place) -> None:
+    """Refuse a line of column names that is not as expected, naming the first that differs."""
+    names = found.split(",")
+    for name in names:
+        if name not in expected:
+            raise RecordingError(
+                f"unknown column {name[:60]!r}", place=place, remedy=nearest(name, expected)
+            )
+    if names != expected:
+        raise RecordingError(
+            f"the columns are {found[:200]!r}, expected {','.join(expected)!r}", place=place
+        )
+
+
+def read_table_csv(path: Path) -> TickTable:
+    """Read what ``write_table_csv`` wrote; the rows stay in the file until they are wanted.
+
+    Raises
+    ------
+    RecordingError
+        If it is something else; while the rows are read, if one of them is wrong.
+    """
+    with clear_errors(path):
+        meta, number, columns = read_head(path, TITLE)
+        table = table_from(meta, Stream(lambda: _blocks(path, number, len(table.axes))), path)
+        expected = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
+        check_columns(columns, expected, Place(str(path), number))
+    return table
+
+
+def _blocks(path: Path, head: int, axes: int) -> Iterator[TickBlock]:
+    with clear_errors(path):
+        rows: list[list[int]] = []
+        events: list[Event] = []
+        tail: list[Event] = []
+        first = 0
+        for number, line in body_lines(path, head):
+            place = Place(str(path), number)
+            if line.startswith(END):
+                check_end(line, first + len(rows), place)
+                continue
+            cells = line.split(",", axes + 2)
+            if len(cells) != axes + 3:
+                raise RecordingError(
+                    f"the line has {len(cells)} cells, expected {axes + 3}",
+                    place=place,
+                    remedy="The file may have been cut off.",
+                )
+            tick = whole_number(cells[0], place)
+            if not any(cells[1:-1]):
+                if tick < first + len(rows):
+                    raise RecordingError(f"tick {tick} stands twice", place=place)
+                tail += parse_events_cell(cells[-1], tick, place)
+                continue
+            if tail:
+                raise RecordingError("a row follows the events after the end", place=place)
+            if tick != first + len(rows):
+                raise RecordingError(
+                    f"tick {tick} follows tick {first + len(rows) - 1}",
+                    place=place,
+                    remedy="A line is missing or doubled.",
+                )
+            if len(rows) == READ_ROWS:
+                yield _block(first, rows, events, path)
+                first, rows, events = tick, [], []
+            rows.append([whole_number(cell, place) for cell in cells[1:-1]])
+            events += parse_events_cell(cells[-1], tick, place)
+        if rows:
+            yield _block(first, rows, events + tail, path)
+        elif tail:
+            yield empty_block(axes, tuple(tail))
+
+
+def body_lines(path: Path, head: int) -> Iterator[tuple[int, str]]:
+    """Yield the lines after ``head``; refuse a table without its last line, or with more after it.
+
+    Raises
+    ------
+    RecordingError
+        Once the lines are through, if the table was cut off.
+    """
+    ended, number = False, head
+    for number, line in text_lines(path):
+        if number <= head:
+            continue
+        if ended:
+            raise RecordingError("the table goes on after its end", place=Place(str(path), number))
+        ended = line.startswith(END)
+        yield number, line
+    if not ended:
+        raise RecordingError(
+            f"the table is cut off: no line {END.strip()!r} at the end",
+            place=Place(str(path), number),
+            remedy="Write or fetch it again.",
+        )
+
+
+def check_end(line: str, ticks: int, place: Place) -> None:
+    """Refuse an end line that counts another number of ticks than there were."""
+    if whole_number(line.removeprefix(END), place) != ticks:
+        raise RecordingError(
+            f"the table has {ticks} ticks, its end says {line.removeprefix(END)[:20]}",
+            place=place,
+            remedy="Lines are missing or doubled.",
+        )
+
+
+def _block(first: int, rows: list[list[int]], events: list[Event], path: Path) -> TickBlock:
+    values = np.array(rows, dtype=np.int64)
+    counts = checked_counts(values[:, :-1], path)
+    return TickBlock(first_tick=first, counts=counts, operation=values[:, -1], events=tuple(events))
+
+
+def whole_number(cell: str, place: Place) -> int:
+    """Return the whole number in ``cell``.
+
+    Raises
+    ------
+    RecordingError
+        If it is none, or beyond what is exact.
+    """
+    digits = cell[1:] if cell[:1] == "-" else cell
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
+        raise RecordingError(f"{cell[:40]!r} is not a whole number", place=place)
+    value = int(cell)
+    if abs(value) > MAX_COUNTS:
+        raise RecordingError(f"{cell} is beyond {MAX_COUNTS}", place=place)
+    return value
