@@ -249,7 +249,9 @@ class _Problem:
     def _shortest(self, x: FloatArray, n: int, checked: list[list[float]]) -> FloatArray:
         bounds: list[tuple[float, float | None]] = [(1e-4, None)] * (n - 1)
         bounds += [(0.0, 1.0)] * n
-        solved: Any = minimize(
+        # scipy's stubs do not know a Jacobian beside constraints.
+        sequential: Any = minimize
+        solved = sequential(
             lambda y: float(y[n - 2]),
             x,
             jac=lambda y: np.asarray(np.arange(len(y)) == n - 2, dtype=np.float64),

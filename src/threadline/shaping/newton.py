@@ -49,7 +49,10 @@ def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30)
         # One more step after convergence costs little and polishes to rounding.
         if worst < RESIDUAL and previous < 1e-6:
             return x
-        x = x - np.linalg.lstsq(jacobian, residual, rcond=1e-14)[0]
+        # Symmetric trains make some of more constraints than unknowns repeat one another: those
+        # directions are left alone where the system is not square.
+        cutoff = 1e-14 if jacobian.shape[0] == jacobian.shape[1] else 1e-8
+        x = x - np.linalg.lstsq(jacobian, residual, rcond=cutoff)[0]
     raise ShaperError(
         f"{what}: the design did not converge (worst residual {worst:.1e}, wanted {RESIDUAL:.0e})",
         remedy="Change the tolerance, the damping or the kind of shaper.",
