@@ -62,12 +62,14 @@ def test_the_listing_stops_and_ends(examples: Path) -> None:
     assert job.warnings[0].startswith("cone-dome-cylinder.prg:2: F 12000 is 200.0 mm/s")
 
 
-def test_the_reversal_has_eight_equal_moves_each_way(examples: Path) -> None:
+def test_the_reversal_has_eight_points_each_way(examples: Path) -> None:
     """X 0 -> 180 -> 0 mm at 36 mm/s, which is just below 10 counts per tick: no warning."""
     job = read_job(examples / "x-180.prg", load_machine("lathe-winder"))
     moves = [op for op in job if isinstance(op, Move)]
 
-    expected = [22.5 * k for k in [*range(1, 9), *range(7, -1, -1)]]
-    assert [1e3 * move.target[1] for move in moves] == pytest.approx(expected, abs=1e-12)
+    # Eight points with both ends are seven moves; programs carry three decimals of a millimetre.
+    expected = [180.0 * k / 7.0 for k in [*range(1, 8), *range(6, -1, -1)]]
+    assert [1e3 * move.target[1] for move in moves] == pytest.approx(expected, abs=2e-3)
+    assert moves[6].target[1] == pytest.approx(0.180, abs=1e-15)
     assert {move.feed.value for move in moves if move.feed} == {0.036}
     assert job.warnings == ()
