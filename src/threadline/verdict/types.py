@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
+
+NO_OPTIONS: Mapping[str, float] = {}
 
 
 class Status(StrEnum):
@@ -29,20 +32,44 @@ class Criterion:
         Largest allowed value, SI; None where it is only reported.
     required
         The whole passes only if it was measured.
+    options
+        How it is measured (a band, a window), SI; what is left out has the measure's default.
+    hard
+        The limit is the machine's own. A historical interpolation is excused from those of
+        acceleration and jerk: it reports what it asks for.
+    every_axis
+        Written for every axis: one that the job does not have is left out of the verdict.
     """
 
     name: str
     axis: str = ""
     limit: float | None = None
     required: bool = False
+    options: Mapping[str, float] = field(default_factory=lambda: NO_OPTIONS)
+    hard: bool = False
+    every_axis: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:
-    """A specification: criteria with limits."""
+    """A specification: criteria with limits.
+
+    Parameters
+    ----------
+    name
+        For people.
+    criteria
+        In the order in which the verdict lists them.
+    lag_s
+        Placement is judged against what the program says within this time of the instant: how
+        far the machine may trail its command before trailing is an error.
+    sha256
+        Of the file.
+    """
 
     name: str
     criteria: tuple[Criterion, ...]
+    lag_s: float = 0.1
     sha256: str = ""
 
 
@@ -61,7 +88,10 @@ class Result:
     operation, job_line
         Where in the job; None where there is no such place.
     position
-        (axes,) commanded position there, m or rad, or None.
+        (axes of the job,) commanded position there, m or rad; for a programmed point that was
+        missed, the point; None where there is no such place.
+    note
+        What the number alone does not say: ``short``, ``past``, why nothing was measured.
     """
 
     name: str
@@ -75,6 +105,15 @@ class Result:
     operation: int | None = None
     job_line: int | None = None
     position: tuple[float, ...] | None = None
+    note: str = ""
+
+    @property
+    def severity(self) -> tuple[int, float]:
+        """Orders results from harmless to worst: by status, then by measured over limit."""
+        rank = (Status.REPORTED, Status.PASSED, Status.NOT_MEASURED, Status.FAILED)
+        if self.measured is None:
+            return rank.index(self.status), 0.0
+        return rank.index(self.status), self.measured / self.limit if self.limit else self.measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,8 +133,14 @@ class Verdict:
         )
 
     def result(self, name: str, axis: str = "") -> Result:
-        """Return the result of a criterion; raises KeyError if it was not judged."""
-        for result in self.results:
-            if result.name == name and (not axis or result.axis == axis):
-                return result
-        raise KeyError((name, axis))
+        """Return the result of a criterion, of the worst axis where none is named.
+
+        Raises
+        ------
+        KeyError
+            If it was not judged.
+        """
+        found = [r for r in self.results if r.name == name and (not axis or r.axis == axis)]
+        if not found:
+            raise KeyError((name, axis))
+        return max(found, key=lambda result: result.severity)

@@ -1,0 +1,214 @@
+"""Recording -> blocks in which every channel has the same instants and knows its neighbourhood."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import RecordingError
+from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.verdict.measure import Block
+from threadline.verdict.window import PathWindow
+
+_MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)
+_COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
+    "commanded": (ChannelKind.COMMANDED,),
+    "actual": (ChannelKind.TOOL, ChannelKind.LOAD),
+    "own": (ChannelKind.MEASURED,),
+    "voltage": (ChannelKind.VOLTAGE,),
+    "current": (ChannelKind.CURRENT,),
+}
+_ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may differ by a rounding
+
+
+def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) -> Channel | None:
+    """Return the channel of ``axis`` of the first of ``kinds`` that the recording has."""
+    for kind in kinds:
+        channel = recording.find(kind, axis)
+        if channel is not None:
+            return channel
+    return None
+
+
+def master_channel(recording: Recording, axes: Sequence[str]) -> Channel:
+    """Return the channel whose instants all others are judged at: the actual position, if any.
+
+    Raises
+    ------
+    RecordingError
+        If the recording holds no position of any of ``axes``.
+    """
+    for kind in _MASTERS:
+        for axis in axes:
+            channel = recording.find(kind, axis)
+            if channel is not None:
+                return channel
+    raise RecordingError(
+        f"the recording holds no position of the axes {', '.join(axes)}",
+        remedy="Record at least the measured position of every axis of the job.",
+    )
+
+
+class _Follower:
+    """One channel at the instants of another: its own samples, or the last one until the next."""
+
+    def __init__(self, channel: Channel, master: Channel) -> None:
+        self._channel = channel
+        same = channel.clock == master.clock and channel.stride == master.stride
+        self._slack_s = None if same else _ROUNDING * sample_interval_s(master)
+        self._last: tuple[float, float] | None = None
+
+    def at(self, block: RecordingBlock, time_s: FloatArray) -> FloatArray:
+        values = block.samples[self._channel.name]
+        if not np.isfinite(values).all():
+            raise RecordingError(
+                f"channel {self._channel.name!r} holds a value that is not finite "
+                f"near {float(time_s[0]):.6g} s",
+                remedy="Repair the trace, or leave the channel out.",
+            )
+        if self._slack_s is None:
+            if len(values) != len(time_s):
+                raise RecordingError(
+                    f"channel {self._channel.name!r} has {len(values)} samples near "
+                    f"{float(time_s[0]):.6g} s, others of its clock have {len(time_s)}",
+                    remedy="Record every channel of a clock at the same ticks.",
+                )
+            return values
+        first = block.first_tick[self._channel.clock.name]
+        times = self._channel.clock.times_s(first, len(values), self._channel.stride)
+        if self._last is not None:
+            times = np.concatenate([[self._last[0]], times])
+            values = np.concatenate([[self._last[1]], values])
+        if not len(values):
+            return np.full(len(time_s), np.nan)
+        self._last = (float(times[-1]), float(values[-1]))
+        held = np.searchsorted(times, time_s + self._slack_s, side="right") - 1
+        return np.asarray(values[np.maximum(held, 0)])
+
+
+def sample_interval_s(channel: Channel) -> float:
+    """Return the time between two samples of a channel."""
+    return float(channel.clock.period_s * channel.stride)
+
+
+@dataclass(slots=True)
+class _Held:
+    """Samples that wait for those within the lag after them."""
+
+    time_s: FloatArray
+    columns: dict[str, FloatArray]
+    operation: IntArray | None
+
+    def join(self, other: _Held) -> _Held:
+        return _Held(
+            np.concatenate([self.time_s, other.time_s]),
+            {k: np.concatenate([v, other.columns[k]]) for k, v in self.columns.items()},
+            None
+            if self.operation is None or other.operation is None
+            else np.concatenate([self.operation, other.operation]),
+        )
+
+    def part(self, begin: int, end: int) -> _Held:
+        return _Held(
+            self.time_s[begin:end],
+            {k: v[begin:end] for k, v in self.columns.items()},
+            None if self.operation is None else self.operation[begin:end],
+        )
+
+
+def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
+    """Yield the blocks of the recording with one column per axis, on the master's instants."""
+    master = master_channel(recording, axes)
+    found = {
+        name: [find_first(recording, kinds, axis) for axis in axes]
+        for name, kinds in _COLUMNS.items()
+    }
+    followers = {
+        name: [None if c is None else _Follower(c, master) for c in channels]
+        for name, channels in found.items()
+        if any(c is not None for c in channels)
+    }
+    operations = recording.find(ChannelKind.OPERATION)
+    operation_follower = None if operations is None else _Follower(operations, master)
+    reached = np.iinfo(np.int64).min
+    for block in recording:
+        count = len(block.samples[master.name])
+        if not count:
+            continue
+        first = block.first_tick[master.clock.name]
+        time_s = master.clock.times_s(first, count, master.stride)
+        nothing = np.full(count, np.nan)
+        columns = {
+            name: np.column_stack([nothing if f is None else f.at(block, time_s) for f in row])
+            for name, row in followers.items()
+        }
+        operation = None
+        if operation_follower is not None:
+            operation = np.rint(operation_follower.at(block, time_s)).astype(np.int64)
+            # After its end a controller may say -1: the machine is still at its last operation.
+            operation = np.maximum.accumulate(np.maximum(operation, reached))
+            reached = int(operation[-1])
+        yield _Held(time_s, columns, operation)
+
+
+def judged_blocks(
+    recording: Recording, axes: Sequence[str], lag_samples: int, path: PathWindow | None
+) -> Iterator[Block]:
+    """Yield every sample once, in order, with the operations within the lag before and after it.
+
+    Memory holds one block of the recording, twice the lag, and the programmed path about them.
+
+    Parameters
+    ----------
+    recording
+        Read once.
+    axes
+        Order of the columns.
+    lag_samples
+        The lag, in samples.
+    path
+        Moved along with the blocks; None leaves it out.
+    """
+    held: _Held | None = None
+    before = first = 0  # samples of `held` that were yielded already; number of the next one
+    for fresh in _samples(recording, axes):
+        held = fresh if held is None else held.join(fresh)
+        ready = len(held.time_s) - lag_samples
+        if ready <= before:
+            continue
+        yield _block(held, before, ready, first, lag_samples, path)
+        first += ready - before
+        drop = max(ready - lag_samples - 1, 0)
+        held, before = held.part(drop, len(held.time_s)), ready - drop
+    if held is not None and len(held.time_s) > before:
+        yield _block(held, before, len(held.time_s), first, lag_samples, path)
+
+
+def _block(
+    held: _Held, begin: int, end: int, first: int, lag_samples: int, path: PathWindow | None
+) -> Block:
+    part = held.part(begin, end)
+    earliest = latest = None
+    if held.operation is not None:
+        at = np.arange(begin, end)
+        earliest = held.operation[np.maximum(at - lag_samples, 0)]
+        latest = held.operation[np.minimum(at + lag_samples, len(held.operation) - 1)]
+        if path is not None:
+            # One sample back: the way from the last sample to this one still counts there.
+            path.move(int(held.operation[max(begin - 1 - lag_samples, 0)]), int(latest[-1]))
+    return Block(
+        first=first,
+        time_s=part.time_s,
+        commanded=part.columns.get("commanded"),
+        actual=part.columns.get("actual"),
+        own=part.columns.get("own"),
+        voltage=part.columns.get("voltage"),
+        current=part.columns.get("current"),
+        operation=part.operation,
+        earliest=earliest,
+        latest=latest,
+        path=path if held.operation is not None else None,
+    )

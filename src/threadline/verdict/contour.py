@@ -1,0 +1,139 @@
+"""Contour error: how far the tool leaves the programmed path, wherever along it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.verdict.measure import Block, Finding, Measure, Setting
+from threadline.verdict.nearest import path_to_chords, vertices_to_path
+from threadline.verdict.window import PathWindow
+
+_UNREACHED = "the recording ends before this point"
+
+
+class Contour:
+    """Both directions at once: path to chords, and programmed vertices to path.
+
+    Lengths are at the tool, Euclidean over all axes, rotary ones times their radius. The chords
+    and vertices of a sample are those of the operations under way within the lag before and
+    after it: a path may cross or retrace itself without hiding an error, and trailing along the
+    path by less than the lag costs nothing. A machine that trails by more is charged for it.
+
+    The actual path is taken as straight between samples: an axis that accelerates by a bows out
+    of it by at most a T^2 / 8 in a sample interval T.
+    """
+
+    def __init__(self, radius_m: FloatArray) -> None:
+        self._radius_m = radius_m
+        self._worst = Finding(value=None, note="the recording is empty")
+        self._path: PathWindow | None = None
+        # Vertices whose nearest approach is still open, as the last block's window had them.
+        self._first = 0
+        self._vertices: FloatArray = np.empty((0, len(radius_m)))
+        self._operation: IntArray = np.empty(0, dtype=np.int64)
+        self._line: IntArray = np.empty(0, dtype=np.int64)
+        self._best: FloatArray = np.empty(0)  # m^2
+        self._best_time_s: FloatArray = np.empty(0)
+        self._last: tuple[FloatArray, float, int] | None = None  # point, time, earliest operation
+
+    def feed(self, block: Block) -> None:
+        """Take the next samples."""
+        path = block.path
+        assert block.actual is not None and path is not None
+        assert block.earliest is not None and block.latest is not None
+        points = np.ascontiguousarray(block.actual * self._radius_m)
+        begin = path.chord_from(block.earliest)
+        end = np.maximum(begin, path.chord_to(block.latest))
+        squared, at, chord = path_to_chords(points, begin, end, path.vertices)
+        self._offer(
+            Finding(
+                value=float(np.sqrt(squared)),
+                time_s=float(block.time_s[at]),
+                operation=block.operation_at(at),
+                job_line=int(path.line[chord]),
+                position=block.position_at(at),
+            )
+        )
+        self._settle(path.first - self._first)
+        self._hold(path)
+        last, last_s, earliest = self._last or (
+            points[0],
+            float(block.time_s[0]),
+            int(block.earliest[0]),
+        )
+        vertices_to_path(
+            np.concatenate([last[None], points]),
+            np.concatenate([[last_s], block.time_s]),
+            np.concatenate([path.chord_from(np.array([earliest])), begin]),
+            np.concatenate([end[:1], end]),
+            path.vertices,
+            self._best,
+            self._best_time_s,
+        )
+        self._last = (points[-1], float(block.time_s[-1]), int(block.earliest[-1]))
+
+    def finish(self) -> Sequence[Finding]:
+        """Return the worst of what was fed."""
+        if self._path is not None and self._last is not None:
+            point, time_s, _ = self._last
+            unreached = int(np.isinf(self._best).argmax()) if np.isinf(self._best).any() else None
+            if unreached is not None:
+                away = ((self._vertices[unreached:] - point) ** 2).sum(axis=1)
+                self._best[unreached:] = away
+                self._best_time_s[unreached:] = time_s
+            self._settle(len(self._best) if unreached is None else unreached)
+            self._settle(len(self._best), _UNREACHED)
+            rest = self._path.remainder(point)
+            if rest is not None:
+                self._offer(
+                    Finding(
+                        value=rest.distance_m,
+                        time_s=time_s,
+                        operation=rest.operation,
+                        job_line=rest.line,
+                        position=rest.position,
+                        note=_UNREACHED,
+                    )
+                )
+        return [self._worst]
+
+    def _hold(self, path: PathWindow) -> None:
+        """Take over the window; its new vertices have not been approached yet."""
+        grown = len(path) - len(self._best)
+        self._path, self._first = path, path.first
+        self._vertices, self._operation, self._line = path.vertices, path.operation, path.line
+        self._best = np.concatenate([self._best, np.full(grown, np.inf)])
+        self._best_time_s = np.concatenate([self._best_time_s, np.zeros(grown)])
+
+    def _settle(self, count: int, note: str = "programmed point missed") -> None:
+        """Judge the first ``count`` vertices, which no later sample can come nearer to."""
+        count = min(count, len(self._best))  # a recording may begin in the middle of the path
+        if count <= 0:
+            return
+        at = int(np.argmax(self._best[:count]))
+        self._offer(
+            Finding(
+                value=float(np.sqrt(self._best[at])),
+                time_s=float(self._best_time_s[at]),
+                operation=int(self._operation[at]),
+                job_line=int(self._line[at]),
+                position=tuple((self._vertices[at] / self._radius_m).tolist()),
+                note=note,
+            )
+        )
+        self._best, self._best_time_s = self._best[count:], self._best_time_s[count:]
+        self._vertices, self._operation = self._vertices[count:], self._operation[count:]
+        self._line = self._line[count:]
+
+    def _offer(self, finding: Finding) -> None:
+        assert finding.value is not None
+        if self._worst.value is None or finding.value > self._worst.value:
+            self._worst = finding
+
+
+def start_contour(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+    """Begin measuring the contour error."""
+    return Contour(setting.radius_m)

@@ -1,0 +1,138 @@
+"""What the trajectory asks of each axis: travel, velocity, acceleration, jerk, anywhere in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.plan import Plan
+from threadline.trajectory.types import TrajectoryBlock
+from threadline.verdict.extremes import highest, time_derivative
+from threadline.verdict.measure import Finding
+
+SLACK = 1.001  # limits hold between samples too, to a thousandth
+_ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
+_STEPPED = ("position", "velocity", "acceleration")
+
+
+def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
+    """Return the exact extremes of the trajectory: per name, one finding per axis.
+
+    ``travel`` is how far the trajectory goes beyond the travel of the axis, negative where room
+    is left; endless axes have none. ``velocity``, ``acceleration`` and ``jerk`` are absolute
+    values, in the axis' units. Where a derivative steps between two pieces the next one is
+    infinite in theory; the controller sees the step spread over one tick of its clock, and so it
+    is counted.
+    """
+    axes = plan.trajectory.axes
+    tick_s = float(plan.machine.tick_clock.period_s)
+    demands = {
+        name: [_Demand(axis, column, order, tick_s) for column, axis in enumerate(axes)]
+        for name, order in _ORDERS.items()
+    }
+    limits = plan.machine.travel
+    rows = [plan.machine.axis_names.index(axis) for axis in axes]
+    reach = [
+        _Reach(axis, column, limits[row])
+        for column, (axis, row) in enumerate(zip(axes, rows, strict=True))
+        if np.isfinite(limits[row]).all()
+    ]
+    for block in plan.trajectory:
+        if len(block):
+            for row in demands.values():
+                for demand in row:
+                    demand.take(block)
+            for axis_reach in reach:
+                axis_reach.take(block)
+    for row in demands.values():
+        for demand in row:
+            demand.stop()
+    found = {name: [demand.worst for demand in row] for name, row in demands.items()}
+    found["travel"] = [axis_reach.worst for axis_reach in reach]
+    return found
+
+
+def _place(
+    block: TrajectoryBlock, piece: int, where: float
+) -> tuple[float, int, tuple[float, ...]]:
+    position = block.coefficients[piece].T @ where ** np.arange(block.coefficients.shape[1])
+    time_s = float(block.start_s[piece] + where * block.duration_s[piece])
+    return time_s, int(block.operation[piece]), tuple(position.tolist())
+
+
+class _Demand:
+    """The largest absolute value of one derivative of one axis."""
+
+    def __init__(self, axis: str, column: int, order: int, tick_s: float) -> None:
+        self._axis, self._column, self._order, self._tick_s = axis, column, order, tick_s
+        self._below: float | None = None if order == 1 else 0.0  # at rest before the start
+        self._end: tuple[float, int, tuple[float, ...]] = (0.0, 0, ())
+        self._value = 0.0
+        self.worst = Finding(value=0.0, axis=axis)
+
+    def take(self, block: TrajectoryBlock) -> None:
+        """Compare the pieces of a block, and the steps at their starts."""
+        mine = block.coefficients[:, :, self._column : self._column + 1]
+        values = time_derivative(mine, block.duration_s, self._order)[:, :, 0]
+        for sign in (1.0, -1.0):
+            found = highest(sign * values, self._value)
+            if found is not None:
+                self._set(found[0], _place(block, found[1], found[2]), "")
+        below = time_derivative(mine, block.duration_s, self._order - 1)[:, :, 0]
+        starts, ends = below[:, 0], below.sum(axis=1)
+        first = starts[0] if self._below is None else self._below
+        steps = np.abs(starts - np.concatenate([[first], ends[:-1]]))
+        piece = int(np.argmax(steps))
+        self._step(float(steps[piece]), _place(block, piece, 0.0))
+        self._below = float(ends[-1])
+        self._end = _place(block, len(block) - 1, 1.0)
+
+    def stop(self) -> None:
+        """Compare the step into the standstill after the end."""
+        if self._order > 1 and self._below is not None:
+            self._step(abs(self._below), self._end)
+
+    def _step(self, step: float, place: tuple[float, int, tuple[float, ...]]) -> None:
+        if step / self._tick_s > self._value:
+            note = f"the {_STEPPED[self._order - 1]} steps; taken over one tick"
+            self._set(step / self._tick_s, place, note)
+
+    def _set(self, value: float, place: tuple[float, int, tuple[float, ...]], note: str) -> None:
+        self._value = value
+        self.worst = Finding(
+            value=value,
+            axis=self._axis,
+            time_s=place[0],
+            operation=place[1],
+            position=place[2],
+            note=note,
+        )
+
+
+class _Reach:
+    """How far one axis goes beyond its travel, on either side."""
+
+    def __init__(self, axis: str, column: int, limits: FloatArray) -> None:
+        self._axis, self._column = axis, column
+        self._low, self._high = float(limits[0]), float(limits[1])
+        self._value = -np.inf
+        self.worst = Finding(value=None, axis=axis, note="the trajectory is empty")
+
+    def take(self, block: TrajectoryBlock) -> None:
+        """Widen the reach by a block."""
+        for sign, limit in ((1.0, self._high), (-1.0, -self._low)):
+            beyond = sign * block.coefficients[:, :, self._column]
+            beyond[:, 0] -= limit
+            found = highest(beyond, self._value)
+            if found is None:
+                continue
+            self._value, piece, where = found
+            time_s, operation, position = _place(block, piece, where)
+            self.worst = Finding(
+                value=self._value,
+                axis=self._axis,
+                time_s=time_s,
+                operation=operation,
+                position=position,
+                note="beyond" if self._value > 0 else "room left",
+            )

@@ -1,0 +1,173 @@
+"""What every measure has in common: it starts on a recording, is fed blocks, and finishes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.plan import Plan
+from threadline.signals import ChannelKind, Recording
+from threadline.verdict.window import PathWindow
+
+Dimension = Literal["tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "ratio"]
+"""Of a measured value: a length at the tool, the axis' own unit (m or rad) and its rates, ..."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """The worst value of one measure, of one axis or (``""``) of the tool.
+
+    ``value`` is None where nothing could be measured; ``note`` then says why.
+    """
+
+    value: float | None
+    axis: str = ""
+    time_s: float | None = None
+    operation: int | None = None
+    job_line: int | None = None
+    position: tuple[float, ...] | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """What a measure knows before the first sample.
+
+    Parameters
+    ----------
+    plan, recording
+        What was intended, and what is judged.
+    axes, radius_m
+        Of the programmed path: names, and (axes,) lengths at the tool per unit of the axis.
+    interval_s
+        Time between two samples.
+    lag_samples
+        How many samples the machine may trail its command.
+    """
+
+    plan: Plan
+    recording: Recording
+    axes: tuple[str, ...]
+    radius_m: FloatArray
+    interval_s: float
+    lag_samples: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Block:
+    """Consecutive samples, n of them, with every channel on the same instants.
+
+    Parameters
+    ----------
+    first
+        Number of the first sample since the start.
+    time_s
+        (n,) instants.
+    commanded, actual, own, voltage, current
+        (n, axes) or None where a channel is absent: the command; the tool or the load; the axis'
+        own encoder; the amplifier's input; the motor's current. A column of NaN marks an axis
+        that lacks the channel while another has it.
+    operation
+        (n,) operation under way, never decreasing, or None.
+    earliest, latest
+        (n,) first and last operation under way within the lag of each sample.
+    path
+        The programmed path about these operations, or None without an operation channel.
+    """
+
+    first: int
+    time_s: FloatArray
+    commanded: FloatArray | None
+    actual: FloatArray | None
+    own: FloatArray | None
+    voltage: FloatArray | None
+    current: FloatArray | None
+    operation: IntArray | None
+    earliest: IntArray | None
+    latest: IntArray | None
+    path: PathWindow | None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def operation_at(self, index: int) -> int | None:
+        """Return the operation under way at a sample."""
+        return None if self.operation is None else int(self.operation[index])
+
+    def position_at(self, index: int) -> tuple[float, ...] | None:
+        """Return the commanded position at a sample."""
+        return None if self.commanded is None else tuple(self.commanded[index].tolist())
+
+
+class Measure(Protocol):
+    """Measures one recording in one pass."""
+
+    def feed(self, block: Block) -> None:
+        """Take the next samples."""
+
+    def finish(self) -> Sequence[Finding]:
+        """Return the worst of what was fed: one finding per axis, or one for the tool."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """An option of a measure: its SI unit and its default."""
+
+    unit: str
+    default: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureKind:
+    """An entry of the registry of measures.
+
+    Parameters
+    ----------
+    name
+        As in a specification.
+    dimension
+        Of the value.
+    per_axis
+        One finding per axis; else one for the tool.
+    needs
+        Kinds of channel, each a set of alternatives, without which nothing is measured.
+    start
+        Begins a measurement of a recording; None for measures of the plan or of many recordings.
+    of_many
+        Measures all recordings together.
+    options
+        What a specification may set.
+    slack, allowance
+        The limit is exceeded above ``slack * limit + allowance``.
+    """
+
+    name: str
+    dimension: Dimension
+    per_axis: bool
+    needs: tuple[tuple[ChannelKind, ...], ...] = ()
+    start: Callable[[Setting, Mapping[str, float]], Measure] | None = None
+    of_many: (
+        Callable[[Sequence[Recording], Plan, Mapping[str, float]], Sequence[Finding]] | None
+    ) = None
+    options: Mapping[str, Option] = field(default_factory=dict)
+    slack: float = 1.0
+    allowance: float = 0.0
+
+    def unit(self, axis_kind: str) -> str:
+        """Return the SI unit of the value; ``axis_kind`` is ``linear`` or ``rotary``."""
+        length = "m" if axis_kind == "linear" else "rad"
+        if self.dimension.startswith("axis"):
+            return length + self.dimension.removeprefix("axis")
+        return {"tool": "m", "time": "s", "current": "A", "ratio": ""}[self.dimension]
+
+
+def largest(values: FloatArray) -> tuple[int, float]:
+    """Return index and value of the largest of (n,) values, ignoring NaN; -1 where all are."""
+    if not len(values) or np.isnan(values).all():
+        return -1, float("nan")
+    index = int(np.nanargmax(values))
+    return index, float(values[index])

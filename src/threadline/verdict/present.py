@@ -1,0 +1,113 @@
+"""A verdict for machines (one JSON object) and for people (rows of a table)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from threadline import __version__
+from threadline.plan import Plan
+from threadline.signals import TickTable
+from threadline.verdict.types import Result, Status, Verdict
+
+_SHOWN = {
+    "m": (1e3, "mm"),
+    "m/s": (1e3, "mm/s"),
+    "rad": (180.0 / math.pi, "deg"),
+    "rad/s": (180.0 / math.pi, "deg/s"),
+    "s": (1e3, "ms"),
+}
+
+
+def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
+    """Return what ``prove --json`` prints; SI units, ``None`` for what is not a finite number."""
+    commands = plan.commands
+    return {
+        "job": plan.job.name,
+        "machine": plan.machine.name,
+        "interpolation": plan.path.interpolation,
+        "passed": verdict.passed,
+        "duration_s": plan.trajectory.duration_s,
+        "ticks": commands.tick_count() if isinstance(commands, TickTable) else None,
+        "criteria": [_criterion(result) for result in verdict.results],
+        "job_sha256": plan.job.sha256,
+        "machine_sha256": plan.machine.sha256,
+        "threadline": __version__,
+        "simulated": verdict.simulated,
+        "options": dict(plan.options),
+    }
+
+
+def _criterion(result: Result) -> dict[str, Any]:
+    return {
+        "name": result.name,
+        "axis": result.axis,
+        "measured": _finite(result.measured),
+        "limit": _finite(result.limit),
+        "unit": result.unit,
+        "status": result.status.value,
+        "time_s": result.time_s,
+        "job_line": result.job_line,
+        "operation": result.operation,
+        "position": None if result.position is None else list(result.position),
+        "required": result.required,
+        "note": result.note,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def verdict_rows(
+    verdict: Verdict, *, every_axis: bool = False
+) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the table for people, in mm, degrees, ms.
+
+    Parameters
+    ----------
+    verdict
+        Its results keep their order.
+    every_axis
+        One row per axis; else one per criterion, that of the worst axis.
+    """
+    header = ["criterion", "axis", "measured", "limit", "status", "at", "line", "note"]
+    if every_axis:
+        results: Sequence[Result] = verdict.results
+    else:
+        names = dict.fromkeys((r.name, r.unit) for r in verdict.results)
+        results = [
+            max(
+                (r for r in verdict.results if (r.name, r.unit) == key),
+                key=lambda result: result.severity,
+            )
+            for key in names
+        ]
+    return header, [_row(result) for result in results]
+
+
+def _row(result: Result) -> list[str]:
+    return [
+        result.name.replace("_", " "),
+        result.axis,
+        "-" if result.measured is None else _shown(result.measured, result.unit),
+        "-" if result.limit is None else _shown(result.limit, result.unit),
+        result.status.value + (" (required)" if _lacking(result) else ""),
+        "-" if result.time_s is None else f"{result.time_s:.3f} s",
+        "-" if result.job_line is None else str(result.job_line),
+        result.note,
+    ]
+
+
+def _lacking(result: Result) -> bool:
+    return result.required and result.status is Status.NOT_MEASURED
+
+
+def _shown(value: float, unit: str) -> str:
+    if math.isinf(value):
+        return "never" if unit == "s" else "unbounded"
+    if not unit:
+        return f"{100.0 * value:.3g} %"
+    factor, name = _SHOWN.get(unit, (1.0, unit))
+    return f"{value * factor:.4g} {name}"

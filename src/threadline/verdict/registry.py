@@ -1,0 +1,108 @@
+"""Every measure by the name that a specification calls it."""
+
+from __future__ import annotations
+
+import difflib
+
+from threadline.signals import ChannelKind
+from threadline.verdict import demands, electrical, repeat, ripple, settling, turning
+from threadline.verdict.contour import start_contour
+from threadline.verdict.measure import MeasureKind
+from threadline.verdict.tracking import start_tracking
+
+_ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
+_OPERATION = (ChannelKind.OPERATION,)
+_COMMANDED = (ChannelKind.COMMANDED,)
+
+PLAN_DEMANDS = ("travel", "velocity", "acceleration", "jerk")
+
+_KINDS = (
+    MeasureKind(
+        name="contour_error",
+        dimension="tool",
+        per_axis=False,
+        needs=(_ACTUAL, _OPERATION),
+        start=start_contour,
+    ),
+    MeasureKind(
+        name="turning_point_error",
+        dimension="tool",
+        per_axis=True,
+        needs=(_ACTUAL, _OPERATION),
+        start=turning.start_turning,
+        options=turning.OPTIONS,
+    ),
+    MeasureKind(
+        name="repeatability",
+        dimension="tool",
+        per_axis=False,
+        needs=(_ACTUAL, _OPERATION),
+        of_many=repeat.measure_repeatability,
+        options=repeat.OPTIONS,
+    ),
+    # A sum of increments may end a rounding beyond the travel.
+    MeasureKind(name="travel", dimension="axis", per_axis=True, allowance=1e-9),
+    MeasureKind(name="velocity", dimension="axis/s", per_axis=True, slack=demands.SLACK),
+    MeasureKind(name="acceleration", dimension="axis/s^2", per_axis=True, slack=demands.SLACK),
+    MeasureKind(name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK),
+    MeasureKind(name="path_deviation", dimension="tool", per_axis=False),
+    MeasureKind(
+        name="tracking_error",
+        dimension="axis",
+        per_axis=True,
+        needs=(_COMMANDED, (*_ACTUAL, ChannelKind.MEASURED)),
+        start=start_tracking,
+    ),
+    MeasureKind(
+        name="velocity_ripple",
+        dimension="ratio",
+        per_axis=False,
+        needs=(_ACTUAL, _OPERATION),
+        start=ripple.start_ripple,
+        options=ripple.OPTIONS,
+    ),
+    MeasureKind(
+        name="residual_vibration",
+        dimension="tool",
+        per_axis=True,
+        needs=(_ACTUAL, _COMMANDED),
+        start=settling.start_residual,
+        options=settling.RESIDUAL_OPTIONS,
+    ),
+    MeasureKind(
+        name="settling_time",
+        dimension="time",
+        per_axis=False,
+        needs=(_ACTUAL, _COMMANDED),
+        start=settling.start_settling,
+        options=settling.SETTLING_OPTIONS,
+    ),
+    MeasureKind(
+        name="dac_saturation",
+        dimension="ratio",
+        per_axis=True,
+        needs=((ChannelKind.VOLTAGE,),),
+        start=electrical.start_dac_saturation,
+    ),
+    MeasureKind(
+        name="current_peak",
+        dimension="current",
+        per_axis=True,
+        needs=((ChannelKind.CURRENT,),),
+        start=electrical.start_current_peak,
+    ),
+    MeasureKind(
+        name="current_rms",
+        dimension="current",
+        per_axis=True,
+        needs=((ChannelKind.CURRENT,),),
+        start=electrical.start_current_rms,
+    ),
+)
+MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """Return a remedy for an unknown name: the nearest right one, or all of them."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(known)}."

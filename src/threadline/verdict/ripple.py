@@ -1,0 +1,67 @@
+"""Velocity ripple: the speed of the tool against the one that was set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
+
+OPTIONS = {"over": Option(unit="s", default=0.02)}
+
+
+class _Ripple:
+    """Largest relative difference between the tool's speed and the programmed one.
+
+    The speed is that of the tool's displacement over ``over``. Samples within the lag of a corner
+    are exempt: they belong to two operations. So are rapid moves, which have no set speed.
+    """
+
+    def __init__(self, setting: Setting, over_s: float) -> None:
+        self._radius_m = setting.radius_m
+        self._interval_s = setting.interval_s
+        self._span = max(round(over_s / setting.interval_s), 1)
+        self._tail: FloatArray = np.empty((0, len(setting.axes)))
+        self._worst = Finding(value=None, note="no sample is away from every corner")
+
+    def feed(self, block: Block) -> None:
+        path = block.path
+        assert path is not None and block.actual is not None
+        assert block.earliest is not None and block.latest is not None
+        points = np.concatenate([self._tail, block.actual * self._radius_m])
+        known = len(self._tail)
+        self._tail = points[-self._span :]
+        # Sample i of the block against the one `span` before it.
+        skipped = max(self._span - known, 0)
+        if len(block) <= skipped:
+            return
+        moved = points[self._span :] - points[: -self._span]
+        speed = np.linalg.norm(moved, axis=1) / (self._span * self._interval_s)
+        begin = path.chord_from(block.earliest)[skipped:]
+        end = path.chord_to(block.latest)[skipped:]
+        wanted = path.speed_m_s[begin]
+        free = (begin == end) & (wanted > 0)
+        if not free.any():
+            return
+        at = np.flatnonzero(free)
+        ripple = np.abs(speed[at] / wanted[at] - 1.0)
+        worst = int(np.argmax(ripple))
+        if self._worst.value is not None and ripple[worst] <= self._worst.value:
+            return
+        index = int(at[worst]) + skipped
+        self._worst = Finding(
+            value=float(ripple[worst]),
+            time_s=float(block.time_s[index]),
+            operation=block.operation_at(index),
+            position=block.position_at(index),
+        )
+
+    def finish(self) -> Sequence[Finding]:
+        return [self._worst]
+
+
+def start_ripple(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the velocity ripple."""
+    return _Ripple(setting, options["over"])

@@ -1,0 +1,258 @@
+"""Reading specification files: strict, with the nearest right key and the line of every mistake."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, NoReturn
+
+from threadline.errors import Place, SpecError, UnitError
+from threadline.machine import Machine
+from threadline.units import parse_quantity, same_dimension, split_quantity
+from threadline.verdict.measure import MeasureKind
+from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
+from threadline.verdict.types import Criterion, Spec
+
+_MAX_BYTES = 1_000_000
+_TOP = ("name", "lag", "criteria")
+_COMMON = ("name", "axis", "limit", "required")
+_ALWAYS = (*PLAN_DEMANDS, "path_deviation", "tracking_error", "dac_saturation")
+_OWN = "machine"  # a limit that is the machine's own
+_LAG_S = 0.1
+
+
+def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
+    """Read a specification, or the default one of ``machine``.
+
+    Axis limits are hard, and planned and tracked deviations are always of interest: travel,
+    velocity, acceleration and jerk (with the machine's limits), path deviation, tracking error
+    and DAC saturation (without) are added where the file does not mention them.
+
+    Parameters
+    ----------
+    reference
+        A file; None for the default: beside a machine file ``NAME.toml`` the file
+        ``NAME.spec.toml`` or ``spec.toml``, else the one that the library has for its name.
+    machine
+        Gives the axes, their units and their limits.
+
+    Raises
+    ------
+    SpecError
+        If the file cannot be read or does not describe a specification of this machine.
+    """
+    text, file = _default(machine) if reference is None else (_read(Path(reference)), reference)
+    reader = _Reader(text, str(file), machine)
+    return reader.spec()
+
+
+def _default(machine: Machine) -> tuple[str, str]:
+    own = Path(machine.file)
+    for beside in (own.with_suffix(".spec.toml"), own.with_name("spec.toml")):
+        if machine.file and own.is_file() and beside.is_file():
+            return _read(beside), str(beside)
+    name = machine.name.split("+")[0]
+    entry = resources.files("threadline.machine") / "library" / f"{name}.spec.toml"
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", name) or not entry.is_file():
+        raise SpecError(
+            f"machine {name!r} has no default specification",
+            remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",
+        )
+    return entry.read_text(encoding="utf-8"), f"{name}.spec.toml"
+
+
+def _read(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            raise SpecError(
+                f"the file has {size} bytes, limit {_MAX_BYTES}", place=Place(str(path))
+            )
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise SpecError("the file is not UTF-8 text", place=Place(str(path))) from error
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise SpecError(
+            f"cannot read {str(path)[:120]!r}: {reason}", remedy="Give a specification file."
+        ) from error
+
+
+class _Reader:
+    """One file: what it says, and where."""
+
+    def __init__(self, text: str, file: str, machine: Machine) -> None:
+        self._text, self._file, self._machine = text, file, machine
+
+    def spec(self) -> Spec:
+        try:
+            content = tomllib.loads(self._text)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            at = re.search(r"at line (\d+)", str(error))
+            raise SpecError(
+                f"not valid TOML: {error}",
+                place=Place(self._file, int(at[1]) if at else 0),
+                remedy="Correct that line.",
+            ) from error
+        self._known(content, _TOP, None)
+        name = content.get("name")
+        if not isinstance(name, str) or not name:
+            self._refuse('name must be a text, like name = "winding at 0.5 mm"', None, "name")
+        rows = content.get("criteria")
+        if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
+            self._refuse(
+                "there are no criteria", None, "criteria", "Write [[criteria]] tables, one each."
+            )
+        criteria: dict[tuple[str, str], Criterion] = {}
+        for index, row in enumerate(rows):
+            for criterion in self._criteria(row, index):
+                key = criterion.name, criterion.axis
+                # A criterion of one axis replaces that of every axis, wherever it stands.
+                if key in criteria and criteria[key].every_axis == criterion.every_axis:
+                    axis = f" of axis {key[1]}" if key[1] else ""
+                    self._refuse(f"{key[0]}{axis} is there twice", index, "name", "Keep one.")
+                if key not in criteria or criteria[key].every_axis:
+                    criteria[key] = criterion
+        named = {criterion.name for criterion in criteria.values()}
+        for missing in _ALWAYS:
+            if missing not in named:
+                row = {"name": missing} | ({"limit": _OWN} if missing in PLAN_DEMANDS else {})
+                for criterion in self._criteria(row, None):
+                    criteria[criterion.name, criterion.axis] = criterion
+        lag_s = self._number(content["lag"], "s", None, "lag") if "lag" in content else _LAG_S
+        return Spec(
+            name=name,
+            criteria=tuple(criteria.values()),
+            lag_s=lag_s,
+            sha256=hashlib.sha256(self._text.encode()).hexdigest(),
+        )
+
+    def _criteria(self, row: Mapping[str, Any], index: int | None) -> Iterator[Criterion]:
+        name = row.get("name")
+        if not isinstance(name, str):
+            self._refuse("a criterion has no name", index, "name", 'Write name = "contour_error".')
+        kind = MEASURES.get(name)
+        if kind is None:
+            remedy = nearest(name, list(MEASURES))
+            self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
+        self._known(row, (*_COMMON, *kind.options), index)
+        required = row.get("required", False)
+        if not isinstance(required, bool):
+            self._refuse(f"required must be true or false, got {required!r}", index, "required")
+        options = {
+            key: self._number(row[key], kind.options[key].unit, index, key)
+            for key in kind.options
+            if key in row
+        }
+        wanted = row.get("axis", "")
+        for axis in self._axes(kind, wanted, index):
+            limit = self._limit(kind, row.get("limit"), axis, index)
+            yield Criterion(
+                name=name,
+                axis=axis,
+                limit=limit,
+                required=required,
+                options=options,
+                hard=row.get("limit") == _OWN,
+                every_axis=bool(axis) and not wanted,
+            )
+
+    def _axes(self, kind: MeasureKind, wanted: Any, index: int | None) -> list[str]:
+        names = list(self._machine.axis_names)
+        if not kind.per_axis:
+            if wanted:
+                self._refuse(f"{kind.name} is measured at the tool, not of an axis", index, "axis")
+            return [""]
+        if wanted == "":
+            return [n for n in names if kind.name != "travel" or not self._machine.axes[n].endless]
+        if wanted not in names:
+            self._refuse(
+                f"machine {self._machine.name!r} has no axis {str(wanted)[:40]!r}",
+                index,
+                "axis",
+                f"It has {', '.join(names)}.",
+            )
+        return [wanted]
+
+    def _limit(self, kind: MeasureKind, text: Any, axis: str, index: int | None) -> float | None:
+        if text is None:
+            return None
+        if text == _OWN:
+            return self._own_limit(kind, axis, index)
+        axis_kind = self._machine.axes[axis].kind if axis else "linear"
+        unit = kind.unit(axis_kind)
+        factor = 1.0
+        if axis_kind == "rotary" and kind.dimension.startswith("axis"):
+            # A length given for a rotary axis is one at the tool.
+            length = "m" + unit.removeprefix("rad")
+            if isinstance(text, str) and _is_of(text, length):
+                unit, factor = length, 1.0 / self._machine.tool.radius.si
+        return factor * self._number(text, unit, index, "limit")
+
+    def _own_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
+        if kind.name not in PLAN_DEMANDS:
+            self._refuse(
+                f"the machine has no limit of {kind.name}",
+                index,
+                "limit",
+                f'limit = "machine" is for {", ".join(PLAN_DEMANDS)}.',
+            )
+        limits = self._machine.axes[axis]
+        if kind.name == "travel":
+            return None if limits.endless else 0.0
+        own = {
+            "velocity": limits.velocity,
+            "acceleration": limits.acceleration,
+            "jerk": limits.jerk,
+        }[kind.name]
+        return None if own is None else own.si
+
+    def _number(self, text: Any, unit: str, index: int | None, key: str) -> float:
+        example = (
+            f'Write it like {key} = "{ {"m": "0.5 mm", "s": "100 ms"}.get(unit, f"1 {unit}") }".'
+        )
+        if not isinstance(text, str):
+            if isinstance(text, int | float) and not isinstance(text, bool) and not unit:
+                text = repr(text)
+            else:
+                self._refuse(f"{key} = {text!r} has no unit", index, key, example)
+        try:
+            value = parse_quantity(text.removeprefix("+-").strip(), unit)
+        except UnitError as error:
+            self._refuse(f"{key}: {error.message}", index, key, error.remedy or example)
+        if value < 0:
+            self._refuse(f"{key} = {text!r} is negative", index, key, "Limits are absolute values.")
+        return value
+
+    def _known(self, table: Mapping[str, Any], known: tuple[str, ...], index: int | None) -> None:
+        for key in table:
+            if key not in known:
+                self._refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, list(known)))
+
+    def _refuse(self, message: str, index: int | None, key: str, remedy: str = "") -> NoReturn:
+        raise SpecError(message, place=Place(self._file, self._line(index, key)), remedy=remedy)
+
+    def _line(self, index: int | None, key: str) -> int:
+        """Return the line of ``key`` in the criterion ``index``, or of its header; 0 if neither."""
+        inside, header = -1, 0
+        for number, line in enumerate(self._text.splitlines(), start=1):
+            if re.match(r"\s*\[\[\s*criteria\s*\]\]", line):
+                inside += 1
+                header = number if inside == index else header
+            elif re.match(rf'\s*"?{re.escape(key)}"?\s*=', line) and (
+                inside == index or (index is None and inside < 0)
+            ):
+                return number
+        return header
+
+
+def _is_of(text: str, unit: str) -> bool:
+    try:
+        _, found = split_quantity(text.removeprefix("+-").strip())
+    except UnitError:
+        return False
+    return bool(found) and same_dimension(found, unit)

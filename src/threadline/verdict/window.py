@@ -1,0 +1,141 @@
+"""The programmed path about the operations under way: all that the judge holds of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.path.types import ProgrammedPath, VertexBlock
+
+
+@dataclass(frozen=True, slots=True)
+class Remainder:
+    """The part of the path that a recording never came to.
+
+    ``distance_m`` is that of its farthest vertex from where the machine stands; operation, line
+    and position are that vertex'; ``end`` is the (axes,) end of the path, lengths at the tool.
+    """
+
+    distance_m: float
+    operation: int
+    line: int
+    position: tuple[float, ...]
+    end: FloatArray
+
+
+class PathWindow:
+    """A stretch of consecutive programmed vertices that moves along the path.
+
+    Attributes
+    ----------
+    vertices
+        (m, axes) lengths at the tool: rotary axes times their radius.
+    operation, line
+        (m,) operation that moves to each vertex, and its job line.
+    speed_m_s
+        (m,) programmed speed of the chord into each vertex, at the tool; NaN where there is none.
+    first
+        Number of the first of them since the start of the path.
+    ended
+        The last vertex of the path is among them.
+    """
+
+    def __init__(self, path: ProgrammedPath) -> None:
+        self._source: Iterator[VertexBlock] = iter(path)
+        self._radius_m = path.radius_m
+        self.vertices: FloatArray = np.empty((0, len(path.axes)))
+        self.operation: IntArray = np.empty(0, dtype=np.int64)
+        self.line: IntArray = np.empty(0, dtype=np.int64)
+        self.speed_m_s: FloatArray = np.empty(0)
+        self.first = 0
+        self.ended = False
+        self._remainder: Remainder | None = None
+
+    def __len__(self) -> int:
+        return len(self.operation)
+
+    def move(self, earliest: int, latest: int) -> None:
+        """Hold every chord of the operations ``earliest`` to ``latest``, and little more.
+
+        An operation without motion (a dwell, an output) has no chord: the ones before and after
+        it are held instead.
+        """
+        while not self.ended and (not len(self) or self.operation[-1] <= latest):
+            self._extend()
+        surplus = min(self.chord_from(np.array([earliest]))[0] - 1, len(self) - 2)
+        if surplus > 0:
+            self.vertices = self.vertices[surplus:]
+            self.operation = self.operation[surplus:]
+            self.line = self.line[surplus:]
+            self.speed_m_s = self.speed_m_s[surplus:]
+            self.first += int(surplus)
+
+    def chord_from(self, operation: IntArray) -> IntArray:
+        """Return (n,) the first chord of each operation; chord c ends at vertex c of the window."""
+        left = np.searchsorted(self.operation, operation, side="left")
+        # Where the operation has no vertex, its predecessor's chord is where the machine stands.
+        before = np.searchsorted(self.operation, operation, side="right") - 1
+        return np.clip(np.minimum(left, before), 1, max(len(self) - 1, 1)).astype(np.int64)
+
+    def chord_to(self, operation: IntArray) -> IntArray:
+        """Return (n,) the last chord of each operation."""
+        last = np.searchsorted(self.operation, operation, side="right") - 1
+        return np.clip(last, 1, max(len(self) - 1, 1)).astype(np.int64)
+
+    def position(self, index: int) -> tuple[float, ...]:
+        """Return a vertex in the units of the axes."""
+        return tuple((self.vertices[index] / self._radius_m).tolist())
+
+    def remainder(self, point: FloatArray) -> Remainder | None:
+        """Return what of the path lies after the window; reads it to its end, once.
+
+        Parameters
+        ----------
+        point
+            (axes,) where the machine stands, lengths at the tool.
+        """
+        if self.ended:
+            return self._remainder
+        worst: Remainder | None = None
+        for block in self._source:
+            vertices = block.positions * self._radius_m
+            distance = np.linalg.norm(vertices - point, axis=1)
+            far = int(np.argmax(distance))
+            if worst is None or distance[far] > worst.distance_m:
+                worst = Remainder(
+                    float(distance[far]),
+                    int(block.operation[far]),
+                    int(block.line[far]),
+                    tuple(block.positions[far].tolist()),
+                    vertices[-1],
+                )
+            else:
+                worst = replace(worst, end=vertices[-1])
+        self.ended = True
+        self._remainder = worst
+        return worst
+
+    def _extend(self) -> None:
+        block = next(self._source, None)
+        if block is None:
+            self.ended = True
+            if self.first + len(self) == 1:  # a job without motion: a chord from start to start
+                self.vertices = np.repeat(self.vertices, 2, axis=0)
+                self.operation = np.repeat(self.operation, 2)
+                self.line = np.repeat(self.line, 2)
+                self.speed_m_s = np.repeat(self.speed_m_s, 2)
+            return
+        if not len(block):
+            return
+        vertices = block.positions * self._radius_m
+        before = self.vertices[-1:] if len(self) else vertices[:1]
+        length = np.linalg.norm(np.diff(vertices, axis=0, prepend=before), axis=1)
+        timed = block.nominal_s > 0
+        speed = np.where(timed, length / np.where(timed, block.nominal_s, 1.0), np.nan)
+        self.speed_m_s = np.concatenate([self.speed_m_s, speed])
+        self.vertices = np.concatenate([self.vertices, vertices])
+        self.operation = np.concatenate([self.operation, block.operation])
+        self.line = np.concatenate([self.line, block.line])

@@ -1,0 +1,212 @@
+"""The contour error against closed forms and against every sample with every chord.
+
+Distances are computed in float64 from coordinates below 1 m: 1e-12 m covers the rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from threadline.signals import ChannelKind
+from threadline.verdict import Criterion, Status, judge
+
+from .builders import TICK_S, follow, plan_through, record, spec_of
+
+CONTOUR = spec_of(Criterion(name="contour_error", limit=5e-4))
+XY = ("X", "Y")
+
+
+def contour(points, actual, operation, *, spec=CONTOUR, axes=XY, per_block=64, **plan):
+    made = plan_through(points, axes, **plan)
+    commanded = np.zeros_like(actual)
+    recording = record(
+        axes,
+        {ChannelKind.COMMANDED: commanded, ChannelKind.LOAD: actual},
+        operation,
+        per_block=per_block,
+    )
+    return judge([recording], made, spec).result("contour_error")
+
+
+def brute_force(points, actual, operation, lag, axes=XY, radius=None):
+    """Every sample against every chord of its operations, every vertex against every segment."""
+    radius = np.ones(len(axes)) if radius is None else radius
+    v = np.asarray(points, dtype=float) * radius
+    q = actual * radius
+    n = len(q)
+    early = np.array([operation[max(i - lag, 0)] for i in range(n)])
+    late = np.array([operation[min(i + lag, n - 1)] for i in range(n)])
+
+    def distance(p, a, b):
+        d = b - a
+        u = np.clip((p - a) @ d / (d @ d), 0, 1) if d @ d > 0 else 0.0
+        return np.linalg.norm(p - a - u * d)
+
+    worst = 0.0
+    for i in range(n):
+        chords = [c for c in range(len(v) - 1) if early[i] <= c <= late[i]]
+        worst = max(worst, min(distance(q[i], v[c], v[c + 1]) for c in chords))
+    for k in range(len(v)):
+        near = [distance(v[k], q[0], q[0])] if early[0] <= k <= late[0] + 1 else []
+        near += [
+            distance(v[k], q[i], q[i + 1]) for i in range(n - 1) if early[i] <= k <= late[i + 1] + 1
+        ]
+        worst = max(worst, min(near))
+    return worst
+
+
+def test_constant_lateral_offset_is_the_error() -> None:
+    commanded, operation = follow([[0, 0], [0.1, 0]], 200)
+    result = contour([[0, 0], [0.1, 0]], commanded + np.array([0.0, 3e-4]), operation)
+
+    assert result.measured == pytest.approx(3e-4, abs=1e-12)
+    assert result.status is Status.PASSED
+    assert result.unit == "m"
+
+
+def test_lag_along_the_path_does_not_count_but_lag_across_a_corner_does() -> None:
+    """A corner cut by c on both legs: the vertex is c / sqrt(2) from the chord of the cut."""
+    points = [[0, 0], [0.1, 0], [0.1, 0.1]]
+    commanded, operation = follow(points, 100)
+    late = np.vstack([np.repeat(commanded[:1], 6, axis=0), commanded[:-6]])
+
+    assert contour(points, late, operation).measured == pytest.approx(0.0, abs=1e-12)
+
+    cut = 4e-3
+    path = np.array([[0, 0], [0.1 - cut, 0], [0.1, cut], [0.1, 0.1]])
+    actual = np.vstack(
+        [np.linspace(path[i], path[i + 1], 67)[: 67 if i == 2 else 66] for i in range(3)]
+    )
+    operation = np.minimum(np.arange(len(actual)) // 99, 1).astype(float)
+    result = contour(points, actual, operation)
+
+    assert result.measured == pytest.approx(cut / np.sqrt(2), abs=1e-12)
+    assert result.position == pytest.approx((0.1, 0.0))
+    assert result.job_line == 10
+    assert result.status is Status.FAILED
+
+
+def test_offset_from_a_circle() -> None:
+    """A circle of n chords followed at radius r + d: farthest from mid-chord, by d + sagitta."""
+    n, r, d = 72, 0.05, 2e-4
+    angle = 2 * np.pi * np.arange(n + 1) / n
+    points = r * np.column_stack([np.cos(angle), np.sin(angle)])
+    fine = 2 * np.pi * np.arange(n * 20 + 1) / (n * 20)
+    actual = (r + d) * np.column_stack([np.cos(fine), np.sin(fine)])
+    operation = np.minimum(np.arange(len(fine)) // 20, n - 1)
+
+    expected = (r + d) - r * np.cos(np.pi / n)
+    assert contour(points, actual, operation).measured == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_retraced_path_does_not_hide_a_missed_end() -> None:
+    """Out to 180 mm and back on the same line, turned 0.47 mm early: no sample leaves the line."""
+    points = [[0, 0], [0.18, 0], [0, 0]]
+    commanded, operation = follow(points, 200)
+    actual = np.minimum(commanded, [0.18 - 4.7e-4, 1.0])
+    result = contour(points, actual, operation)
+
+    assert result.measured == pytest.approx(4.7e-4, abs=1e-12)
+    assert result.position == pytest.approx((0.18, 0.0))
+
+
+def test_another_branch_that_crosses_or_runs_alongside_does_not_hide_an_error() -> None:
+    """Two lines 1 mm apart, long apart in time: an offset of 0.8 mm is 0.8 mm, not 0.2 mm."""
+    points = [[0, 0], [0.1, 0], [0.1, 0.05], [0, 0.05], [0, 1e-3], [0.1, 1e-3]]
+    commanded, operation = follow(points, 100)
+    actual = commanded.copy()
+    middle = slice(30, 70)
+    actual[middle, 1] += 8e-4
+
+    assert contour(points, actual, operation).measured == pytest.approx(8e-4, abs=1e-12)
+
+
+def test_crossing_figure_of_eight_against_brute_force() -> None:
+    t = np.linspace(0, 2 * np.pi, 41)
+    points = 0.05 * np.column_stack([np.sin(t), np.sin(2 * t)])
+    commanded, operation = follow(points, 20)
+    rng = np.random.default_rng(1)
+    actual = commanded + 1e-3 * np.cumsum(rng.normal(size=commanded.shape), axis=0) / 20
+    expected = brute_force(points, actual, operation, 4)
+
+    result = contour(points, actual, operation, spec=spec_of(*CONTOUR.criteria, lag_s=4 * TICK_S))
+    assert result.measured == pytest.approx(expected, abs=1e-12)
+
+
+def test_rotary_axes_act_at_the_tool_radius() -> None:
+    points = [[0, 0], [1.0, 0]]
+    commanded, operation = follow(points, 100)
+    result = contour(points, commanded + np.array([0.0, 2e-4]), operation, axes=("A", "X"))
+    assert result.measured == pytest.approx(2e-4, abs=1e-12)
+
+    points = [[0, 0], [0, 0.1]]
+    commanded, operation = follow(points, 100)
+    result = contour(points, commanded + np.array([2e-3, 0.0]), operation, axes=("A", "X"))
+    assert result.measured == pytest.approx(0.1 * 2e-3, abs=1e-12)  # 100 mm tool radius
+
+
+def test_a_load_that_trails_by_more_than_the_lag_is_charged() -> None:
+    points = [[0.01 * i, 0] for i in range(11)]
+    commanded, operation = follow(points, 5)
+    late = np.vstack([np.repeat(commanded[:1], 20, axis=0), commanded[:-20]])
+    generous = contour(points, late, operation, spec=spec_of(*CONTOUR.criteria, lag_s=0.1))
+    strict = contour(points, late, operation, spec=spec_of(*CONTOUR.criteria, lag_s=0.025))
+
+    assert generous.measured == pytest.approx(0.0, abs=1e-12)
+    assert strict.measured > 0.02
+
+
+def test_a_recording_that_ends_early_fails() -> None:
+    points = [[0.01 * i, 0] for i in range(11)]
+    commanded, operation = follow(points, 10)
+    result = contour(
+        points,
+        commanded[:45],
+        operation[:45],
+        per_block=7,
+        spec=spec_of(*CONTOUR.criteria, lag_s=0.0),
+    )
+
+    assert result.measured == pytest.approx(0.1 - 0.044, abs=1e-12)
+    assert "before" in result.note
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    moves=st.integers(1, 12),
+    per_move=st.integers(1, 9),
+    lag=st.integers(0, 7),
+    per_block=st.integers(1, 40),
+    per_vertex_block=st.integers(1, 5),
+)
+def test_random_polylines_against_brute_force(
+    seed, moves, per_move, lag, per_block, per_vertex_block
+) -> None:
+    """Blocks of any size give what all chords against all samples give."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.01, 0.01, size=(moves + 1, 2))
+    commanded, operation = follow(points, per_move, standstill=int(rng.integers(0, 12)))
+    actual = commanded + rng.normal(scale=1e-3, size=commanded.shape)
+    result = contour(
+        points,
+        actual,
+        operation,
+        spec=spec_of(*CONTOUR.criteria, lag_s=lag * TICK_S),
+        per_block=per_block,
+        vertices_per_block=per_vertex_block,
+    )
+    again = contour(
+        points,
+        actual,
+        operation,
+        spec=spec_of(*CONTOUR.criteria, lag_s=lag * TICK_S),
+        per_block=10**6,
+    )
+
+    assert result.measured == pytest.approx(
+        brute_force(points, actual, operation, lag), abs=1e-12
+    ), (points, actual)
+    assert again == result
