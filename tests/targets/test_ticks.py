@@ -31,8 +31,9 @@ FEED = Feed(FeedMode.RAPID, 0.0)
 WHOLE_COUNTS = winder(X=50_000.0)
 
 
-def rows_of(table):
-    return np.concatenate([block.counts for block in table])
+def rows_of(table, *axes):
+    column = [table.axes.index(axis) for axis in axes or ("X",)]
+    return np.concatenate([block.counts[:, column] for block in table])
 
 
 def operations_of(table):
@@ -48,7 +49,8 @@ def test_constant_speed_gives_constant_rows() -> None:
     table = compile_ticks(lines([[0.0], [0.18]], [5.0]), WHOLE_COUNTS)
 
     assert table.clock.period_s == Fraction(1, 200)
-    assert table.axes == ("X",)
+    assert table.axes == ("A", "X", "Y")
+    assert not rows_of(table, "A", "Y").any()
     assert rows_of(table).tolist() == [[9]] * 1000
 
 
@@ -86,7 +88,7 @@ def test_a_million_ticks_lose_nothing(scale: float) -> None:
     turns = sums[9999::10_000]
     assert (turns[0::2] == round(ends[1] * scale)).all()
     assert (turns[1::2] == 0).all()
-    assert table.end_counts().tolist() == [0]
+    assert table.end_counts().tolist() == [0, 0, 0]
 
 
 def test_the_start_is_rounded_once() -> None:
@@ -94,8 +96,8 @@ def test_the_start_is_rounded_once() -> None:
     trajectory = lines([[-0.123456], [0.2]], [5.0], historical=True)
     table = compile_ticks(trajectory, winder())
 
-    assert table.start_counts.tolist() == [round(-0.123456 * 55_358)]
-    assert table.end_counts().tolist() == [round(0.2 * 55_358)]
+    assert table.start_counts.tolist() == [0, round(-0.123456 * 55_358), 0]
+    assert table.end_counts().tolist() == [0, round(0.2 * 55_358), 0]
 
 
 @given(
@@ -116,7 +118,7 @@ def test_block_sizes_change_nothing(seed: int, rows: int, per_block: int) -> Non
         rows=rows,
     )
 
-    assert np.array_equal(rows_of(whole), rows_of(split))
+    assert np.array_equal(rows_of(whole, *axes), rows_of(split, *axes))
     assert np.array_equal(operations_of(whole), operations_of(split))
     blocks = list(split)
     assert [b.first_tick for b in blocks] == [rows * k for k in range(len(blocks))]
@@ -157,7 +159,7 @@ def test_the_end_is_reached_in_the_last_row(duration_s: float, ticks: int, tail_
 
     assert table.tick_count() == ticks
     end_m = 0.051 if tail_s else 0.05
-    assert table.end_counts().tolist() == [round(end_m * 55_358)]
+    assert table.end_counts().tolist() == [0, round(end_m * 55_358), 0]
 
 
 def test_events_stand_where_the_motion_rests() -> None:
@@ -222,10 +224,10 @@ def test_hashes_and_axes_come_from_job_and_machine() -> None:
     machine = winder()
     trajectory = lines([[0.0, 0.0], [0.01, 0.02]], [1.0], axes=("Y", "X"))
     table = compile_ticks(trajectory, machine, job_of([Move((0.0,), FEED, HERE)], ("Y", "X")))
-    assert table.axes == ("Y", "X")
+    assert table.axes == ("A", "X", "Y")
     assert table.job_sha256 == "ab" * 32
     assert table.machine_sha256 == machine.sha256
-    assert table.end_counts().tolist() == [round(0.01 * 62_294), round(0.02 * 55_358)]
+    assert table.end_counts().tolist() == [0, round(0.02 * 55_358), round(0.01 * 62_294)]
     assert compile_ticks(trajectory, machine).job_sha256 == ""
 
 
@@ -243,7 +245,7 @@ def test_rows_over_the_velocity_limit_are_refused_with_their_line() -> None:
     assert "made.prg:7" in str(error)
     assert "278 counts in tick" in str(error)
     historical = lines([[0.0], [0.6]], [0.5], historical=True)
-    assert compile_ticks(historical, winder(), job).end_counts()[0] == round(0.6 * 55_358)
+    assert compile_ticks(historical, winder(), job).end_counts()[1] == round(0.6 * 55_358)
 
 
 def test_the_budget_is_checked_before_the_work() -> None:

@@ -35,7 +35,7 @@ def compile_ticks(
     Parameters
     ----------
     trajectory
-        Axis positions over time, m or rad. Its axes are the columns of the table.
+        Axis positions over time, m or rad.
     machine
         Gives clock, scales, velocity limits and tick budget.
     job
@@ -46,8 +46,9 @@ def compile_ticks(
     Returns
     -------
     TickTable
-        Made block by block while it is read. The operation of a row is the one under way in the
-        middle of the tick. Events at the end of the last row are in the last block, with the
+        Made block by block while it is read. Its columns are the axes of the machine; those that
+        the trajectory does not have stay at 0. The operation of a row is the one under way in
+        the middle of the tick. Events at the end of the last row are in the last block, with the
         tick after it.
 
     Raises
@@ -66,14 +67,11 @@ def compile_ticks(
                 f"axis {axis} is not an axis of machine {machine.name!r}, "
                 f"which has {', '.join(machine.axis_names)}"
             )
-    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
-    scale = machine.counts_per_unit[column]
-    start = _start(trajectory, job)
     return TickTable(
         clock=machine.tick_clock,
-        axes=trajectory.axes,
-        counts_per_unit=scale,
-        start_counts=_to_counts(start[None], scale, trajectory.axes)[0],
+        axes=machine.axis_names,
+        counts_per_unit=machine.counts_per_unit,
+        start_counts=_Scale.of(trajectory, machine).counts(_start(trajectory, job)[None])[0],
         blocks=Stream(lambda: _blocks(trajectory, machine, job, rows)),
         job_sha256="" if job is None else job.sha256,
         machine_sha256=machine.sha256,
@@ -92,14 +90,11 @@ def _blocks(
     trajectory: Trajectory, machine: Machine, job: Job | None, rows: int
 ) -> Iterator[TickBlock]:
     clock = machine.tick_clock
-    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
-    limit = None if trajectory.historical else machine.velocity_limit[column]
     table = _Table(
-        axes=trajectory.axes,
-        scale=machine.counts_per_unit[column],
+        scale=_Scale.of(trajectory, machine),
         clock=clock,
         budget=machine.tick_budget.si,
-        velocity_limit=limit,
+        velocity_limit=None if trajectory.historical else machine.velocity_limit,
         job=job,
         rows=rows,
     )
@@ -121,12 +116,43 @@ def _blocks(
     yield from table.remaining_block()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Scale:
+    """Turns positions of the trajectory's axes into counts of all axes of the machine."""
+
+    axes: tuple[str, ...]
+    per_unit: FloatArray  # (axes,)
+    column: list[int]  # of each axis of the trajectory
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, machine: Machine) -> _Scale:
+        return cls(
+            axes=machine.axis_names,
+            per_unit=machine.counts_per_unit,
+            column=[machine.axis_names.index(axis) for axis in trajectory.axes],
+        )
+
+    def counts(self, positions: FloatArray) -> IntArray:
+        """Return (n, machine axes) rounded positions."""
+        exact = np.rint(positions * self.per_unit[self.column])
+        far = np.abs(exact) >= _EXACT_COUNTS
+        if far.any():
+            axis = self.axes[self.column[int(np.argwhere(far)[0][1])]]
+            raise PlanError(
+                f"axis {axis} goes beyond {_EXACT_COUNTS:.3g} counts, "
+                "further than a counter can be exact",
+                remedy="Divide the job.",
+            )
+        counts = np.zeros((len(positions), len(self.axes)), dtype=np.int64)
+        counts[:, self.column] = exact
+        return counts
+
+
 @dataclass(slots=True, kw_only=True)
 class _Table:
     """The part of the table that is under way."""
 
-    axes: tuple[str, ...]
-    scale: FloatArray
+    scale: _Scale
     clock: Clock
     budget: float
     velocity_limit: FloatArray | None
@@ -142,7 +168,7 @@ class _Table:
 
     def begin(self, block: TrajectoryBlock) -> None:
         start = block.evaluate(block.start_s[:1])
-        self.position = _to_counts(start, self.scale, self.axes)[0]
+        self.position = self.scale.counts(start)[0]
 
     @property
     def end_tick(self) -> int:
@@ -170,7 +196,7 @@ class _Table:
 
     def add_rows(self, positions: FloatArray, times_s: FloatArray, block: TrajectoryBlock) -> None:
         if len(positions):
-            self._append(_to_counts(positions, self.scale, self.axes))
+            self._append(self.scale.counts(positions))
         self._label(block, len(times_s) + 1)
 
     def _append(self, target: IntArray) -> None:
@@ -192,7 +218,7 @@ class _Table:
         if last is None:
             return
         ticks = max(1, first_tick_from(last.end_s, self.clock))
-        end = _to_counts(last.evaluate(np.array([last.end_s])), self.scale, self.axes)
+        end = self.scale.counts(last.evaluate(np.array([last.end_s])))
         if self.end_tick == ticks:
             self.counts[-1] = self.counts[-1].copy()
             self.counts[-1][-1] += end[0] - self.position
@@ -226,7 +252,7 @@ class _Table:
             yield self._take(self.buffered, last=True)
 
     def _take(self, size: int, *, last: bool) -> TickBlock:
-        none = np.zeros((0, len(self.axes)), dtype=np.int64)
+        none = np.zeros((0, len(self.scale.axes)), dtype=np.int64)
         counts = np.concatenate([none, *self.counts])
         operation = np.concatenate([none[:, 0], *self.operation])
         end = self.first_tick + size
@@ -245,18 +271,19 @@ class _Table:
     def _check(self, block: TickBlock) -> None:
         if self.velocity_limit is None or not len(block):
             return
-        allowed = self.velocity_limit * self.scale * float(self.clock.period_s)
+        allowed = self.velocity_limit * self.scale.per_unit * float(self.clock.period_s)
         over = np.abs(block.counts) > allowed + _ROUNDING_COUNTS
         if not over.any():
             return
         row, axis = np.argwhere(over)[0]
         counts = abs(int(block.counts[row, axis]))
+        name = self.scale.axes[axis]
         raise LimitError(
-            f"axis {self.axes[axis]} travels {counts} counts in tick {block.first_tick + row}, "
+            f"axis {name} travels {counts} counts in tick {block.first_tick + row}, "
             f"its velocity limit is {allowed[axis]:.6g} counts per tick",
-            axis=self.axes[axis],
+            axis=name,
             quantity="velocity",
-            value_si=counts / self.scale[axis] / float(self.clock.period_s),
+            value_si=counts / self.scale.per_unit[axis] / float(self.clock.period_s),
             limit_si=float(self.velocity_limit[axis]),
             place=place_of(self.job, int(block.operation[row])),
             remedy="Lower the feed there, or use an interpolation that respects the limits.",
@@ -270,15 +297,3 @@ def place_of(job: Job | None, operation: int) -> Place | None:
             if index == operation:
                 return found.source.place
     return None
-
-
-def _to_counts(positions: FloatArray, scale: FloatArray, axes: tuple[str, ...]) -> IntArray:
-    counts = np.rint(positions * scale)
-    if len(counts) and (np.abs(counts) >= _EXACT_COUNTS).any():
-        axis = axes[int(np.argwhere(np.abs(counts) >= _EXACT_COUNTS)[0][1])]
-        raise PlanError(
-            f"axis {axis} goes beyond {_EXACT_COUNTS:.3g} counts, "
-            "further than a counter can be exact",
-            remedy="Divide the job.",
-        )
-    return np.asarray(counts.astype(np.int64))
