@@ -176,7 +176,7 @@ def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, Floa
             a, t = np.delete(a, i), np.delete(t, i)
             continue
         opposite = [i for i in range(1, len(a) - 1) if abs(a[i] + a[i + 1]) < 1e-12]
-        if len(a) - 2 < 1 or not opposite:
+        if len(a) - 2 < 2 or not opposite:
             raise ShaperError(
                 f"shaper '{shaper.name}': {len(a)} impulses can't be cut to {most}",
                 remedy="Choose a kind with fewer impulses.",

@@ -1,0 +1,153 @@
+"""On/off commands on a controller's tick: levels -1, 0 and 1, nothing between.
+
+Which levels a robust command uses is a question of integers. The command is taken antisymmetric
+about its middle, u(T - t) = -u(t), as undamped optima are: speed ends at 0 by itself, the
+ringing has one quadrature, and half the unknowns are left. Every command returned is checked on
+a dense sweep with the machine's own damping; a search that ends without one proves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, milp
+
+from threadline.errors import OptionError
+from threadline.shaping.onoff.model import (
+    Command,
+    RestToRest,
+    ringing_rows,
+    travel_rows,
+    worst_ringing,
+)
+from threadline.shaping.onoff.robust import least_ringing
+
+_SWEEP = 11
+_ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class FrontPoint:
+    """Least worst ringing for one duration on the tick.
+
+    Parameters
+    ----------
+    duration_s
+        A whole number of ticks.
+    free
+        Worst ringing over the band with levels free in [-1, 1] (the global least), as a
+        fraction of one full step's; None where the distance can't be covered.
+    switched
+        That of the on/off command that was found within the tolerance; None where none was.
+    """
+
+    duration_s: float
+    free: float | None
+    switched: float | None
+
+
+def switched_command(
+    move: RestToRest,
+    *,
+    relative: float,
+    tolerance: float,
+    tick_s: float,
+    ticks: int,
+    time_limit_s: float = 20.0,
+) -> Command | None:
+    """On/off command of ``ticks`` whole ticks that rings at most ``tolerance`` over the band.
+
+    Parameters
+    ----------
+    move, relative, tolerance
+        As for :func:`threadline.shaping.onoff.robust.robust_optimum`.
+    tick_s, ticks
+        The controller's tick, s, and the duration in ticks. The distance is met to 1e-9 of it,
+        so it must be a whole number of half acceleration x tick^2; else there is none.
+    time_limit_s
+        For each integer program.
+
+    Returns
+    -------
+    Command or None
+        None if none was found in the time given; that is no proof that there is none.
+    """
+    if ticks < 2 or not tick_s > 0.0 or not tolerance > 0.0:
+        raise OptionError(
+            f"on/off command: ticks {ticks!r}, tick_s {tick_s!r} and tolerance {tolerance!r} "
+            "must be positive, and at least 2 ticks"
+        )
+    edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
+    half = ticks // 2
+    # Row of the first half minus its mirror image.
+    distance = travel_rows(edges)[1]
+    reach = (distance[:half] - distance[::-1][:half]) / tick_s**2
+    target = move.distance_m / (move.acceleration_m_s2 * tick_s**2)
+    limit = 0.995 * tolerance
+    for _ in range(_ROUNDS):
+        rows = []
+        for mode in move.modes:
+            f = mode.frequency_hz * np.linspace(1.0 - relative, 1.0 + relative, _SWEEP)
+            turned = ringing_rows(edges, f, 0.0) * np.exp(1j * np.pi * f * edges[-1])[:, None]
+            rows.append((turned[:, :half] - turned[:, ::-1][:, :half]).real)
+            rows.append((turned[:, :half] - turned[:, ::-1][:, :half]).imag)
+        band = np.vstack(rows)
+        band = band[np.abs(band).max(axis=1) > 1e-9]
+        found = milp(
+            np.zeros(half),
+            constraints=[
+                LinearConstraint(band, -limit, limit),
+                LinearConstraint(reach[None, :], target, target),
+            ],
+            integrality=np.ones(half, dtype=np.int64),
+            bounds=Bounds(-np.ones(half), np.ones(half)),
+            options={"time_limit": time_limit_s},
+        )
+        if found.x is None:
+            return None
+        first = np.rint(found.x)
+        middle = np.zeros(ticks % 2)
+        command = Command(edges, np.concatenate((first, middle, -first[::-1])))
+        reached = float(distance @ command.levels) * move.acceleration_m_s2
+        within = worst_ringing(command, move.modes, relative) <= tolerance
+        if within and abs(reached - move.distance_m) <= 1e-9 * move.distance_m:
+            return command
+        # Between the swept frequencies, or through damping, it rings more: ask for less.
+        limit *= 0.93
+    return None
+
+
+def residual_front(
+    move: RestToRest,
+    *,
+    relative: float,
+    tolerance: float,
+    tick_s: float,
+    ticks: Sequence[int],
+    time_limit_s: float = 20.0,
+) -> list[FrontPoint]:
+    """Residual against time: for each duration the free least and an on/off command, if found."""
+    points = []
+    for count in ticks:
+        free = least_ringing(move, relative=relative, tick_s=tick_s, ticks=count)
+        # Free levels bound the on/off ones from below: no need to search where they fail.
+        command = None
+        if free is not None and free[0] <= tolerance:
+            command = switched_command(
+                move,
+                relative=relative,
+                tolerance=tolerance,
+                tick_s=tick_s,
+                ticks=count,
+                time_limit_s=time_limit_s,
+            )
+        points.append(
+            FrontPoint(
+                count * tick_s,
+                None if free is None else free[0],
+                None if command is None else worst_ringing(command, move.modes, relative),
+            )
+        )
+    return points

@@ -1,0 +1,127 @@
+"""Direct designs against closed forms, bounds and the simulated oscillator; Klipper's types."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from threadline.errors import OptionError
+from threadline.shaping.combine import convolve
+from threadline.shaping.designs import design
+from threadline.shaping.direct import Requirement, direct_shaper, specified_insensitivity
+from threadline.shaping.klipper import klipper_export, klipper_impulses
+from threadline.shaping.onoff.model import RestToRest, worst_ringing
+from threadline.shaping.onoff.switched import residual_front, switched_command
+from threadline.shaping.oscillator import simulated_vibration
+from threadline.shaping.robustness import insensitivity
+from threadline.shaping.types import FlexibleMode
+
+
+@pytest.mark.parametrize("derivatives", [0, 1])
+def test_one_mode_gives_zv_and_zvd(derivatives: int) -> None:
+    """Positive and shortest: Singer and Seering's trains, without being told their form."""
+    mode = FlexibleMode(3.04, 0.1)
+    found = direct_shaper([Requirement(mode, derivatives=derivatives)])
+    expected = design(["zv", "zvd"][derivatives], mode)
+    assert found.times_s == pytest.approx(expected.times_s, abs=1e-9)
+    assert found.amplitudes == pytest.approx(expected.amplitudes, abs=1e-9)
+
+
+def test_two_modes_are_shorter_together_than_convolved() -> None:
+    modes = [FlexibleMode(3.04, 0.01), FlexibleMode(7.0, 0.05)]
+    found = direct_shaper([Requirement(m) for m in modes])
+    for m in modes:
+        assert simulated_vibration(found, m.frequency_hz, m.damping_ratio) < 1e-10
+    assert found.amplitudes.min() > 0.0
+    apart = convolve(*[design("zv", m) for m in modes])
+    assert found.duration_s < 0.95 * apart.duration_s
+
+
+def test_undamped_two_modes_closed_form() -> None:
+    """Three equally spaced impulses null f1 and f2 where 2 pi f h straddle pi evenly."""
+    found = direct_shaper([Requirement(FlexibleMode(1.0)), Requirement(FlexibleMode(2.7))])
+    h = 1.0 / 3.7
+    assert found.times_s == pytest.approx([0.0, h, 2.0 * h], abs=1e-9)
+    side = 1.0 / (2.0 - 2.0 * math.cos(2.0 * math.pi * h))
+    assert found.amplitudes[0] == pytest.approx(side, abs=1e-9)
+
+
+@pytest.mark.parametrize(("zeta", "relative"), [(0.0, 0.1), (0.0, 0.3), (0.05, 0.2), (0.2, 0.1)])
+def test_specified_insensitivity_is_met_and_not_exceeded(zeta: float, relative: float) -> None:
+    mode = FlexibleMode(3.04, zeta)
+    found = specified_insensitivity(mode, relative, 0.05)
+    assert found.amplitudes.min() >= 0.0
+    worst = max(
+        simulated_vibration(found, 3.04 * (1 + r), zeta)
+        for r in np.linspace(-relative, relative, 41)
+    )
+    assert 0.0499 < worst <= 0.05 + 1e-9
+    if zeta:
+        # Asking for the band of EI cannot take longer than EI.
+        ei = design("ei", mode)
+        width = insensitivity(ei, mode)
+        if 2 * relative <= width.value:
+            assert found.duration_s <= ei.duration_s
+
+
+def test_specified_insensitivity_of_the_band_of_ei_is_ei() -> None:
+    mode = FlexibleMode(1.0)
+    ei = design("ei", mode)
+    width = insensitivity(ei, mode)
+    found = specified_insensitivity(mode, 0.4999999 * width.value, 0.05)
+    assert found.duration_s == pytest.approx(ei.duration_s, rel=1e-6)
+
+
+def test_contradictory_requirements_are_refused() -> None:
+    with pytest.raises(OptionError, match="no train is silent over a band"):
+        Requirement(FlexibleMode(1.0), relative=0.1)
+    with pytest.raises(OptionError, match="derivatives"):
+        Requirement(FlexibleMode(1.0), tolerance=0.1, derivatives=1)
+    with pytest.raises(OptionError, match="at least one"):
+        direct_shaper([])
+
+
+@pytest.mark.parametrize("zeta", [0.0, 0.1])
+def test_klipper_plays_the_common_kinds(zeta: float) -> None:
+    mode = FlexibleMode(40.0, zeta)
+    expected = {"zv": "zv", "mzv": "mzv", "zvd": "zvd", "ei": "ei", "2hump-ei": "2hump_ei"}
+    for kind, word in expected.items():
+        export = klipper_export(design(kind, mode), mode)
+        assert export.shaper_type == word
+        assert f"shaper_type_x: {word}\nshaper_freq_x: 40\n" in export.section
+        # Closed forms agree to rounding, published curve fits to half a percent of V.
+        assert export.difference < (1e-12 if word in ("zv", "mzv", "zvd") else 0.005)
+        theirs = klipper_impulses(word, mode)
+        limit = 0.055 if "ei" in word else 1e-10
+        assert simulated_vibration(theirs, 40.0, zeta) < limit
+
+
+def test_klipper_has_no_type_for_others() -> None:
+    mode = FlexibleMode(40.0, 0.05)
+    for kind in ("zvdd", "um-zv", "um-2ei", "negative-zv"):
+        export = klipper_export(design(kind, mode), mode)
+        assert export.section == ""
+        assert "no type of Klipper's" in export.explanation
+    at_ten_percent = klipper_export(design("ei", mode, tolerance=0.1), mode)
+    assert at_ten_percent.section == ""
+    with pytest.raises(OptionError, match="axes x and y"):
+        klipper_export(design("zv", mode), mode, axes="z")
+    with pytest.raises(OptionError, match="damping ratios up to"):
+        klipper_impulses("3hump_ei", FlexibleMode(40.0, 0.25))
+
+
+def test_on_off_command_on_a_ten_ms_scan() -> None:
+    """At most 1 % over +-20 % within 10 % of the robust optimum, 1.0848 s."""
+    move = RestToRest(0.2, 1.0, (FlexibleMode(3.04),))
+    command = switched_command(move, relative=0.2, tolerance=0.01, tick_s=0.01, ticks=117)
+    assert command is not None
+    assert command.duration_s <= 1.1 * 1.0848
+    assert set(command.levels.tolist()) <= {-1.0, 0.0, 1.0}
+    assert worst_ringing(command, move.modes, 0.2) <= 0.01
+    front = residual_front(move, relative=0.2, tolerance=0.01, tick_s=0.01, ticks=[89, 100])
+    assert front[0].free is None
+    assert front[1].free is not None
+    assert front[1].free > 0.2
+    assert front[1].switched is None
