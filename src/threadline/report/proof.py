@@ -40,7 +40,10 @@ def write_report(proof: Proof, folder: Path) -> Path:
                 Table(
                     title="The job",
                     header=("", ""),
-                    rows=[tuple(line.split(": ", 1)) for line in calculate(plan).lines()],
+                    rows=[
+                        [part.strip() for part in line.split(":", 1)]
+                        for line in calculate(plan).lines()
+                    ],
                 ),
             ],
             figures=figures,
