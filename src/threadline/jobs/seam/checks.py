@@ -1,0 +1,166 @@
+"""What is suspicious about a seam, and what cannot be sewn on this machine."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from threadline.errors import LimitError, Place
+from threadline.jobs.seam.contour import Contour, point_text
+from threadline.jobs.seam.crossing import crossings, flatten
+from threadline.jobs.seam.settings import Stitching
+from threadline.jobs.seam.sewing import SewnContour, StitchBlock
+from threadline.machine import Machine
+from threadline.sizing import corner_error_m, ramp_acceleration_m_s2
+
+_SLACK_M = 1e-9
+_CROSSING_TOLERANCE_M = 1e-5
+
+
+def head_acceleration_m_s2(
+    settings: Stitching, axes: tuple[str, str], machine: Machine
+) -> tuple[float, list[str]]:
+    """Return the acceleration that a seam is planned with, and warnings about it.
+
+    What is set, else the two-stitch rule; no more than the weaker axis can.
+    """
+    rule = ramp_acceleration_m_s2(settings.speed_m_s, settings.stitch_length_m)
+    wanted = settings.acceleration_m_s2 or rule
+    warnings = []
+    for axis in axes:
+        limits = machine.axes[axis]
+        if limits.velocity.si < settings.speed_m_s * (1.0 - 1e-9):
+            warnings.append(
+                f"{settings.needle_speed_hz:g} stitches/s of {settings.stitch_length_m * 1e3:g} mm "
+                f"are {settings.speed_m_s * 1e3:.4g} mm/s; axis {axis} does "
+                f"{limits.velocity.si * 1e3:.4g} mm/s"
+            )
+        if limits.acceleration.si < wanted * (1.0 - 1e-9):
+            warnings.append(
+                f"to be at speed within two stitches takes {wanted:.4g} m/s^2; axis {axis} does "
+                f"{limits.acceleration.si:.4g} m/s^2"
+            )
+    return min([wanted, *(machine.axes[axis].acceleration.si for axis in axes)]), warnings
+
+
+def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
+    """Return a warning where the contour crosses itself."""
+    begin, end, piece = flatten(contour.pieces, _CROSSING_TOLERANCE_M)
+    first, second, at_first, _, complete = crossings(begin, end, contour.closed)
+    if not len(first):
+        if complete:
+            return []
+        return [f"{file}: seam {seam!r} is too large to be searched for crossings of itself"]
+    k, j = int(first[0]), int(second[0])
+    at = begin[k] + at_first[0] * (end[k] - begin[k])
+    lines = [int(contour.pieces.line[piece[i]]) for i in (k, j)]
+    more = "" if complete else "more than "
+    return [
+        f"{Place(file, lines[0])}: seam {seam!r} crosses or touches itself at {more}{len(first)} "
+        f"places, first at {point_text(at)} (the line of {lines[1]} in the file)"
+    ]
+
+
+def corner_warnings(sewn: SewnContour, machine_acceleration_m_s2: float) -> list[str]:
+    """Return a warning when the needle runs on through corners that this rounds too far."""
+    settings = sewn.settings
+    if settings.motion != "interpolated" or settings.needle != "constant":
+        return []
+    turns = [leg.end_turn_rad for leg in sewn.legs if leg.end_turn_rad is not None]
+    errors = [corner_error_m(settings.speed_m_s, machine_acceleration_m_s2, t) for t in turns]
+    bad = [(e, t) for e, t in zip(errors, turns, strict=True) if e > settings.placement_m]
+    if not bad:
+        return []
+    error, turn = max(bad)
+    return [
+        f"{sewn.place}: seam {sewn.seam!r}: at {settings.speed_m_s * 1e3:.4g} mm/s and "
+        f"{machine_acceleration_m_s2:.4g} m/s^2 interpolated motion misses {len(bad)} corners by "
+        f"more than {settings.placement_m * 1e3:.3g} mm, a turn of {math.degrees(turn):.3g} "
+        f'degrees by {error * 1e3:.3g} mm; slow the needle, or set motion = "discrete"'
+    ]
+
+
+class StitchCheck:
+    """Collects what the stitches of a seam get wrong, in one pass over them."""
+
+    def __init__(self, sewn: SewnContour, axes: tuple[str, str], machine: Machine) -> None:
+        self.sewn = sewn
+        self.axes = axes
+        self.machine = machine
+        self.off = 0
+        self.worst = (0.0, "")
+        self.bowed = (0.0, "")
+        self.short: list[tuple[float, str]] = []
+
+    def add(self, block: StitchBlock) -> None:
+        """Check one block.
+
+        Raises
+        ------
+        LimitError
+            If a stitch lies outside the travel of an axis.
+        """
+        self._travel(block)
+        settings = self.sewn.settings
+        file = self.sewn.place.file
+        relative = block.lengths_m / settings.stitch_length_m - 1.0
+        bad = ~block.exempt & (np.abs(relative) > settings.tolerance * (1.0 + 1e-9))
+        self.off += int(bad.sum())
+        if bad.any():
+            k = int(np.argmax(np.where(bad, np.abs(relative), 0.0)))
+            if abs(relative[k]) > abs(self.worst[0]):
+                where = f"{Place(file, int(block.line[k]))}, at {point_text(block.points[k + 1])}"
+                self.worst = (float(relative[k]), where)
+        k = int(np.argmax(block.bulge_m))
+        if block.bulge_m[k] > self.bowed[0]:
+            where = f"{Place(file, int(block.line[k]))}, at {point_text(block.points[k + 1])}"
+            self.bowed = (float(block.bulge_m[k]), where)
+        if block.leg.length_m < settings.stitch_length_m * (1.0 - settings.tolerance):
+            where = f"{Place(file, int(block.line[0]))}, at {point_text(block.points[0])}"
+            self.short.append((block.leg.length_m, where))
+
+    def _travel(self, block: StitchBlock) -> None:
+        for column, axis in enumerate(self.axes):
+            low, high = self.machine.travel[self.machine.axis_names.index(axis)]
+            values = block.points[:, column]
+            outside = np.flatnonzero((values < low - _SLACK_M) | (values > high + _SLACK_M))
+            if not len(outside):
+                continue
+            k = int(outside[0])
+            value = float(values[k])
+            limit = float(low if value < low else high)
+            raise LimitError(
+                f"seam {self.sewn.seam!r} reaches {axis} {value * 1e3:.6g} mm; the travel ends "
+                f"at {limit * 1e3:.6g} mm",
+                axis=axis,
+                quantity="travel",
+                value_si=value,
+                limit_si=limit,
+                place=Place(self.sewn.place.file, int(block.line[max(0, k - 1)])),
+                remedy="Move the drawing: [drawing] origin in the seam file.",
+            )
+
+    def warnings(self) -> list[str]:
+        """Return what was found."""
+        found = []
+        name = f"seam {self.sewn.seam!r}"
+        settings = self.sewn.settings
+        if self.off:
+            found.append(
+                f"{self.worst[1]}: {name}: {self.off} stitches are more than "
+                f"{settings.tolerance * 100:g} % off their length, the worst "
+                f"{self.worst[0] * 100:+.3g} %"
+            )
+        if self.short:
+            length, where = min(self.short)
+            found.append(
+                f"{where}: {name}: {len(self.short)} legs between corners are shorter than a "
+                f"stitch, the shortest {length * 1e3:.3g} mm; each gets a stitch at both ends"
+            )
+        if self.bowed[0] > settings.placement_m:
+            found.append(
+                f"{self.bowed[1]}: {name}: the drawn line bows {self.bowed[0] * 1e3:.3g} mm out "
+                f"of a stitch, more than the placement of {settings.placement_m * 1e3:.3g} mm"
+            )
+        return found

@@ -1,0 +1,163 @@
+"""Where on a leg the needle goes down: stitches of even length, a stitch in every corner."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray
+from threadline.jobs.seam.arclength import ArcTable
+from threadline.jobs.seam.legs import Leg
+from threadline.jobs.seam.settings import Stitching
+
+EXEMPT = 2  # stitches on each side of a corner that need not keep their length
+_SHARE = 0.5  # of the tolerance; the rest is left to the machine
+_ROUNDS = 30
+
+
+def stitch_lengths(
+    length_m: float, settings: Stitching, acceleration_m_s2: float, rests: tuple[bool, bool]
+) -> FloatArray:
+    r"""Return the (n,) lengths of the stitches of a leg, in order; their sum is ``length_m``.
+
+    Parameters
+    ----------
+    length_m
+        Length of the leg.
+    settings
+        Stitch length and needle speed.
+    acceleration_m_s2
+        Of the head at the ends where it rests.
+    rests
+        The head rests at the beginning, at the end.
+
+    Notes
+    -----
+    With a needle of constant speed N a leg of n stitches takes n/N. A head that rests at r of
+    its ends and accelerates with a runs at v = N l' in between and covers
+    :math:`n l' - r l'^2 N^2/(2a)`; n is chosen so that l' is nearest to the wanted length, and
+    the stitch in which the head ramps comes out as long as the ramp makes it: 1/4, 3/4 of l'
+    under the two-stitch rule.
+
+    A leg of few stitches cannot have them all within the tolerance; then those in the middle
+    take half of the tolerance and the four exempt ones the rest.
+    """
+    wanted = settings.stitch_length_m
+    ramps = sum(rests)
+    loss = ramps * settings.needle_speed_hz**2 / (2.0 * acceleration_m_s2)  # 1/m
+    ideal = length_m / wanted + loss * wanted
+    least = math.ceil(math.sqrt(4.0 * loss * length_m) - 1e-9)
+    counts = {max(1, least, math.floor(ideal)), max(1, least, math.ceil(ideal))}
+    even_m = {n: _even_m(n, length_m, loss) for n in counts}
+    count = min(counts, key=lambda n: abs(math.log(even_m[n] / wanted)))
+    lengths = _ramped(count, even_m[count], settings, acceleration_m_s2, rests)
+    lengths *= length_m / lengths.sum()
+    ramp_stitches = even_m[count] * settings.needle_speed_hz**2 / acceleration_m_s2
+    share = _SHARE * settings.tolerance
+    middle = np.clip(even_m[count], wanted * (1.0 - share), wanted * (1.0 + share))
+    if count > 2 * EXEMPT and middle != even_m[count] and ramp_stitches <= EXEMPT * (1 + 1e-9):
+        rest = length_m - middle * (count - 2 * EXEMPT)
+        exempt = exempt_mask(count)
+        if rest > 0.0:
+            lengths[~exempt] = middle
+            lengths[exempt] *= rest / lengths[exempt].sum()
+    return lengths
+
+
+def exempt_mask(count: int) -> NDArray[np.bool_]:
+    """Return (count,) bool: the two stitches at each end of a leg."""
+    index = np.arange(count)
+    return (index < EXEMPT) | (index >= count - EXEMPT)
+
+
+def _even_m(count: int, length_m: float, loss: float) -> float:
+    """Return the stitch length at speed: the smaller root of ``loss l^2 - count l + L = 0``."""
+    if loss == 0.0:
+        return length_m / count
+    root = math.sqrt(max(0.0, count**2 - 4.0 * loss * length_m))
+    return 2.0 * length_m / (count + root)
+
+
+def _ramped(
+    count: int,
+    even_m: float,
+    settings: Stitching,
+    acceleration_m_s2: float,
+    rests: tuple[bool, bool],
+) -> FloatArray:
+    """Return what the head covers in each needle period of a trapezoid of speed."""
+    a = acceleration_m_s2 / settings.needle_speed_hz**2  # m per period squared
+    ramp = even_m / a
+    time = np.arange(count + 1, dtype=np.float64)
+    covered = time * even_m
+    for rest, clock in ((rests[0], time), (rests[1], (count - time))):
+        if not rest:
+            continue
+        # Distance lost against even speed until ``clock`` periods after (before) the rest.
+        ramping = np.minimum(clock, ramp)
+        lost = even_m * ramping - a * ramping**2 / 2.0
+        covered = covered - (lost if clock is time else lost[0] - lost)
+    return np.diff(covered)
+
+
+def place_leg(
+    table: ArcTable,
+    leg: Leg,
+    closed: bool,
+    settings: Stitching,
+    acceleration_m_s2: float,
+    rests: tuple[bool, bool],
+) -> tuple[FloatArray, FloatArray]:
+    """Return where on the contour each stitch of the leg begins and ends.
+
+    Returns
+    -------
+    at_m
+        (n + 1,) lengths along the contour, from ``leg.begin_m`` to ``leg.end_m``.
+    points
+        (n + 1, 2) m.
+
+    Notes
+    -----
+    A stitch is the chord, not the arc. Where the contour bends so much that the two differ, the
+    stitches are moved until the chords have the wanted proportions: the arcs are divided by the
+    ratio of chord to wanted length, again and again, which halves the error or better each time.
+    """
+    whole = leg.length_m
+    chord_sum = whole
+    for _ in range(3):
+        wanted = stitch_lengths(chord_sum, settings, acceleration_m_s2, rests)
+        arcs = wanted * (whole / wanted.sum())
+        at_m, points, chords = _measure(table, leg, closed, arcs)
+        if abs(chords.sum() - chord_sum) <= 1e-3 * settings.stitch_length_m * len(chords):
+            break
+        chord_sum = float(chords.sum())
+    best = (np.inf, at_m, points)
+    for _ in range(_ROUNDS):
+        ratio = chords / wanted
+        spread = float(ratio.max() / max(ratio.min(), 1e-12))
+        if spread < best[0]:
+            best = (spread, at_m, points)
+        if spread < 1.0 + 0.02 * settings.tolerance or not (chords > 0.0).all():
+            break
+        arcs = arcs / ratio
+        arcs *= whole / arcs.sum()
+        at_m, points, chords = _measure(table, leg, closed, arcs)
+    return best[1], best[2]
+
+
+def _measure(
+    table: ArcTable, leg: Leg, closed: bool, arcs: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    sign = 1.0 if leg.end_m >= leg.begin_m else -1.0
+    at_m = leg.begin_m + sign * np.concatenate([[0.0], np.cumsum(arcs)])
+    at_m[-1] = leg.end_m
+    points = table.points(wrap(at_m, table.length_m) if closed else at_m)
+    return at_m, points, np.hypot(*np.diff(points, axis=0).T)
+
+
+def wrap(at_m: FloatArray, length_m: float) -> FloatArray:
+    """Return lengths along a closed contour, brought back to its first lap."""
+    return np.asarray(np.mod(at_m, length_m))

@@ -1,0 +1,261 @@
+"""Seams from DXF drawings: the model space, with blocks, layers, colours and units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.errors import JobError, Place
+from threadline.jobs.seam.drawing import MAX_STROKES, Drawing, Refusal, Stroke
+from threadline.jobs.seam.dxf_entities import NotFlatError, entity_pieces
+from threadline.units import unit_factor
+
+_TEXTS = ("TEXT", "MTEXT", "ATTRIB", "ATTDEF", "ARCTEXT", "ACAD_PROXY_TEXT")
+_SILENT = ("VIEWPORT", "SEQEND")  # of the sheet, not of the drawing
+_MAX_DEPTH = 32
+_BYLAYER, _BYBLOCK = 256, 0
+
+
+def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
+    """Return the strokes of a DXF drawing, text or binary, of any version that ezdxf reads.
+
+    Parameters
+    ----------
+    content, file
+        The bytes of the file, and its path.
+    unit
+        What one drawing unit is, for a drawing that does not say ($INSUNITS).
+
+    Raises
+    ------
+    JobError
+        If it is no DXF drawing, has no unit or contradicts the one given.
+    """
+    place = Place(file)
+    if re.match(rb"AC10\d\d", content):
+        raise JobError("this is a DWG file", place=place, remedy="Save the drawing as DXF.")
+    document = _load(file)
+    factor = _metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
+    walk = _Walk(file, document, entity_lines(content), factor)
+    walk.entities(document.modelspace(), _Inherited("0", "#ffffff"), 0)
+    return Drawing(
+        file=file,
+        strokes=tuple(walk.strokes),
+        refusals=tuple(walk.refusals),
+        warnings=tuple(walk.warnings),
+    )
+
+
+def _load(file: str) -> Any:
+    from ezdxf.filemanagement import readfile
+
+    try:
+        return readfile(Path(file))
+    except Exception as error:  # a damaged file raises whatever ezdxf trips over
+        at = re.search(r"line[: ]+(\d+)", str(error), re.IGNORECASE)
+        raise JobError(
+            f"not a DXF drawing: {error or type(error).__name__}",
+            place=Place(file, int(at[1]) if at else 0),
+            remedy="Save it again as DXF, R2000 or later.",
+        ) from error
+
+
+def _metres_per_unit(code: int, unit: str | None, place: Place) -> float:
+    from ezdxf.enums import InsertUnits
+    from ezdxf.units import conversion_factor
+
+    given = None if unit is None else unit_factor(unit, "m")
+    if code == 0 or code not in range(1, 25):
+        if given is None:
+            raise JobError(
+                "the drawing does not say its unit ($INSUNITS is 0)",
+                place=place,
+                remedy='Set the unit in the drawing, or write [drawing] unit = "mm".',
+            )
+        return given
+    stated = float(conversion_factor(InsertUnits(code), InsertUnits.Meters))
+    if given is not None and abs(given / stated - 1.0) > 1e-6:
+        raise JobError(
+            f"the drawing says that its unit is {stated:g} m ($INSUNITS is {code}), "
+            f"the seam file says {unit}",
+            place=place,
+            remedy="Remove the unit from the seam file, or correct the drawing.",
+        )
+    return stated
+
+
+def entity_lines(content: bytes) -> dict[str, int]:
+    """Return the line at which each entity of a text DXF begins, by its handle."""
+    if content.startswith(b"AutoCAD Binary DXF"):
+        return {}
+    lines = content.split(b"\n")
+    found: dict[str, int] = {}
+    begin = 0
+    for k in range(0, len(lines) - 1, 2):
+        code = lines[k].strip()
+        if code == b"0":
+            begin = k + 1
+        elif code == b"5" and begin:
+            found[lines[k + 1].strip().decode("ascii", "replace").upper()] = begin
+            begin = 0
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Inherited:
+    """What an entity on layer 0, or of colour BYBLOCK, takes from the block's insert."""
+
+    layer: str
+    colour: str
+
+
+@dataclass(slots=True)
+class _Walk:
+    file: str
+    document: Any
+    lines: dict[str, int]
+    factor: float
+    strokes: list[Stroke] = field(default_factory=list)
+    refusals: list[Refusal] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    hidden: set[str] = field(default_factory=set)
+
+    def entities(self, entities: Iterable[Any], inherited: _Inherited, depth: int) -> None:
+        for entity in entities:
+            kind = entity.dxftype()
+            if kind in _SILENT:
+                continue
+            layer = str(entity.dxf.layer)
+            layer = inherited.layer if layer == "0" else layer
+            if self._is_hidden(layer):
+                continue
+            here = _Inherited(layer, self._colour(entity, layer, inherited))
+            if kind == "INSERT":
+                self._insert(entity, here, depth)
+            else:
+                self._entity(entity, kind, here)
+            if len(self.strokes) > MAX_STROKES:
+                raise JobError(
+                    f"the drawing has more than {MAX_STROKES} entities", place=Place(self.file)
+                )
+
+    def _entity(self, entity: Any, kind: str, here: _Inherited) -> None:
+        line = self._line(entity)
+        if kind in _TEXTS:
+            self._refuse_text(entity, here)
+            return
+        if kind == "POINT":
+            self.warnings.append(f"{Place(self.file, line)}: a POINT was left out")
+            return
+        try:
+            pieces = entity_pieces(entity, line)
+        except NotFlatError:
+            self._refuse(f"a {kind} is not drawn in the XY plane", here, line, "Flatten it.")
+            return
+        except (ValueError, ArithmeticError) as error:
+            raise JobError(f"a {kind} is wrong: {error}", place=Place(self.file, line)) from error
+        if pieces is None:
+            self._refuse(
+                f"a {kind} cannot be sewn", here, line, "Explode it, or choose other layers."
+            )
+            return
+        if kind == "SPLINE" and len(entity.control_points) == 0:
+            self.warnings.append(
+                f"{Place(self.file, line)}: a SPLINE has fit points only; its control points "
+                "were computed, other programs may draw it a little differently"
+            )
+        scaled = pieces.transform(self.factor * np.eye(2), np.zeros(2))
+        self.strokes.append(Stroke(pieces=scaled, layer=here.layer, colour=here.colour))
+
+    def _insert(self, insert: Any, here: _Inherited, depth: int) -> None:
+        line = self._line(insert)
+        place = Place(self.file, line)
+        name = str(insert.dxf.name)
+        block = insert.block()
+        if block is None or block.block.is_xref:
+            what = "is not in the file" if block is None else "lies in another file"
+            self._refuse(f"the block {name[:60]!r} {what}", here, line, "Bind it to the drawing.")
+            return
+        if depth >= _MAX_DEPTH:
+            raise JobError(
+                f"blocks are nested more than {_MAX_DEPTH} deep at {name[:60]!r}; "
+                "does a block hold itself?",
+                place=place,
+            )
+        for attribute in insert.attribs:
+            self._refuse_text(attribute, here)
+        for single in self._copies(insert, place):
+            skipped: list[str] = []
+            parts = single.virtual_entities(
+                skipped_entity_callback=lambda entity, _, s=skipped: s.append(entity.dxftype())
+            )
+            try:
+                self.entities(parts, here, depth + 1)
+            except (ValueError, ArithmeticError, TypeError, AttributeError) as error:
+                if isinstance(error, JobError):
+                    raise
+                raise JobError(f"the block {name[:60]!r} is wrong: {error}", place=place) from error
+            for kind in skipped:
+                self._refuse(f"a {kind} in a block cannot be sewn", here, line, "Explode it.")
+
+    def _copies(self, insert: Any, place: Place) -> Iterator[Any]:
+        if insert.mcount > MAX_STROKES:
+            raise JobError(f"a block is repeated {insert.mcount} times", place=place)
+        return iter(insert.multi_insert()) if insert.mcount > 1 else iter([insert])
+
+    def _colour(self, entity: Any, layer: str, inherited: _Inherited) -> str:
+        from ezdxf.colors import aci2rgb
+
+        rgb = entity.rgb
+        if rgb is None:
+            index = abs(int(entity.dxf.get("color", _BYLAYER)))
+            if index == _BYBLOCK:
+                return inherited.colour
+            if index == _BYLAYER:
+                found = self._layer(layer)
+                rgb = None if found is None else found.rgb
+                index = 7 if found is None else abs(int(found.dxf.get("color", 7)))
+            if rgb is None:
+                rgb = aci2rgb(index if 1 <= index <= 255 else 7)
+        return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+    def _layer(self, name: str) -> Any:
+        return self.document.layers.get(name) if name in self.document.layers else None
+
+    def _is_hidden(self, name: str) -> bool:
+        layer = self._layer(name)
+        hidden = name.lower() == "defpoints" or (
+            layer is not None and (layer.is_off() or layer.is_frozen())
+        )
+        if hidden and name not in self.hidden:
+            self.hidden.add(name)
+            self.warnings.append(f"{self.file}: layer {name!r} is hidden and was left out")
+        return hidden
+
+    def _line(self, entity: Any) -> int:
+        handle = entity.dxf.handle
+        source = entity
+        while handle is None and source.source_of_copy is not None:
+            source = source.source_of_copy
+            handle = source.dxf.handle
+        return self.lines.get(str(handle), 0)
+
+    def _refuse_text(self, entity: Any, here: _Inherited) -> None:
+        plain = getattr(entity, "plain_text", None)
+        text = str(plain()) if plain is not None else str(entity.dxf.get("text", ""))
+        self._refuse(
+            f"the text {text[:40]!r} cannot be sewn",
+            here,
+            self._line(entity),
+            "Explode it to lines, or put it on a layer that is not chosen.",
+        )
+
+    def _refuse(self, message: str, here: _Inherited, line: int, remedy: str) -> None:
+        self.refusals.append(
+            Refusal(message=message, layer=here.layer, colour=here.colour, line=line, remedy=remedy)
+        )

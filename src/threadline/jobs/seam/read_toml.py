@@ -1,0 +1,283 @@
+"""Seam files (``.seam.toml``): which drawing, which seams of it, and how they are sewn."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import JobError, Place, UnitError
+from threadline.jobs.seam.drawing import Drawing, Stroke, decode_text
+from threadline.jobs.seam.pieces import Pieces, join_pieces
+from threadline.jobs.seam.segments import bulge_segment, centre_segment, radius_segment
+from threadline.jobs.seam.settings import STITCHING_KEYS, nearest
+from threadline.units import parse_quantity, unit_factor
+
+MAX_TOML_BYTES = 64 * 1024 * 1024
+_DRAWING = ("file", "unit", "gap", "origin", "by")
+_SEAM = ("name", "layer", "colour")
+_CONTOUR = ("layer", "unit", "closed", "points")
+_POINT = ("to", "bulge", "centre", "radius", "turn", "large")
+DEFAULT_GAP_M = 1e-5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeamChoice:
+    """Which strokes make a seam, and what is set for it alone; None takes every layer or colour."""
+
+    name: str
+    layer: str | None = None
+    colour: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    places: Mapping[str, Place] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SeamFile:
+    """What a seam file says.
+
+    ``drawing`` is the name of a drawing, or the contours of the file itself. ``by`` tells what
+    makes a seam when no ``choices`` are given: ``layer``, ``colour`` or ``all``.
+    """
+
+    drawing: str | Drawing
+    drawing_line: int = 0
+    unit: str | None = None
+    gap_m: float = DEFAULT_GAP_M
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    by: str = "layer"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    places: Mapping[str, Place] = field(default_factory=dict)
+    choices: tuple[SeamChoice, ...] = ()
+
+
+def read_seam_file(content: bytes, file: str) -> SeamFile:
+    """Return what the seam file says.
+
+    Raises
+    ------
+    JobError
+        If it is not TOML or not a seam file; with the line.
+    """
+    text = decode_text(content, file, "seam file")
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        at = re.search(r"at line (\d+)", str(error))
+        raise JobError(
+            f"not valid TOML: {error}", place=Place(file, int(at[1]) if at else 0)
+        ) from (error)
+    reader = _Reader(file, _lines(text))
+    return reader.seam_file(table)
+
+
+def _lines(text: str) -> dict[tuple[str | int, ...], int]:
+    """Return the line of every table and key; ``("seam", 1, "layer")`` is in the second seam."""
+    found: dict[tuple[str | int, ...], int] = {}
+    counts: dict[str, int] = {}
+    table: tuple[str | int, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*(\[\[?)\s*([A-Za-z_]+)\s*\]\]?\s*(?:#.*)?$", line)
+        key = re.match(r"\s*([A-Za-z_]+)\s*=", line)
+        if header:
+            table = (header[2],)
+            if header[1] == "[[":
+                counts[header[2]] = counts.get(header[2], -1) + 1
+                table = (header[2], counts[header[2]])
+            found[table] = number
+        elif key:
+            found.setdefault((*table, key[1]), number)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    file: str
+    lines: Mapping[tuple[str | int, ...], int]
+
+    def place(self, *location: str | int) -> Place:
+        while location and location not in self.lines:
+            location = location[:-1]
+        return Place(self.file, self.lines.get(location, 0))
+
+    def seam_file(self, table: dict[str, Any]) -> SeamFile:
+        for key in table:
+            if key not in ("drawing", "stitching", "seam", "contour"):
+                raise JobError(
+                    f"unknown key {key!r}",
+                    place=self.place(key),
+                    remedy=nearest(key, ("drawing", "stitching", "seam", "contour")),
+                )
+        drawing = self._table(table.get("drawing", {}), _DRAWING, "drawing")
+        contours = self._tables(table.get("contour", []), "contour")
+        if ("file" in drawing) == bool(contours):
+            raise JobError(
+                "a seam file has either [drawing] file or [[contour]] tables",
+                place=self.place("drawing"),
+                remedy='Name a drawing, like [drawing] file = "collar.dxf".',
+            )
+        settings = self._table(table.get("stitching", {}), STITCHING_KEYS, "stitching")
+        unit = self._text(drawing, "unit", "drawing")
+        by = self._text(drawing, "by", "drawing") or "layer"
+        if by not in ("layer", "colour", "all"):
+            raise JobError(
+                f"by is {by!r}",
+                place=self.place("drawing", "by"),
+                remedy="Use layer, colour or all.",
+            )
+        return SeamFile(
+            drawing=self._text(drawing, "file", "drawing") or self._contours(contours, unit),
+            drawing_line=self.place("drawing", "file").line,
+            unit=unit,
+            gap_m=self._gap(drawing),
+            origin_m=self._origin(drawing.get("origin", ["0 mm", "0 mm"])),
+            by=by,
+            settings=settings,
+            places={key: self.place("stitching", key) for key in settings},
+            choices=tuple(
+                self._choice(seam, k)
+                for k, seam in enumerate(self._tables(table.get("seam", []), "seam"))
+            ),
+        )
+
+    def _table(self, table: Any, known: tuple[str, ...], *location: str | int) -> dict[str, Any]:
+        if not isinstance(table, dict):
+            raise JobError(f"{location[0]} must be a table", place=self.place(*location))
+        for key in table:
+            if key not in known:
+                raise JobError(
+                    f"unknown key {key!r}",
+                    place=self.place(*location, key),
+                    remedy=nearest(key, known),
+                )
+        return table
+
+    def _tables(self, tables: Any, name: str) -> list[Any]:
+        if not isinstance(tables, list):
+            raise JobError(f"write [[{name}]], not [{name}]", place=self.place(name))
+        return tables
+
+    def _text(self, table: dict[str, Any], key: str, *location: str | int) -> str | None:
+        value = table.get(key)
+        if value is not None and not (isinstance(value, str) and value):
+            raise JobError(f"{key} is {value!r}, not a text", place=self.place(*location, key))
+        return value
+
+    def _length(self, text: Any, what: str, place: Place) -> float:
+        if not isinstance(text, str):
+            raise JobError(f"{what} is {text!r}", place=place, remedy='Write it like "0.01 mm".')
+        try:
+            return parse_quantity(text, "m")
+        except UnitError as error:
+            raise JobError(f"{what}: {error.message}", place=place, remedy=error.remedy) from error
+
+    def _gap(self, drawing: dict[str, Any]) -> float:
+        place = self.place("drawing", "gap")
+        gap_m = self._length(drawing.get("gap", "0.01 mm"), "gap", place)
+        if not 1e-9 <= gap_m <= 0.01:
+            raise JobError(
+                f"gap is {drawing['gap']!r}; it lies between 1 nm and 10 mm", place=place
+            )
+        return gap_m
+
+    def _origin(self, origin: Any) -> tuple[float, float]:
+        place = self.place("drawing", "origin")
+        if not isinstance(origin, list) or len(origin) != 2:
+            raise JobError('origin is like ["10 mm", "20 mm"]', place=place)
+        x, y = (self._length(part, "origin", place) for part in origin)
+        return x, y
+
+    def _choice(self, seam: Any, k: int) -> SeamChoice:
+        table = self._table(seam, (*_SEAM, *STITCHING_KEYS), "seam", k)
+        layer = self._text(table, "layer", "seam", k)
+        colour = self._text(table, "colour", "seam", k)
+        settings = {key: value for key, value in table.items() if key not in _SEAM}
+        return SeamChoice(
+            name=self._text(table, "name", "seam", k) or layer or colour or f"seam {k + 1}",
+            layer=layer,
+            colour=None if colour is None else colour.lower(),
+            settings=settings,
+            places={
+                key: self.place("seam", k, key) for key in [*settings, "name", "layer", "colour"]
+            },
+        )
+
+    def _contours(self, contours: list[Any], unit: str | None) -> Drawing:
+        strokes = []
+        for k, contour in enumerate(contours):
+            table = self._table(contour, _CONTOUR, "contour", k)
+            place = self.place("contour", k, "points")
+            written = self._text(table, "unit", "contour", k) or unit
+            if written is None:
+                raise JobError(
+                    "the contour has no unit", place=place, remedy='Add unit = "mm" to it.'
+                )
+            try:
+                pieces = self._pieces(table, unit_factor(written, "m"), place.line)
+            except (ValueError, TypeError) as error:
+                message = getattr(error, "message", str(error))
+                raise JobError(f"contour {k + 1}: {message}", place=place) from error
+            layer = self._text(table, "layer", "contour", k) or ""
+            strokes.append(Stroke(pieces=pieces, layer=layer, colour="none"))
+        return Drawing(file=self.file, strokes=tuple(strokes))
+
+    def _pieces(self, table: dict[str, Any], factor: float, line: int) -> Pieces:
+        points = table.get("points", [])
+        if not isinstance(points, list) or len(points) < 2:
+            raise ValueError("points needs two or more points, like [[0, 0], [10, 0]]")
+        here = first = _pair(points[0]) * factor
+        parts = []
+        for point in points[1:]:
+            if not isinstance(point, dict):
+                point = {"to": point}  # noqa: PLW2901 - the short form of the same thing
+            there = _pair(point.get("to")) * factor
+            parts.append(_segment(here, there, point, factor, line))
+            here = there
+        closed = table.get("closed", False)
+        if not isinstance(closed, bool):
+            raise ValueError(f"closed is {closed!r}, not true or false")
+        if closed and np.hypot(*(here - first)) > 0.0:
+            parts.append(bulge_segment(here, first, 0.0, line))
+        return join_pieces(parts)
+
+
+def _pair(value: Any) -> FloatArray:
+    good = isinstance(value, list) and len(value) == 2 and all(_is_number(part) for part in value)
+    if not good:
+        raise ValueError(f"{value!r} is not a point like [10, 20]")
+    return np.array(value, dtype=np.float64)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def _number(point: dict[str, Any], key: str) -> float:
+    value = point.get(key, 0.0)
+    if not _is_number(value):
+        raise ValueError(f"{key} is {value!r}, not a number")
+    return float(value)
+
+
+def _segment(
+    here: FloatArray, there: FloatArray, point: dict[str, Any], factor: float, line: int
+) -> Pieces:
+    unknown = set(point) - set(_POINT)
+    if unknown:
+        key = sorted(unknown)[0]
+        raise ValueError(f"unknown key {key!r} of a point. {nearest(key, _POINT)}")
+    if len({"bulge", "centre", "radius"} & set(point)) > 1:
+        raise ValueError("an arc is given by its bulge, its centre or its radius, not by two")
+    turn = point.get("turn", "ccw")
+    if "centre" in point:
+        return centre_segment(here, there, _pair(point["centre"]) * factor, turn, line)
+    if "radius" in point:
+        radius = _number(point, "radius") * factor
+        return radius_segment(here, there, radius, turn, bool(point.get("large", False)), line)
+    return bulge_segment(here, there, _number(point, "bulge"), line)

@@ -1,0 +1,193 @@
+"""How a seam is sewn: every setting with its unit, its default and what it means."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from threadline.errors import JobError, Place, UnitError
+from threadline.units import parse_quantity
+
+EXAMPLE = (
+    'Write a file NAME.seam.toml with [drawing] file = "..." and [stitching] '
+    'stitch_length = "0.1 in", needle_speed = "75 stitch/s".'
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stitching:
+    """How a seam is sewn.
+
+    Parameters
+    ----------
+    stitch_length_m, needle_speed_hz
+        What is wanted: m a stitch, stitches a second.
+    tolerance
+        Share of the stitch length by which a stitch may be off; two stitches on each side of a
+        corner, of a reversal and of the ends are exempt.
+    placement_m
+        How far off the seam the head may be; with a slowed needle and interpolated motion it
+        sets the speed in the corner.
+    corner_angle_rad
+        A turn of at least this angle is a corner: it gets a stitch.
+    motion
+        ``interpolated``: the next leg begins while the last one ends, the corner is rounded;
+        ``discrete``: the head rests in each corner.
+    needle
+        ``constant`` speed, or ``slowed`` with the head, so that stitches keep their length.
+    acceleration_m_s2
+        Of the head along the seam; None for the two-stitch rule, ``v^2 / (2 stitch length)``.
+    needle_acceleration_hz_s
+        Most that the sewing motor can do, stitch/s^2; infinite when it is not the limit.
+    allowance_m, side, join, mitre_limit
+        Distance of the stitches from the drawn line: ``inside`` or ``outside`` a closed contour,
+        ``left`` or ``right`` of an open one; corners ``mitre`` or ``round``; a mitre longer than
+        ``mitre_limit`` allowances is rounded.
+    lock_start, lock_end
+        Stitches sewn forth and back to lock the thread.
+    start_m, end_m
+        Where along the contour to begin and to end; None for the whole of it.
+    reverse
+        Sew the contour against the direction in which it was drawn.
+    """
+
+    stitch_length_m: float
+    needle_speed_hz: float
+    tolerance: float = 0.05
+    placement_m: float = 5e-4
+    corner_angle_rad: float = math.radians(15.0)
+    motion: str = "interpolated"
+    needle: str = "constant"
+    acceleration_m_s2: float | None = None
+    needle_acceleration_hz_s: float = math.inf
+    allowance_m: float = 0.0
+    side: str = "inside"
+    join: str = "mitre"
+    mitre_limit: float = 4.0
+    lock_start: int = 0
+    lock_end: int = 0
+    start_m: float | None = None
+    end_m: float | None = None
+    reverse: bool = False
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the head at full needle speed: eq 2.3 of the stitcher thesis."""
+        return self.stitch_length_m * self.needle_speed_hz
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    field: str
+    unit: str | None = None  # None: one of choices, or a whole number, or a truth value
+    choices: tuple[str, ...] = ()
+    kind: type = str
+    low: float = 0.0
+    high: float = math.inf
+    open_low: bool = False
+
+
+_SETTINGS = {
+    "stitch_length": _Setting("stitch_length_m", "m", open_low=True, high=0.1),
+    "needle_speed": _Setting("needle_speed_hz", "stitch/s", open_low=True, high=1000.0),
+    "tolerance": _Setting("tolerance", "", open_low=True, high=0.5),
+    "placement": _Setting("placement_m", "m"),
+    "corner_angle": _Setting(
+        "corner_angle_rad", "rad", low=math.radians(2.0), high=math.radians(170.0)
+    ),
+    "motion": _Setting("motion", choices=("interpolated", "discrete")),
+    "needle": _Setting("needle", choices=("constant", "slowed")),
+    "acceleration": _Setting("acceleration_m_s2", "m/s^2", open_low=True),
+    "needle_acceleration": _Setting("needle_acceleration_hz_s", "stitch/s^2", open_low=True),
+    "allowance": _Setting("allowance_m", "m"),
+    "side": _Setting("side", choices=("inside", "outside", "left", "right")),
+    "join": _Setting("join", choices=("mitre", "round")),
+    "mitre_limit": _Setting("mitre_limit", "", low=1.0),
+    "lock_start": _Setting("lock_start", kind=int, high=50),
+    "lock_end": _Setting("lock_end", kind=int, high=50),
+    "start": _Setting("start_m", "m"),
+    "end": _Setting("end_m", "m", open_low=True),
+    "reverse": _Setting("reverse", kind=bool),
+}
+STITCHING_KEYS = tuple(_SETTINGS)
+
+
+def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: Place) -> Stitching:
+    """Return the stitching that ``settings`` describe.
+
+    Parameters
+    ----------
+    settings
+        By the names of ``STITCHING_KEYS``; lengths and the like as text with a unit.
+    places
+        Where each was written, for messages.
+    place
+        Where one that is missing would stand.
+
+    Raises
+    ------
+    JobError
+        If one is unknown, malformed, out of range or missing.
+    """
+    values: dict[str, Any] = {}
+    for key, value in settings.items():
+        here = places.get(key, place)
+        setting = _SETTINGS.get(key)
+        if setting is None:
+            raise JobError(f"unknown key {key!r}", place=here, remedy=nearest(key, STITCHING_KEYS))
+        values[setting.field] = _value(key, value, setting, here)
+    for key in ("stitch_length", "needle_speed"):
+        if _SETTINGS[key].field not in values:
+            raise JobError(f"{key} is not given", place=place, remedy=EXAMPLE)
+    result = Stitching(**values)
+    if result.end_m is not None and result.end_m <= (result.start_m or 0.0):
+        raise JobError(
+            f"the seam ends at {result.end_m * 1e3:.6g} mm, before it starts",
+            place=places.get("end", place),
+        )
+    return result
+
+
+def _value(key: str, value: Any, setting: _Setting, place: Place) -> Any:
+    if setting.choices:
+        if value not in setting.choices:
+            raise JobError(
+                f"{key} is {value!r}", place=place, remedy=f"Use {' or '.join(setting.choices)}."
+            )
+        return value
+    if setting.unit is None:
+        # bool is an int in Python; here they are different things.
+        if type(value) is not setting.kind:
+            raise JobError(f"{key} is {value!r}, not of type {setting.kind.__name__}", place=place)
+        number: Any = value
+        shown = value
+    elif isinstance(value, str):
+        try:
+            number = parse_quantity(value, setting.unit)
+        except UnitError as error:
+            raise JobError(f"{key}: {error.message}", place=place, remedy=error.remedy) from error
+        shown = value
+    elif setting.unit == "" and isinstance(value, int | float) and not isinstance(value, bool):
+        number = shown = float(value)
+    else:
+        raise JobError(
+            f"{key} is {value!r}, which has no unit",
+            place=place,
+            remedy=f'Write it like "1 {setting.unit}".',
+        )
+    if not setting.low <= number <= setting.high or (setting.open_low and number <= setting.low):
+        raise JobError(
+            f"{key} is {shown!r}; it must be {'above' if setting.open_low else 'at least'} "
+            f"{setting.low:g} and at most {setting.high:g} {setting.unit or ''}".rstrip(),
+            place=place,
+        )
+    return number
+
+
+def nearest(key: str, known: tuple[str, ...]) -> str:
+    """Return a remedy that names the nearest of ``known``."""
+    close = difflib.get_close_matches(key, known, n=1)
+    return f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(known)}."

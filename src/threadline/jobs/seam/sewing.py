@@ -1,0 +1,152 @@
+"""A contour being sewn: its stitches, leg by leg, computed afresh at every reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import Place
+from threadline.jobs.seam.arclength import ArcTable, arc_table
+from threadline.jobs.seam.contour import Contour
+from threadline.jobs.seam.legs import Leg, seam_legs
+from threadline.jobs.seam.placement import exempt_mask, place_leg, wrap
+from threadline.jobs.seam.settings import Stitching
+from threadline.jobs.seam.timing import end_speed_m_s, stitch_times_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StitchBlock:
+    """The stitches of one leg.
+
+    Parameters
+    ----------
+    points
+        (n + 1, 2) m: where the needle goes down; the first is where the leg before ended.
+    lengths_m
+        (n,) chords.
+    times_s
+        (n,) one turn of the needle each.
+    exempt
+        (n,) bool: the two next to a corner or a rest.
+    bulge_m
+        (n,) how far the contour bows out of the chord, at most.
+    line
+        (n,) int: line of the drawing that the stitch ends on.
+    rests
+        The head rests at the end of the leg.
+    """
+
+    leg: Leg
+    points: FloatArray
+    lengths_m: FloatArray
+    times_s: FloatArray
+    exempt: NDArray[np.bool_]
+    bulge_m: FloatArray
+    line: IntArray
+    rests: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SewnContour:
+    """A contour with all that decides its stitches.
+
+    Parameters
+    ----------
+    seam
+        Name of the seam.
+    place
+        Where the contour begins in the drawing.
+    table, closed
+        The curve, in the axes of the machine.
+    legs
+        In the order of sewing.
+    acceleration_m_s2
+        Of the head along the seam.
+    """
+
+    seam: str
+    place: Place
+    table: ArcTable
+    closed: bool
+    legs: tuple[Leg, ...]
+    settings: Stitching
+    acceleration_m_s2: float
+
+    def blocks(self) -> Iterator[StitchBlock]:
+        """Yield the stitches of each leg."""
+        for leg in self.legs:
+            yield self._block(leg)
+
+    def start(self) -> FloatArray:
+        """Return the (2,) point where the needle first goes down, m."""
+        at_m = np.array([self.legs[0].begin_m])
+        on_m = wrap(at_m, self.table.length_m) if self.closed else at_m
+        point: FloatArray = self.table.points(on_m)[0]
+        return point
+
+    def _block(self, leg: Leg) -> StitchBlock:
+        settings = self.settings
+        discrete = settings.motion == "discrete"
+        halts = (
+            discrete or leg.begin_turn_rad is None,
+            discrete or leg.end_turn_rad is None,
+        )
+        slowed = settings.needle == "slowed"
+        # A slowed needle waits for the head, so that no stitch is shortened by a ramp.
+        ramps = (False, False) if slowed else halts
+        at_m, points = place_leg(
+            self.table, leg, self.closed, settings, self.acceleration_m_s2, ramps
+        )
+        lengths = np.hypot(*np.diff(points, axis=0).T)
+        arcs = np.abs(np.diff(at_m))
+        on = wrap(at_m, self.table.length_m) if self.closed else at_m
+        if slowed:
+            ends = (
+                end_speed_m_s(leg.begin_turn_rad, settings, self.acceleration_m_s2),
+                end_speed_m_s(leg.end_turn_rad, settings, self.acceleration_m_s2),
+            )
+            bend = self.table.curvature(on)
+            times = stitch_times_s(lengths, bend, settings, self.acceleration_m_s2, ends)
+        else:
+            times = np.full(len(lengths), 1.0 / settings.needle_speed_hz)
+        middle = at_m[1:] - 0.25 * np.diff(at_m)
+        piece, _ = self.table.locate(wrap(middle, self.table.length_m) if self.closed else middle)
+        return StitchBlock(
+            leg=leg,
+            points=points,
+            lengths_m=lengths,
+            times_s=times,
+            exempt=exempt_mask(len(lengths)),
+            # A bow of height h makes the arc longer than its chord by 8/3 h^2 / chord or less.
+            bulge_m=np.sqrt(0.5 * np.maximum(arcs - lengths, 0.0) * arcs),
+            line=self.table.pieces.line[piece],
+            rests=halts[1],
+        )
+
+
+def sewn_contour(
+    contour: Contour, seam: str, file: str, settings: Stitching, acceleration_m_s2: float
+) -> SewnContour:
+    """Return ``contour`` ready to be sewn.
+
+    Raises
+    ------
+    JobError
+        If the start, the end or a lock lies outside it.
+    """
+    pieces = contour.pieces.reverse() if settings.reverse else contour.pieces
+    table = arc_table(pieces)
+    place = Place(file, int(pieces.line[0]))
+    return SewnContour(
+        seam=seam,
+        place=place,
+        table=table,
+        closed=contour.closed,
+        legs=tuple(seam_legs(table, contour.closed, settings, place)),
+        settings=settings,
+        acceleration_m_s2=acceleration_m_s2,
+    )

@@ -1,0 +1,68 @@
+"""When the needle goes down if it slows with the head, so that stitches keep their length.
+
+The sewing motor turns once a stitch, so head speed v and needle speed v / length go together, and
+the smaller of what the head and the motor can do bounds them both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.jobs.seam.settings import Stitching
+from threadline.sizing import corner_speed_m_s
+
+
+def end_speed_m_s(turn_rad: float | None, settings: Stitching, acceleration_m_s2: float) -> float:
+    """Return the speed at which a leg may end: 0 at a rest, what the placement allows in a corner.
+
+    In interpolated motion the corner is passed by ``v^2 sin(turn / 2) / (4 a)``.
+    """
+    if turn_rad is None or settings.motion == "discrete":
+        return 0.0
+    fastest = corner_speed_m_s(settings.placement_m, acceleration_m_s2, turn_rad)
+    return min(settings.speed_m_s, fastest)
+
+
+def stitch_times_s(
+    lengths_m: FloatArray,
+    bend_1_m: FloatArray,
+    settings: Stitching,
+    acceleration_m_s2: float,
+    ends_m_s: tuple[float, float],
+) -> FloatArray:
+    """Return the (n,) time of each stitch of a leg.
+
+    Parameters
+    ----------
+    lengths_m
+        (n,) lengths of the stitches.
+    bend_1_m
+        (n + 1,) curvature of the seam where the stitches begin and end; the head goes no faster
+        there than ``sqrt(a / curvature)``.
+    acceleration_m_s2
+        Of the head; the needle's limit is in the settings.
+    ends_m_s
+        Speeds at the two ends of the leg.
+
+    Notes
+    -----
+    Half stitches with constant acceleration each: the fastest speeds that the limits allow, by
+    one pass forwards and one backwards over ``v'^2 <= v^2 + 2 a h``, and the time of each half is
+    ``2 h / (v + v')``.
+    """
+    along = min(acceleration_m_s2, settings.needle_acceleration_hz_s * settings.stitch_length_m)
+    half = np.repeat(lengths_m / 2.0, 2)
+    squared = np.full(len(half) + 1, settings.speed_m_s**2)
+    limit = acceleration_m_s2 / np.maximum(np.abs(bend_1_m), 1e-12)
+    squared[::2] = np.minimum(squared[::2], limit)
+    squared[0] = min(squared[0], ends_m_s[0] ** 2)
+    squared[-1] = min(squared[-1], ends_m_s[1] ** 2)
+    # min over j <= i of squared[j] + 2 a (s_i - s_j): a running minimum of squared - 2 a s.
+    rise = 2.0 * along * np.concatenate([[0.0], np.cumsum(half)])
+    squared = np.minimum.accumulate(squared - rise) + rise
+    fall = rise[-1] - rise
+    squared = np.minimum.accumulate((squared - fall)[::-1])[::-1] + fall
+    speed = np.sqrt(np.maximum(squared, 0.0))
+    times = 2.0 * half / (speed[:-1] + speed[1:])
+    return np.asarray(times.reshape(-1, 2).sum(axis=1))

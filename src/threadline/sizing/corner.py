@@ -1,0 +1,104 @@
+"""What a corner costs: error, speed and acceleration, for any angle.
+
+A head that moves along unit vector d1 at speed v is to go on along d2, turned by the angle theta
+(0 straight on, pi back). In discrete motion it stops in the corner and misses nothing. In
+interpolated motion the second leg begins when the first begins to decelerate; with p counted
+from the corner ::
+
+    p(t) = -(v - a_d t)^2 / (2 a_d) d1  +  a_a t^2 / 2 d2
+
+With a_d = a_a = a both last v/a, the path is a parabola whose axis bisects the corner, and its
+apex, at half the time, is the point nearest to the corner ::
+
+    e = |p(v / 2a)| = v^2 / (8 a) |d2 - d1| = v^2 sin(theta / 2) / (4 a)
+
+which is sqrt(2) v^2 / (8 a) at a right angle: eqs 2.4 to 2.7 of the stitcher thesis.
+"""
+
+from __future__ import annotations
+
+import math
+
+from scipy.optimize import minimize_scalar
+
+
+def corner_error_m(
+    speed_m_s: float,
+    acceleration_m_s2: float,
+    turn_rad: float,
+    deceleration_m_s2: float | None = None,
+) -> float:
+    """Return how far interpolated motion passes a corner by, in m.
+
+    Parameters
+    ----------
+    speed_m_s
+        Before and after the corner.
+    acceleration_m_s2
+        Along the leg after the corner.
+    turn_rad
+        Angle by which the direction turns, 0 to pi; a right angle is pi / 2.
+    deceleration_m_s2
+        Along the leg before the corner; as the acceleration when None.
+
+    Raises
+    ------
+    ValueError
+        If an acceleration is not above 0 or the angle is outside 0 to pi.
+    """
+    _check(acceleration_m_s2, turn_rad)
+    if deceleration_m_s2 is None or deceleration_m_s2 == acceleration_m_s2:
+        return speed_m_s**2 * math.sin(turn_rad / 2.0) / (4.0 * acceleration_m_s2)
+    _check(deceleration_m_s2, turn_rad)
+    up_s, down_s = speed_m_s / acceleration_m_s2, speed_m_s / deceleration_m_s2
+
+    def distance_m(time_s: float) -> float:
+        left = (speed_m_s - deceleration_m_s2 * time_s) ** 2 / (2.0 * deceleration_m_s2)
+        if time_s > up_s:  # the second leg is at speed before the first has come to rest
+            right = speed_m_s * (time_s - up_s / 2.0)
+        else:
+            right = acceleration_m_s2 * time_s**2 / 2.0
+        return math.sqrt(left**2 + right**2 - 2.0 * left * right * math.cos(turn_rad))
+
+    # Once the first leg rests the head only moves away; before, there is one nearest point.
+    nearest = minimize_scalar(
+        distance_m, bounds=(0.0, down_s), method="bounded", options={"xatol": 1e-12 * down_s}
+    )
+    return float(nearest.fun)
+
+
+def corner_speed_m_s(error_m: float, acceleration_m_s2: float, turn_rad: float) -> float:
+    """Return the speed at which interpolated motion misses the corner by ``error_m``.
+
+    Infinite where the path does not turn.
+    """
+    _check(acceleration_m_s2, turn_rad)
+    bend = math.sin(turn_rad / 2.0)
+    return math.inf if bend == 0.0 else math.sqrt(4.0 * acceleration_m_s2 * error_m / bend)
+
+
+def corner_acceleration_m_s2(speed_m_s: float, error_m: float, turn_rad: float) -> float:
+    """Return the acceleration with which interpolated motion misses the corner by ``error_m``."""
+    _check(error_m, turn_rad)
+    return speed_m_s**2 * math.sin(turn_rad / 2.0) / (4.0 * error_m)
+
+
+def ramp_acceleration_m_s2(
+    speed_m_s: float, stitch_length_m: float, ramp_stitches: float = 2.0
+) -> float:
+    """Return the acceleration that reaches the speed within ``ramp_stitches`` needle periods.
+
+    The needle runs at constant speed ``v / length``, so k stitches take ``k length / v`` and
+    ``a = v^2 / (k length)``; the head travels ``k / 2`` stitch lengths meanwhile. Two stitches
+    are those that the quality rule exempts beside a corner.
+    """
+    _check(stitch_length_m, 0.0)
+    _check(ramp_stitches, 0.0)
+    return speed_m_s**2 / (ramp_stitches * stitch_length_m)
+
+
+def _check(positive: float, turn_rad: float) -> None:
+    if not positive > 0.0:
+        raise ValueError(f"accelerations, errors and lengths are above 0, got {positive!r}")
+    if not 0.0 <= turn_rad <= math.pi:
+        raise ValueError(f"a corner turns by 0 to pi rad, got {turn_rad!r}")
