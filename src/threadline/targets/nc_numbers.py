@@ -1,0 +1,89 @@
+"""Decimal numbers for part programs: the shortest that the reader turns into the same float."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+
+from threadline.errors import PlanError
+from threadline.jobs.words import MAX_DECIMALS, ONE, exact
+
+
+def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float]) -> int:
+    """Return the exact number with the fewest decimals that ``read`` turns into ``wanted``.
+
+    Parameters
+    ----------
+    wanted
+        In SI.
+    factor
+        Units of the program in one of SI; None for degrees in a radian.
+    read
+        What the reader makes of an exact number.
+
+    Returns
+    -------
+    int
+        In units of 10**-18. If no decimal gives ``wanted`` (an angle that no program could have
+        given, or one with digits beyond the 17th decimal), the nearest one: it is off by less
+        than two units in the last place, or by 1e-17 of the unit.
+    """
+    approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
+    for decimals in range(MAX_DECIMALS):
+        value = exact(f"{approximate:.{decimals}f}")
+        if value is None:
+            raise PlanError(
+                f"{wanted:g} is too large a number for a part program", remedy="Shorten the job."
+            )
+        if read(value) == wanted:
+            return value
+    if factor is not None:
+        return 10 * round(Fraction(wanted) * factor * (ONE // 10))
+    candidates = [approximate]
+    for direction in (math.inf, -math.inf):
+        near = math.nextafter(approximate, direction)
+        candidates += [near, math.nextafter(near, direction)]
+    values = [exact(f"{near:.{MAX_DECIMALS}f}") or 0 for near in candidates]
+    return min(values, key=lambda value: abs(read(value) - wanted))
+
+
+_MM = Fraction(1000)
+_MM_PER_MIN = Fraction(60_000)
+
+
+def millimetres(position_m: float) -> int:
+    """Return a position of a linear axis as an exact number of mm."""
+    return shortest(position_m, _MM, lambda value: value / (1000 * ONE))
+
+
+def degrees(position_rad: float) -> int:
+    """Return a position of a rotary axis as an exact number of degrees."""
+    return shortest(position_rad, None, lambda value: math.radians(value / ONE))
+
+
+def per_minute(speed_m_s: float) -> int:
+    """Return a speed as an exact number of mm/min."""
+    return shortest(speed_m_s, _MM_PER_MIN, lambda value: value / (60_000 * ONE))
+
+
+def inverse_minutes(rate_hz: float) -> int:
+    """Return an inverse time as an exact number of 1/min."""
+    return shortest(rate_hz, Fraction(60), lambda value: value / (60 * ONE))
+
+
+def seconds(duration_s: float) -> int:
+    """Return a time as an exact number of s."""
+    return shortest(duration_s, Fraction(1), lambda value: value / ONE)
+
+
+def text(value: int) -> str:
+    """Return an exact number as the digits of a word.
+
+    >>> text(10130000000000000000), text(-5 * 10**17), text(3 * 10**18)
+    ('10.13', '-0.5', '3')
+    """
+    whole, fraction = divmod(abs(value), ONE)
+    digits = f"{fraction:018d}".rstrip("0")
+    sign = "-" if value < 0 else ""
+    return f"{sign}{whole}.{digits}" if digits else f"{sign}{whole}"

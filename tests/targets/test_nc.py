@@ -1,0 +1,151 @@
+"""The writer of part programs against the reader: read, write, read is the identity."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from threadline.errors import PlanError
+from threadline.jobs import Feed, FeedMode, Job, Move, Operation, SetOutput, Source, read_job
+from threadline.machine import load_machine
+from threadline.signals import Stream
+from threadline.targets.nc import part_program_lines, write_part_program
+
+MACHINE = load_machine("lathe-winder")
+
+
+def said(operation: Operation) -> tuple[object, ...]:
+    """All that an operation says, but where it stood."""
+    if isinstance(operation, Move):
+        return ("move", operation.target, operation.feed, dict(operation.tags))
+    fields = [
+        getattr(operation, n)
+        for n in ("duration_s", "final", "name", "value")
+        if hasattr(operation, n)
+    ]
+    return (type(operation).__name__, *fields)
+
+
+def number(decimals: int = 3) -> st.SearchStrategy[str]:
+    """Numbers as people and machines write them, some with all the digits of a double."""
+    short = st.integers(-(10**6), 10**6).map(lambda k: f"{k / 10**decimals:.{decimals}f}")
+    long = st.floats(-400, 400, allow_nan=False).map(lambda x: f"{x:.15f}")
+    return st.one_of(short, short, short, long)
+
+
+@st.composite
+def blocks(draw: st.DrawFn) -> str:
+    """A block that moves, waits or changes a mode, valid wherever a feed and a G1 went before."""
+    kind = draw(st.sampled_from(["move"] * 8 + ["dwell", "mode", "home", "stop", "spindle", "tag"]))
+    if kind == "dwell":
+        return f"G4 P{draw(st.integers(1, 999)) / 1000}"
+    if kind == "mode":
+        return draw(st.sampled_from(["G90", "G91", "G20", "G21", "G0", "G1", "F 777.7", "F1200"]))
+    if kind == "home":
+        return f"G28 X{draw(number())}"
+    if kind == "stop":
+        return "M0"
+    if kind == "spindle":
+        return "M5"
+    names = draw(st.lists(st.sampled_from("AXY"), min_size=1, unique=True))
+    words = " ".join(f"{name} {draw(number())}" for name in names)
+    feed = draw(st.sampled_from(["", "", "", " F500", " F 33.3"]))
+    return words + feed + (" ; tension=12.5" if kind == "tag" else "")
+
+
+@st.composite
+def programs(draw: st.DrawFn) -> str:
+    """A main program with calls of two subroutines, one of which calls the other."""
+    body = st.lists(blocks(), min_size=1, max_size=6)
+    lines = ["%", "O 7", *draw(body), "M99", "O 8", *draw(body)]
+    lines += [f"M98 P7 L{draw(st.integers(1, 2))}", *draw(body), "M99", "O 1", "G91 G1 F600 A1"]
+    for _ in range(draw(st.integers(0, 3))):
+        lines += draw(body)
+        lines.append(f"M98 P{draw(st.sampled_from([7, 8]))} L{draw(st.integers(1, 3))}")
+    return "\n".join([*lines, "M30", "%"]) + "\n"
+
+
+@pytest.mark.parametrize("subroutines", [False, True])
+@settings(max_examples=30, phases=[Phase.explicit, Phase.generate])  # shrinking a program takes minutes
+@given(text=programs())
+def test_read_write_read_is_the_identity(
+    tmp_path_factory: pytest.TempPathFactory, text: str, subroutines: bool
+) -> None:
+    """Every target is the same double, every feed the same number: no tolerance."""
+    folder = tmp_path_factory.mktemp("nc")
+    (folder / "a.nc").write_text(text)
+    first = read_job(folder / "a.nc", MACHINE)
+    write_part_program(first, MACHINE, folder / "b.nc", subroutines=subroutines)
+    second = read_job(folder / "b.nc", MACHINE)
+
+    assert [said(op) for op in second] == [said(op) for op in first]
+
+
+def test_subroutines_come_back_as_calls(tmp_path: Path, examples: Path) -> None:
+    """The listing is written with one body of 26 moves, called three times, as it was read."""
+    job = read_job(examples / "cone-dome-cylinder.prg", MACHINE)
+    write_part_program(job, MACHINE, tmp_path / "b.prg", subroutines=True)
+    lines = (tmp_path / "b.prg").read_text().splitlines()
+
+    assert sum(" A " in line for line in lines) == 26
+    assert any("M 98 P 2 L 3" in line for line in lines)
+    again = read_job(tmp_path / "b.prg", MACHINE)
+    assert [op.source.passes for op in again] == [op.source.passes for op in job]
+    assert "A 10.13 X 15.79" in lines[lines.index("O 2;") + 1]
+
+
+@pytest.mark.parametrize("mode", [FeedMode.BASE_AXES, FeedMode.PATH])
+def test_other_meanings_of_f_come_back_too(tmp_path: Path, examples: Path, mode: FeedMode) -> None:
+    """F as the speed of the base axes, or along the path, is the same number in the program."""
+    options = {"feed_mode": mode, "base_axes": ("A", "X") if mode is FeedMode.BASE_AXES else ()}
+    job = read_job(examples / "cone-dome-cylinder.prg", MACHINE, **options)
+    write_part_program(job, MACHINE, tmp_path / "b.prg")
+    again = read_job(tmp_path / "b.prg", MACHINE, **options)
+
+    assert [said(op) for op in again] == [said(op) for op in job]
+    assert next(iter(again)).feed == Feed(mode, 0.2, options["base_axes"])  # type: ignore[union-attr]
+
+
+@given(radians=st.floats(-1e4, 1e4), metres=st.floats(-10, 10))
+def test_any_position_is_written_to_the_last_digit(
+    tmp_path_factory: pytest.TempPathFactory, radians: float, metres: float
+) -> None:
+    """Positions that no decimal gives are off by two units in the last place at most.
+
+    Below 1e-12 m or rad the 17 decimals of the dialect are the limit, 1e-17 of its unit.
+    """
+    path = tmp_path_factory.mktemp("nc") / "a.nc"
+    source = Source("made", 1)
+    feed = Feed(FeedMode.FASTEST_AXIS, 0.01)
+    operations = [Move((radians, metres, 0.0), feed, source)]
+    job = Job(name="made", file="made", sha256="", axes=("A", "X", "Y"), start=(0.0,) * 3,
+              operations=Stream.of(operations))  # fmt: skip
+    if abs(metres) > 0.5:
+        return
+    write_part_program(job, MACHINE, path)
+    move = next(iter(read_job(path, MACHINE)))
+
+    assert isinstance(move, Move)
+    for got, wanted in zip(move.target, (radians, metres, 0.0), strict=True):
+        assert abs(got - wanted) <= 2 * math.ulp(wanted) + 1e-17
+
+
+def test_what_a_part_program_cannot_say_is_refused(tmp_path: Path) -> None:
+    """An output has no word; no file is left behind, whole or in part."""
+    job = Job(name="made", file="made", sha256="", axes=("A", "X", "Y"), start=(0.0,) * 3,
+              operations=Stream.of([SetOutput("valve", 1.0, Source("made", 4))]))  # fmt: skip
+    with pytest.raises(PlanError, match=r"made:4: a part program cannot say SetOutput 'valve'"):
+        write_part_program(job, MACHINE, tmp_path / "b.nc")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_blocks_are_as_in_the_printed_listing(examples: Path) -> None:
+    """Blanks between letter and number and a semicolon at the end, as Figure 9-1 has them."""
+    lines = list(part_program_lines(read_job(examples / "x-180.prg", MACHINE), MACHINE))
+
+    assert lines[:4] == ["%", "O 1;", "N 5 G 90 G 21;", "N 10 G 94 G 1 X 25.716 F 2160;"]
+    assert lines[-2:] == ["N 80 M 30;", "%"]
