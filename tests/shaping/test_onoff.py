@@ -41,7 +41,7 @@ def test_time_optimal_move_of_the_facts() -> None:
     ],
 )
 def test_time_optimal_moves_rest_and_cannot_be_beaten(modes: tuple[FlexibleMode, ...]) -> None:
-    """0.3 mm short in 0.1 % less time: a linear program on another grid finds nothing faster."""
+    """In 0.1 % less time a linear program on another grid finds none; in 0.1 % more it does."""
     move = RestToRest(0.2, 1.0, modes)
     optimum = time_optimal(move).command
     for mode in modes:

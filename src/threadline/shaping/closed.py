@@ -60,8 +60,8 @@ def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:
     return evaluate
 
 
-# Undamped unit-magnitude trains: a sixth and a third of a period for ZV (exact); for ZVD the
-# shortest root, to five digits.
+# Undamped unit-magnitude trains: a sixth and a third of a period for ZV (exact); for ZVD, to
+# five digits, the root that the one-hump train tends to as its tolerance goes to 0.
 _UM_SEEDS = {0: (1.0 / 6.0, 1.0 / 3.0), 1: (0.08951, 0.36623, 0.64296, 0.73247)}
 
 

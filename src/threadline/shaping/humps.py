@@ -24,7 +24,9 @@ _DAMPING_STEP = 0.05
 
 # Undamped unit-magnitude trains at 5 %: times after the first, in periods, then the unknown
 # zeros and peaks relative to the modelled frequency. Five digits, to be finished by Newton.
-# They are the shortest of the roots that a search from 1500 random starts found.
+# One hump: the shortest root that a search from 1500 random symmetric starts found. Two humps:
+# the train that Pao and Singhose's published example (3.04 Hz, damping 0.17) leads back to; that
+# it is the shortest is not proved.
 _UM_SEEDS = {
     1: (0.09408, 0.36837, 0.64266, 0.73673, 0.87037, 1.12276),
     2: (0.05996, 0.40099, 0.59323, 0.78546, 1.12649, 1.18645, 0.70318, 1.26911, 0.83556, 1.15593),
