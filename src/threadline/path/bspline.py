@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
@@ -57,12 +58,21 @@ def bspline_coefficients(points: FloatArray) -> FloatArray:
 
     Thesis, section 8.8.1; ``a0 + a1 u + a2 u^2 + a3 u^3`` for u in [0, 1].
     """
-    before, here, there, beyond = points[:-3], points[1:-2], points[2:-1], points[3:]
-    a0 = (before + 4.0 * here + there) / 6.0
-    a1 = (there - before) / 2.0
-    a2 = (before - 2.0 * here + there) / 2.0
-    a3 = (-before + 3.0 * here - 3.0 * there + beyond) / 6.0
-    return np.stack([a0, a1, a2, a3], axis=1)
+    out = np.empty((max(len(points) - 3, 0), 4, points.shape[1]))
+    _fill(np.ascontiguousarray(points), out)
+    return out
+
+
+@njit(cache=True)
+def _fill(points, out):  # type: ignore[no-untyped-def]
+    for i in range(len(out)):
+        for j in range(points.shape[1]):
+            before, here = points[i, j], points[i + 1, j]
+            there, beyond = points[i + 2, j], points[i + 3, j]
+            out[i, 0, j] = (before + 4.0 * here + there) / 6.0
+            out[i, 1, j] = (there - before) / 2.0
+            out[i, 2, j] = (before - 2.0 * here + there) / 2.0
+            out[i, 3, j] = (-before + 3.0 * here - 3.0 * there + beyond) / 6.0
 
 
 def vertices_as_points(

@@ -103,7 +103,8 @@ class PieceBlock:
     operation
         (n,) int.
     nominal_s
-        (n,) time at the programmed feed; 0 where only the limits bind.
+        (n,) time at the programmed feed, the least that a geometric piece may take; 0 where only
+        the limits bind.
     rest_after
         (n,) int 0/1: the motion is at rest at the end of the piece.
     dwell_s
@@ -151,6 +152,8 @@ class PlannedPath:
         Re-iterable.
     summary
         What the planner reports of itself: points added, scale and the like.
+    smoothing_m
+        What is left of the tolerance, at the tool, for smoothing a geometric path in time.
     """
 
     axes: tuple[str, ...]
@@ -160,6 +163,7 @@ class PlannedPath:
     historical: bool
     blocks: Stream[PieceBlock]
     summary: Mapping[str, float] = field(default_factory=dict)
+    smoothing_m: float = 0.0
 
     def __iter__(self) -> Iterator[PieceBlock]:
         return iter(self.blocks)

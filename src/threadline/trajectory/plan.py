@@ -5,6 +5,7 @@ from __future__ import annotations
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath, Timing
 from threadline.signals import Stream
+from threadline.trajectory.follow import followed_blocks
 from threadline.trajectory.timed import timed_blocks
 from threadline.trajectory.types import Trajectory
 
@@ -21,4 +22,4 @@ def plan_trajectory(path: PlannedPath, machine: Machine) -> Trajectory:
             historical=path.historical,
             blocks=Stream(lambda: timed_blocks(path)),
         )
-    raise NotImplementedError(machine.name)
+    return Trajectory(axes=path.axes, blocks=Stream(lambda: followed_blocks(path, machine)))

@@ -1,0 +1,135 @@
+"""The path that follows the program within a tolerance: lines where straight, B-splines elsewhere.
+
+The programmed vertices and points added beside them are the control polygon of one cubic
+B-spline per run between two rests, with knots spaced as the points are. Four control points in a
+row on one line make a straight piece; whatever they are, pieces join with continuous second
+derivative, and the spline stays in the hull of its polygon, so that it never leaves the travel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.path.polygon import (
+    EVEN_SPACING,
+    LEAST_SPACING_M,
+    Controls,
+    control_polygon,
+    join_controls,
+    spacings,
+    turns,
+)
+from threadline.path.runs import Chunk, Vertices, join_vertices, runs
+from threadline.path.spans import pieces_of
+from threadline.path.types import PieceBlock, ProgrammedPath
+
+_CARRIED = 2  # control points before and after a span that its shape depends on
+
+
+def auto_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBlock]:
+    """Yield the pieces of a path that is never farther than ``cut_m`` from the program.
+
+    ``cut_m`` is a distance at the tool, rotary axes at their radius.
+    """
+    run = _Run(programmed.radius_m, cut_m)
+    for chunk in runs(programmed):
+        yield from run.extend(chunk)
+
+
+@dataclass(slots=True)
+class _Run:
+    """The run under way: what has come in and is not yet a piece."""
+
+    radius_m: FloatArray
+    cut_m: float
+    vertices: Vertices | None = None
+    controls: Controls | None = None
+    first_chord: int = 0  # of those between ``vertices`` that is not yet in ``controls``
+    begun: bool = False  # pieces of this run are out
+
+    def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
+        """Take in more vertices and yield the pieces that they settle."""
+        self.vertices = join_vertices(self.vertices, chunk.vertices)
+        while True:
+            length, turn = turns(self.vertices.positions, self.radius_m)
+            # A corner that leaves no room for a curve within the tolerance is met at rest.
+            tight = np.flatnonzero(EVEN_SPACING * self.cut_m < LEAST_SPACING_M * turn)
+            tight = tight[tight >= max(self.first_chord, 1)]
+            if not len(tight):
+                break
+            yield from self._advance(int(tight[0]), length, turn, ends=True, dwell_s=0.0)
+        count = len(self.vertices)
+        if chunk.ends:
+            yield from self._advance(count - 1, length, turn, ends=True, dwell_s=chunk.dwell_s)
+        elif count - 2 > self.first_chord:
+            yield from self._advance(count - 2, length, turn, ends=False, dwell_s=0.0)
+
+    def _advance(
+        self, stop: int, length: FloatArray, turn: FloatArray, *, ends: bool, dwell_s: float
+    ) -> Iterator[PieceBlock]:
+        """Turn the chords up to vertex ``stop`` into control points, and these into pieces."""
+        assert self.vertices is not None
+        vertices = self.vertices
+        if ends:
+            length, turn = length[:stop], np.append(turn[:stop], 0.0)
+        if ends and stop == 0 and self.controls is None:
+            if dwell_s > 0:
+                yield _pause(vertices, dwell_s)
+            return
+        if self.controls is None:
+            self.controls = _start_of(vertices)
+        here = slice(self.first_chord, stop + 1)
+        if stop > self.first_chord:
+            spacing = spacings(length, turn, self.cut_m)
+            fresh = control_polygon(
+                vertices.take(here), length[self.first_chord : stop], turn[here], spacing[here]
+            )
+            self.controls = join_controls(self.controls, fresh)
+        yield from self._settle(ends, dwell_s)
+        if ends:
+            self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0
+        else:
+            self.vertices, self.first_chord = vertices.take(slice(stop - 1, None)), 1
+
+    def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
+        controls = self.controls
+        assert controls is not None
+        begins = not self.begun
+        first = 0 if begins else _CARRIED
+        stop = len(controls) - 1 - (0 if ends else _CARRIED)
+        if stop > first:
+            yield pieces_of(controls, first, stop, begins=begins, ends=ends, dwell_s=dwell_s)
+            self.controls = controls.take(slice(stop - _CARRIED, None))
+            self.begun = True
+        if ends:
+            self.controls, self.begun = None, False
+
+
+def _start_of(vertices: Vertices) -> Controls:
+    start = vertices.take(slice(0, 1))
+    return Controls(
+        positions=start.positions,
+        turn=np.zeros(1),
+        added=np.zeros(1, dtype=np.int64),
+        length_m=np.zeros(1),
+        nominal_s=np.zeros(1),
+        operation=start.operation,
+        line=start.line,
+    )
+
+
+def _pause(vertices: Vertices, dwell_s: float) -> PieceBlock:
+    coefficients = np.zeros((1, 4, vertices.positions.shape[1]))
+    coefficients[0, 0] = vertices.positions[0]
+    return PieceBlock(
+        coefficients=coefficients,
+        operation=vertices.operation[:1],
+        nominal_s=np.zeros(1),
+        rest_after=np.ones(1, dtype=np.int64),
+        dwell_s=np.array([dwell_s]),
+        line=vertices.line[:1],
+    )
