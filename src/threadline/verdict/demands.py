@@ -20,9 +20,9 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
 
     ``travel`` is how far the trajectory goes beyond the travel of the axis, negative where room
     is left; endless axes have none. ``velocity``, ``acceleration`` and ``jerk`` are absolute
-    values, in the axis' units. Where a derivative steps between two pieces the next one is
+    values, in the axis' units. Where a derivative steps between two pieces those above it are
     infinite in theory; the controller sees the step spread over one tick of its clock, and so it
-    is counted.
+    is counted: a step of velocity is an acceleration for one tick, and that in turn a jerk.
     """
     axes = plan.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
@@ -65,7 +65,8 @@ class _Demand:
 
     def __init__(self, axis: str, column: int, order: int, tick_s: float) -> None:
         self._axis, self._column, self._order, self._tick_s = axis, column, order, tick_s
-        self._below: float | None = None if order == 1 else 0.0  # at rest before the start
+        # What the derivatives below were before the next piece; at rest before the start.
+        self._below: dict[int, float] = dict.fromkeys(range(1, order), 0.0)
         self._end: tuple[float, int, tuple[float, ...]] = (0.0, 0, ())
         self._value = 0.0
         self.worst = Finding(value=0.0, axis=axis)
@@ -78,24 +79,26 @@ class _Demand:
             found = highest(sign * values, self._value)
             if found is not None:
                 self._set(found[0], _place(block, found[1], found[2]), "")
-        below = time_derivative(mine, block.duration_s, self._order - 1)[:, :, 0]
-        starts, ends = below[:, 0], below.sum(axis=1)
-        first = starts[0] if self._below is None else self._below
-        steps = np.abs(starts - np.concatenate([[first], ends[:-1]]))
-        piece = int(np.argmax(steps))
-        self._step(float(steps[piece]), _place(block, piece, 0.0))
-        self._below = float(ends[-1])
+        # A step of position is a velocity without bound; what it is above that says no more.
+        for below in range(min(1, self._order - 1), self._order):
+            values = time_derivative(mine, block.duration_s, below)[:, :, 0]
+            starts, ends = values[:, 0], values.sum(axis=1)
+            before = self._below.get(below, starts[0])
+            steps = np.abs(starts - np.concatenate([[before], ends[:-1]]))
+            piece = int(np.argmax(steps))
+            self._step(below, float(steps[piece]), _place(block, piece, 0.0))
+            self._below[below] = float(ends[-1])
         self._end = _place(block, len(block) - 1, 1.0)
 
     def stop(self) -> None:
         """Compare the step into the standstill after the end."""
-        if self._order > 1 and self._below is not None:
-            self._step(abs(self._below), self._end)
+        for below in range(1, self._order):
+            self._step(below, abs(self._below[below]), self._end)
 
-    def _step(self, step: float, place: tuple[float, int, tuple[float, ...]]) -> None:
-        if step / self._tick_s > self._value:
-            note = f"the {_STEPPED[self._order - 1]} steps; taken over one tick"
-            self._set(step / self._tick_s, place, note)
+    def _step(self, below: int, step: float, place: tuple[float, int, tuple[float, ...]]) -> None:
+        value = step / self._tick_s ** (self._order - below)
+        if value > self._value:
+            self._set(value, place, f"the {_STEPPED[below]} steps; taken over one tick")
 
     def _set(self, value: float, place: tuple[float, int, tuple[float, ...]], note: str) -> None:
         self._value = value

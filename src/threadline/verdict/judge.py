@@ -198,6 +198,8 @@ def _result(
     criterion: Criterion, kind: MeasureKind, plan: Plan, axis: str, finding: Finding
 ) -> Result:
     limit = criterion.limit
+    if finding.value == 0.0:  # nothing anywhere: no place is worse than another
+        finding = Finding(value=0.0, axis=finding.axis, note=finding.note)
     if criterion.hard and plan.path.historical and criterion.name in _EXCUSED:
         limit = None
     if finding.value is None:

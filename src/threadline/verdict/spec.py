@@ -51,11 +51,12 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
 
 def _default(machine: Machine) -> tuple[str, str]:
-    own = Path(machine.file)
-    for beside in (own.with_suffix(".spec.toml"), own.with_name("spec.toml")):
-        if machine.file and own.is_file() and beside.is_file():
-            return _read(beside), str(beside)
     name = machine.name.split("+")[0]
+    own = Path(machine.reference.split("+")[0])
+    if own.suffix == ".toml":
+        for beside in (own.with_suffix(".spec.toml"), own.with_name("spec.toml")):
+            if beside.is_file():
+                return _read(beside), str(beside)
     entry = resources.files("threadline.machine") / "library" / f"{name}.spec.toml"
     if not re.fullmatch(r"[A-Za-z0-9_-]+", name) or not entry.is_file():
         raise SpecError(

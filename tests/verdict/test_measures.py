@@ -1,0 +1,257 @@
+"""Tracking, settling, residual vibration, electrical measures, ripple and repeatability."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from threadline.errors import RecordingError
+from threadline.signals import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
+from threadline.verdict import Criterion, Status, judge
+
+from .builders import SERVO, TICK_S, follow, plan_through, record, spec_of
+
+K = ChannelKind
+POINTS = [[0.0, 0.0], [0.1, 0.0]]
+
+
+def judged(channels, operation, *criteria, points=POINTS, axes=("X", "Y"), per_block=17, **more):
+    recording = record(axes, channels, operation, per_block=per_block, **more)
+    return judge([recording], plan_through(points, axes), spec_of(*criteria))
+
+
+def test_tracking_counts_lag_and_says_when_the_encoder_had_to_do() -> None:
+    """6 samples late at 5 mm per sample are 30 mm."""
+    commanded, operation = follow(POINTS, 20)
+    late = np.vstack([np.repeat(commanded[:1], 6, axis=0), commanded[:-6]])
+    criterion = Criterion(name="tracking_error")
+    verdict = judged(
+        {K.COMMANDED: commanded, K.LOAD: late, K.MEASURED: commanded}, operation, criterion
+    )
+    assert verdict.result("tracking_error", "X").measured == pytest.approx(0.03, abs=1e-12)
+    assert verdict.result("tracking_error", "X").note == ""
+    assert verdict.result("tracking_error", "X").job_line == 10
+    live = judged({K.COMMANDED: commanded, K.MEASURED: late}, operation, criterion, simulated=False)
+    assert live.result("tracking_error", "X").measured == pytest.approx(0.03, abs=1e-12)
+    assert "encoder" in live.result("tracking_error", "X").note
+    assert not live.simulated
+
+
+def test_a_live_machine_has_no_placement_verdict() -> None:
+    commanded, operation = follow(POINTS, 20)
+    names = ("contour_error", "turning_point_error", "residual_vibration", "settling_time")
+    for required in (False, True):
+        criteria = [Criterion(name=name, limit=1.0, required=required) for name in names]
+        verdict = judged({K.COMMANDED: commanded, K.MEASURED: commanded}, operation, *criteria)
+        assert {r.status for r in verdict.results} == {Status.NOT_MEASURED}
+        assert all("load" in r.note for r in verdict.results)
+        assert verdict.passed is not required
+
+
+def test_the_tool_channel_goes_before_the_load() -> None:
+    commanded, operation = follow(POINTS, 20)
+    tool = commanded + np.array([0.0, 2e-4])
+    verdict = judged(
+        {K.COMMANDED: commanded, K.LOAD: commanded, K.TOOL: tool},
+        operation,
+        Criterion(name="contour_error"),
+    )
+    assert verdict.result("contour_error").measured == pytest.approx(2e-4, abs=1e-12)
+
+
+def ringing(amplitude=2e-4, decay_s=0.1, period_s=0.07, standstill=300):
+    commanded, operation = follow(POINTS, 20, standstill)
+    time_s = TICK_S * np.arange(len(commanded))
+    since = time_s - 20 * TICK_S
+    swing = amplitude * np.exp(-since / decay_s) * np.cos(2 * np.pi * since / period_s)
+    load = commanded.copy()
+    load[20:, 0] += swing[20:]
+    return commanded, load, operation, since, swing
+
+
+def test_residual_vibration_is_half_the_peak_to_peak() -> None:
+    commanded, load, operation, since, swing = ringing(decay_s=1e9, period_s=16 * TICK_S)
+    channels = {K.COMMANDED: commanded, K.LOAD: load}
+    plain = judged(channels, operation, Criterion(name="residual_vibration", limit=1e-3))
+    assert plain.result("residual_vibration", "X").measured == pytest.approx(2e-4, abs=1e-9)
+    assert plain.result("residual_vibration", "Y").measured == pytest.approx(0.0, abs=1e-12)
+
+    commanded, load, operation, since, swing = ringing()
+    window = (since >= 0.1) & (since <= 0.25)
+    expected = (swing[window].max() - swing[window].min()) / 2
+    windowed = Criterion(name="residual_vibration", options={"after": 0.1, "window": 0.15})
+    verdict = judged({K.COMMANDED: commanded, K.LOAD: load}, operation, windowed)
+    assert verdict.result("residual_vibration", "X").measured == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("per_block", [1, 7, 1000])
+def test_settling_time_is_that_of_the_last_sample_outside(per_block: int) -> None:
+    commanded, load, operation, since, swing = ringing()
+    band = 3e-5
+    last = np.flatnonzero((np.abs(swing) > band) & (since > 0))[-1]
+    criterion = Criterion(name="settling_time", options={"band": band})
+    verdict = judged(
+        {K.COMMANDED: commanded, K.LOAD: load}, operation, criterion, per_block=per_block
+    )
+    assert verdict.result("settling_time").measured == pytest.approx(since[last + 1], abs=1e-9)
+
+    never = Criterion(name="settling_time", limit=10.0, options={"band": 1e-12})
+    verdict = judged({K.COMMANDED: commanded, K.LOAD: load}, operation, never, per_block=per_block)
+    assert verdict.result("settling_time").status is Status.FAILED
+
+    short = 21
+    cut = judged(
+        {K.COMMANDED: commanded[:short], K.LOAD: load[:short]}, operation[:short], criterion
+    )
+    assert cut.result("settling_time").status is Status.NOT_MEASURED
+
+
+def test_a_pause_within_the_job_is_not_the_end() -> None:
+    """The load is off during the pause and calm after the end: nothing remains."""
+    points = [[0.0, 0.0], [0.05, 0.0], [0.05, 0.0], [0.1, 0.0]]
+    commanded, operation = follow(points, 20)
+    load = commanded.copy()
+    load[25:35, 0] += 1e-3
+    channels = {K.COMMANDED: commanded, K.LOAD: load}
+    criteria = (Criterion(name="residual_vibration"), Criterion(name="settling_time"))
+    verdict = judged(channels, operation, *criteria, points=points)
+    assert verdict.result("residual_vibration", "X").measured == pytest.approx(0.0, abs=1e-12)
+    assert verdict.result("settling_time").measured == pytest.approx(0.0, abs=1e-12)
+
+
+def test_currents() -> None:
+    commanded, operation = follow(POINTS, 20)
+    time_s = TICK_S * np.arange(len(commanded))
+    current = np.column_stack([-3.0 * np.sin(2 * np.pi * time_s / 0.1), np.zeros(len(time_s))])
+    current = current[: 60 - 60 % 20]  # whole periods: the rms is peak / sqrt 2
+    channels = {K.COMMANDED: commanded[: len(current)], K.CURRENT: current}
+    criteria = (Criterion(name="current_peak", limit=2.9), Criterion(name="current_rms"))
+    verdict = judged(channels, operation[: len(current)], *criteria)
+    assert verdict.result("current_peak", "X").measured == pytest.approx(3.0, rel=1e-12)
+    assert verdict.result("current_peak", "X").status is Status.FAILED
+    assert verdict.result("current_peak", "X").time_s == pytest.approx(0.025)
+    assert verdict.result("current_rms", "X").measured == pytest.approx(3 / np.sqrt(2), rel=1e-12)
+
+
+def test_dac_saturation_counts_samples_at_either_clamp() -> None:
+    """12 bit over +-10 V: 2047 levels up, 2048 down; one level below the clamp is free."""
+    commanded, operation = follow(POINTS, 20)
+    level = 20 / 4096
+    voltage = np.zeros_like(commanded)
+    voltage[5:9, 0] = 2047 * level
+    voltage[12, 0] = -2048 * level
+    voltage[13, 0] = 2046 * level
+    criterion = Criterion(name="dac_saturation", limit=0.0)
+    verdict = judged({K.COMMANDED: commanded, K.VOLTAGE: voltage}, operation, criterion)
+    result = verdict.result("dac_saturation", "X")
+    assert result.measured == pytest.approx(5 / len(commanded), rel=1e-12)
+    assert result.status is Status.FAILED
+    assert result.time_s == pytest.approx(5 * TICK_S)
+    assert verdict.result("dac_saturation", "Y").status is Status.PASSED
+
+
+def test_velocity_ripple_away_from_corners() -> None:
+    """v (1 + e cos wt) over a difference of one sample: e sin(x)/x, x = w T / 2."""
+    points = [[0.0, 0.0], [1.0, 0.0]]
+    samples = 400
+    time_s = TICK_S * np.arange(samples + 1)
+    plan = plan_through(points, move_s=samples * TICK_S)
+    speed, e, w = 1.0 / (samples * TICK_S), 0.05, 2 * np.pi / 0.1
+    x = speed * (time_s + e / w * np.sin(w * time_s))
+    load = np.column_stack([x, np.zeros_like(x)])
+    recording = record(("X", "Y"), {K.LOAD: load}, np.zeros(samples + 1))
+    criterion = Criterion(name="velocity_ripple", options={"over": TICK_S})
+    found = judge([recording], plan, spec_of(criterion)).result("velocity_ripple")
+    half = w * TICK_S / 2
+    # No sample falls exactly on the crest: off by at most half a sample, cos(w T / 2).
+    assert found.measured == pytest.approx(e * np.sin(half) / half, rel=1 - np.cos(half))
+    assert found.unit == ""
+
+
+def runs(count: int, scale: float = 5e-5):
+    commanded, operation = follow(POINTS, 20)
+    rng = np.random.default_rng(3)
+    loads = [commanded + rng.normal(scale=scale, size=commanded.shape) for _ in range(count)]
+    return loads, [
+        record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: load}, operation, per_block=13)
+        for load in loads
+    ]
+
+
+def test_repeatability_is_the_farthest_run_from_the_mean() -> None:
+    loads, recordings = runs(20)
+    plan = plan_through(POINTS)
+    spec = spec_of(Criterion(name="repeatability", limit=1e-4))
+    stacked = np.stack(loads)
+    away = np.linalg.norm(stacked - stacked.mean(axis=0), axis=2)
+    result = judge(recordings, plan, spec).result("repeatability")
+    run, sample = np.unravel_index(away.argmax(), away.shape)
+    assert result.measured == pytest.approx(away.max(), abs=1e-15)
+    assert result.time_s == pytest.approx(sample * TICK_S)
+    assert result.note == f"recording {run + 1}"
+    for few in (1, 19):
+        alone = judge(recordings[:few], plan, spec).result("repeatability")
+        assert alone.status is Status.NOT_MEASURED
+        assert str(few) in alone.note
+
+
+def test_of_several_recordings_the_worst_counts() -> None:
+    commanded, operation = follow(POINTS, 20)
+    recordings = [
+        record(("X", "Y"), {K.LOAD: commanded + np.array([0.0, off])}, operation)
+        for off in (1e-4, 4e-4, 2e-4)
+    ]
+    spec = spec_of(Criterion(name="contour_error", limit=3e-4))
+    verdict = judge(recordings, plan_through(POINTS), spec)
+    assert verdict.result("contour_error").measured == pytest.approx(4e-4, abs=1e-12)
+    assert not verdict.passed
+
+
+def test_channels_of_another_clock_are_held_until_their_next_sample() -> None:
+    """Load at 1 ms, command at 5 ms: the command is held for five samples of the load."""
+    fast = Clock("fast", Fraction(1, 1000))
+    command = np.arange(10.0) * 1e-3
+    load = np.repeat(command, 5)
+    load[23] += 7e-4
+
+    def channel(name, kind, clock):
+        return Channel(name=name, kind=kind, unit="m", clock=clock, axis="X")
+
+    blocks = [
+        RecordingBlock(
+            first_tick={"servo": first, "fast": 5 * first},
+            samples={
+                "c": command[first : first + 4],
+                "l": load[5 * first : 5 * (first + 4)],
+            },
+        )
+        for first in (0, 4, 8)
+    ]
+    recording = Recording(
+        channels=(channel("c", K.COMMANDED, SERVO), channel("l", K.LOAD, fast)),
+        blocks=Stream.of(blocks),
+        job_sha256="job",
+        machine_sha256="",
+        simulated=True,
+    )
+    spec = spec_of(Criterion(name="tracking_error"))
+    found = judge([recording], plan_through([[0.0], [0.009]], ("X",)), spec)
+    assert found.result("tracking_error").measured == pytest.approx(7e-4, abs=1e-12)
+    assert found.result("tracking_error").time_s == pytest.approx(0.023)
+
+
+def test_damaged_and_foreign_recordings_are_refused() -> None:
+    commanded, operation = follow(POINTS, 20)
+    plan, spec = plan_through(POINTS), spec_of(Criterion(name="contour_error"))
+    broken = commanded.copy()
+    broken[30, 0] = np.inf
+    with pytest.raises(RecordingError, match=r"not finite.*Repair"):
+        judge([record(("X", "Y"), {K.LOAD: broken}, operation)], plan, spec)
+    with pytest.raises(RecordingError, match="another job"):
+        judge([record(("X", "Y"), {K.LOAD: commanded}, operation, job_sha256="other")], plan, spec)
+    with pytest.raises(RecordingError, match="no recording"):
+        judge([], plan, spec)
+    with pytest.raises(RecordingError, match="no position"):
+        judge([record(("Z",), {K.LOAD: commanded[:, :1]}, operation)], plan, spec)

@@ -1,0 +1,114 @@
+"""The verdict as JSON and as a table."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from threadline import __version__
+from threadline.errors import SpecError
+from threadline.signals import ChannelKind
+from threadline.verdict import (
+    Criterion,
+    Result,
+    Status,
+    Verdict,
+    judge,
+    load_spec,
+    verdict_json,
+    verdict_rows,
+)
+
+from .builders import follow, plan_through, record, spec_of
+
+
+def a_verdict():
+    points = [[0.0, 0.0], [0.05, 0.0], [0.05, 0.05]]
+    commanded, operation = follow(points, 40)
+    channels = {
+        ChannelKind.COMMANDED: commanded,
+        ChannelKind.LOAD: commanded + np.array([0.0, 6e-4]),
+    }
+    plan = plan_through(points, move_s=0.2, historical=True)
+    recording = record(("X", "Y"), channels, operation)
+    return judge([recording], plan, load_spec(None, plan.machine)), plan
+
+
+def test_json_has_the_keys_of_the_design_and_finite_numbers_only() -> None:
+    verdict, plan = a_verdict()
+    content = verdict_json(verdict, plan)
+    text = json.dumps(content, allow_nan=False)  # refuses infinities
+    assert json.loads(text) == content
+    assert {
+        "job", "machine", "interpolation", "passed", "duration_s", "ticks", "criteria",
+        "job_sha256", "machine_sha256", "threadline",
+    } <= set(content)  # fmt: skip
+    assert content["passed"] is False
+    assert content["duration_s"] == pytest.approx(0.4)
+    assert content["ticks"] == 80
+    assert content["threadline"] == __version__
+    for criterion in content["criteria"]:
+        assert {
+            "name", "axis", "measured", "limit", "unit", "status", "time_s", "job_line",
+        } <= set(criterion)  # fmt: skip
+    contour = next(c for c in content["criteria"] if c["name"] == "contour_error")
+    assert contour["measured"] == pytest.approx(6e-4, abs=1e-12)
+    assert contour["limit"] == 5e-4
+    assert contour["status"] == "failed"
+    settling = next(c for c in content["criteria"] if c["name"] == "settling_time")
+    assert settling["measured"] is None  # it never settles; JSON has no infinity
+    assert "not settled" in settling["note"]
+
+
+def test_the_order_is_that_of_the_specification() -> None:
+    verdict, plan = a_verdict()
+    names = list(dict.fromkeys(r.name for r in verdict.results))
+    spec = load_spec(None, plan.machine)
+    assert names == list(dict.fromkeys(c.name for c in spec.criteria))
+
+
+def test_rows_show_the_worst_axis_in_millimetres() -> None:
+    verdict, _ = a_verdict()
+    header, rows = verdict_rows(verdict)
+    assert all(len(row) == len(header) for row in rows)
+    turning = next(row for row in rows if row[0] == "turning point error")
+    assert turning[1:5] == ["Y", "0.6 mm", "0.5 mm", "failed"]
+    _, every = verdict_rows(verdict, every_axis=True)
+    assert len([row for row in every if row[0] == "turning point error"]) == 2
+
+
+def result(status, measured=1.0, limit=None, required=False, axis="X"):
+    return Result(
+        name="n", axis=axis, measured=measured, limit=limit, unit="m", status=status,
+        required=required,
+    )  # fmt: skip
+
+
+def test_passed_needs_no_failure_and_everything_required() -> None:
+    absent = result(Status.NOT_MEASURED, None)
+    required = result(Status.NOT_MEASURED, None, required=True)
+    fine, wrong = result(Status.PASSED, 1.0, 2.0), result(Status.FAILED, 3.0, 2.0)
+    assert Verdict(results=(fine, absent, result(Status.REPORTED)), simulated=True).passed
+    assert not Verdict(results=(fine, required), simulated=True).passed
+    assert not Verdict(results=(fine, wrong), simulated=True).passed
+
+
+def test_without_an_axis_the_worst_is_returned() -> None:
+    a = result(Status.PASSED, 1.0, 2.0, axis="A")
+    b = result(Status.FAILED, 3.0, 2.5, axis="B")
+    c = result(Status.PASSED, 1.9, 2.0, axis="C")
+    assert Verdict(results=(a, b, c), simulated=True).result("n") is b
+    assert Verdict(results=(a, c), simulated=True).result("n") is c
+    assert Verdict(results=(a, b, c), simulated=True).result("n", "A") is a
+    with pytest.raises(KeyError):
+        Verdict(results=(a,), simulated=True).result("m")
+
+
+def test_an_unknown_measure_is_named_with_the_nearest() -> None:
+    points = [[0.0], [0.1]]
+    commanded, operation = follow(points, 20)
+    recording = record(("X",), {ChannelKind.LOAD: commanded}, operation)
+    with pytest.raises(SpecError, match="Did you mean 'contour_error'"):
+        judge([recording], plan_through(points, ("X",)), spec_of(Criterion(name="contuor_error")))
