@@ -8,7 +8,17 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import strategies as st
 
-from threadline.signals import Clock, Event, Stream, TickBlock, TickTable
+from threadline.signals import (
+    Channel,
+    ChannelKind,
+    Clock,
+    Event,
+    Recording,
+    RecordingBlock,
+    Stream,
+    TickBlock,
+    TickTable,
+)
 
 SERVO = Clock("servo", Fraction(1, 200))
 
@@ -34,9 +44,7 @@ def table_of(
                 first_tick=begin,
                 counts=values[begin:end],
                 operation=labels[begin:end].astype(np.int64),
-                events=tuple(
-                    e for e in events if begin <= e.tick and (last or e.tick < end)
-                ),
+                events=tuple(e for e in events if begin <= e.tick and (last or e.tick < end)),
             )
         )
     return TickTable(
@@ -97,3 +105,68 @@ def tables(draw: st.DrawFn) -> TickTable:
     ]
     rows = draw(st.integers(1, 70))
     return table_of(even, operation=operation, events=events, axes=axes, rows=rows)
+
+
+def recording_of(
+    samples: dict[str, Sequence[float]],
+    *,
+    clock: Clock = SERVO,
+    stride: int = 1,
+    first: int = 0,
+    rows: int = 10**9,
+    events: Sequence[Event] = (),
+) -> Recording:
+    """A recording on one clock; channels are called ``X.load`` and the like."""
+    units = {"voltage": "V", "current": "A", "operation": ""}
+    channels = []
+    for name in samples:
+        axis, _, kind = name.rpartition(".")
+        unit = units.get(kind, "rad" if axis in "ABC" else "m")
+        channels.append(
+            Channel(
+                name=name,
+                kind=ChannelKind(kind),
+                unit=unit,
+                clock=clock,
+                axis=axis,
+                stride=stride,
+            )
+        )
+    count = len(next(iter(samples.values())))
+    blocks = []
+    for begin in range(0, max(count, 1), rows):
+        ticks = range(first + begin * stride, first + min(begin + rows, count) * stride)
+        blocks.append(
+            RecordingBlock(
+                first_tick={clock.name: first + begin * stride},
+                samples={
+                    n: np.array(v, dtype=float)[begin : begin + rows] for n, v in samples.items()
+                },
+                events=tuple(e for e in events if e.tick in ticks),
+            )
+        )
+    return Recording(
+        channels=tuple(channels),
+        blocks=Stream.of(blocks),
+        job_sha256="c" * 64,
+        machine_sha256="d" * 64,
+        simulated=True,
+        origin={"job": "x-180.prg", "feed": "10 count/tick"},
+    )
+
+
+def story(recording: Recording) -> dict[str, object]:
+    """Everything that a recording says, whatever its blocks are; NaN as text."""
+    blocks = list(recording)
+    return {
+        "channels": recording.channels,
+        "hashes": (recording.job_sha256, recording.machine_sha256),
+        "simulated": recording.simulated,
+        "origin": dict(recording.origin),
+        "first": dict(blocks[0].first_tick) if blocks else None,
+        "samples": {
+            c.name: [repr(float(v)) for b in blocks for v in b.samples[c.name]]
+            for c in recording.channels
+        },
+        "events": [e for b in blocks for e in b.events],
+    }

@@ -24,17 +24,25 @@ _COLUMNS = {
 }
 
 
-def events_cell(events: Iterable[Event]) -> str:
-    """Return events of one tick as the cell of a table; empty for none."""
-    items = [[e.kind, e.operation, e.name, e.value] for e in events]
+def events_cell(events: Iterable[Event], *, ticks: bool = False) -> str:
+    """Return events as the cell of a table; empty for none.
+
+    Parameters
+    ----------
+    events
+        Events of the row, in order.
+    ticks
+        Write the tick of each; otherwise the row tells it.
+    """
+    items = [[e.kind, e.operation, e.name, e.value, *([e.tick] if ticks else [])] for e in events]
     if not items:
         return ""
     text = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
     return '"' + text.replace('"', '""') + '"'
 
 
-def parse_events_cell(cell: str, tick: int, place: Place) -> list[Event]:
-    """Return the events that ``events_cell`` wrote."""
+def parse_events_cell(cell: str, tick: int | None, place: Place) -> list[Event]:
+    """Return the events that ``events_cell`` wrote, with ticks if ``tick`` is None."""
     if not cell:
         return []
     if not (len(cell) > 1 and cell[0] == cell[-1] == '"'):
@@ -45,10 +53,14 @@ def parse_events_cell(cell: str, tick: int, place: Place) -> list[Event]:
     return [_event(item, tick, place) for item in items]
 
 
-def _event(item: Any, tick: int, place: Place) -> Event:
+def _event(item: Any, tick: int | None, place: Place) -> Event:
+    if isinstance(item, list) and len(item) == 5 and tick is None:
+        *item, tick = item
     if not (
         isinstance(item, list)
         and len(item) == 4
+        and type(tick) is int
+        and 0 <= tick <= MAX_COUNTS
         and isinstance(item[0], str)
         and type(item[1]) is int
         and isinstance(item[2], str)

@@ -112,7 +112,10 @@ def _blocks(path: Path, head: int, axes: int) -> Iterator[TickBlock]:
             if not any(cells[1:-1]):
                 if tick < first + len(rows):
                     raise RecordingError(f"tick {tick} stands twice", place=place)
-                tail += parse_events_cell(cells[-1], tick, place)
+                here = parse_events_cell(cells[-1], tick, place)
+                if not here:
+                    raise RecordingError("the line has no counts and no events", place=place)
+                tail += here
                 continue
             if tail:
                 raise RecordingError("a row follows the events after the end", place=place)

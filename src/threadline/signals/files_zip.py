@@ -68,6 +68,11 @@ class ColumnSpool:
         """Write the archive: the description first, then every column."""
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             text = json.dumps(meta, ensure_ascii=False, indent=1).encode()
+            if len(text) > MAX_META_BYTES:
+                raise RecordingError(
+                    f"the description needs {len(text)} bytes, limit {MAX_META_BYTES}",
+                    remedy="Use fewer names of events.",
+                )
             archive.writestr(_info(META), text, zipfile.ZIP_DEFLATED, 1)
             for name, (spool, dtype, width) in self._columns.items():
                 header = {

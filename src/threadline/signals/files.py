@@ -1,0 +1,99 @@
+"""Files of recordings and tick tables, by the ending of their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from threadline.errors import RecordingError
+from threadline.signals.commands import TickTable
+from threadline.signals.files_array import read_array, write_array
+from threadline.signals.files_common import Written, clear_errors
+from threadline.signals.files_plt import read_plt, write_plt
+from threadline.signals.files_recording_csv import read_recording_csv, write_recording_csv
+from threadline.signals.files_recording_npz import read_recording_npz, write_recording_npz
+from threadline.signals.files_table import read_table_npz, write_table_csv, write_table_npz
+from threadline.signals.files_table_text import read_table_csv
+from threadline.signals.recording import Recording
+
+__all__ = [
+    "Written",
+    "read_array",
+    "read_plt",
+    "read_recording",
+    "read_recording_csv",
+    "read_recording_npz",
+    "read_table",
+    "read_table_csv",
+    "read_table_npz",
+    "write_array",
+    "write_plt",
+    "write_recording",
+    "write_recording_csv",
+    "write_recording_npz",
+    "write_table_csv",
+    "write_table_npz",
+]
+
+_RECORDING_READERS: dict[str, Callable[[Path], Recording]] = {
+    ".npz": read_recording_npz,
+    ".csv": read_recording_csv,
+    ".plt": read_plt,
+}
+_RECORDING_WRITERS: dict[str, Callable[[Recording, Path], Written]] = {
+    ".npz": write_recording_npz,
+    ".csv": write_recording_csv,
+    ".plt": write_plt,
+}
+_TABLE_READERS: dict[str, Callable[[Path], TickTable]] = {
+    ".npz": read_table_npz,
+    ".csv": read_table_csv,
+    ".ticks": read_array,
+}
+
+
+def _ending(path: Path, among: Mapping[str, object], what: str) -> str:
+    ending = path.suffix.lower()
+    if ending not in among:
+        raise RecordingError(
+            f"{path.name[:80]!r} does not end like a {what}", remedy=f"Known: {', '.join(among)}."
+        )
+    return ending
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording: ``.npz`` and ``.csv`` of ours, ``.csv`` from anywhere, ``.plt``.
+
+    Raises
+    ------
+    RecordingError
+        If it is none of them, or damaged.
+    """
+    path = Path(path)
+    with clear_errors(path):
+        return _RECORDING_READERS[_ending(path, _RECORDING_READERS, "recording")](path)
+
+
+def write_recording(recording: Recording, path: str | Path) -> Written:
+    """Write a recording; the ending of ``path`` says how. Only ``.npz`` keeps every clock.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written so, or not there.
+    """
+    path = Path(path)
+    return _RECORDING_WRITERS[_ending(path, _RECORDING_WRITERS, "recording")](recording, path)
+
+
+def read_table(path: str | Path) -> TickTable:
+    """Read a tick table: ``.npz``, ``.csv``, or ``.ticks`` (the trajectory array).
+
+    Raises
+    ------
+    RecordingError
+        If it is none of them, or damaged.
+    """
+    path = Path(path)
+    with clear_errors(path):
+        return _TABLE_READERS[_ending(path, _TABLE_READERS, "tick table")](path)

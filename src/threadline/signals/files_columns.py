@@ -1,0 +1,97 @@
+"""What the columns of a recorded trace are called: ``time [s]``, ``X [mm]``, ``A.load [deg]``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from threadline.errors import Place, RecordingError, UnitError
+from threadline.signals.files_common import nearest
+from threadline.signals.recording import ChannelKind
+from threadline.units import same_dimension, unit_factor
+
+AXES = ("A", "B", "C", "X", "Y", "Z")
+TIME = "time"
+
+_COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
+_POSITIONS = frozenset(
+    {
+        ChannelKind.COMMANDED,
+        ChannelKind.MEASURED,
+        ChannelKind.LOAD,
+        ChannelKind.FRAME,
+        ChannelKind.TOOL,
+    }
+)
+_UNITS = {ChannelKind.VOLTAGE: ("V",), ChannelKind.CURRENT: ("A",)}
+_PER_AXIS = tuple(k for k in ChannelKind if k in _POSITIONS or k in _UNITS)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a trace: the channel that it is, and what one of its units is in SI."""
+
+    name: str
+    kind: ChannelKind | None  # None for the time
+    axis: str
+    unit: str
+    factor: float
+
+
+def parse_column(text: str, place: Place) -> Column:
+    """Return what a column is by its heading.
+
+    ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` and the like name another kind
+    of channel; ``operation`` has no unit.
+
+    Raises
+    ------
+    RecordingError
+        If the name is unknown or the unit missing or wrong.
+    """
+    match = _COLUMN.fullmatch(text.strip().strip('"'))
+    if match is None:
+        raise RecordingError(
+            f"{text.strip()[:60]!r} is not the name of a column",
+            place=place,
+            remedy='Write it like "X [mm]".',
+        )
+    name, unit = match["name"], match["unit"]
+    if name == TIME:
+        return Column(TIME, None, "", "s", _factor(name, unit, ("s",), place))
+    if name == ChannelKind.OPERATION:
+        if unit:
+            raise RecordingError(f"{name!r} has no unit, found [{unit[:20]}]", place=place)
+        return Column(name, ChannelKind.OPERATION, "", "", 1.0)
+    axis, dot, kind_name = name.partition(".")
+    known = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
+    if axis not in AXES or (dot and name not in known):
+        among = known if axis in AXES else [TIME, *AXES, str(ChannelKind.OPERATION)]
+        raise RecordingError(
+            f"unknown column {name[:60]!r}",
+            place=place,
+            remedy=f"{nearest(name, among)} Take columns out that are not to be judged.",
+        )
+    kind = ChannelKind(kind_name) if dot else ChannelKind.MEASURED
+    units = _UNITS.get(kind, ("m", "rad"))
+    factor = _factor(name, unit, units, place)
+    si = next(u for u in units if same_dimension(unit, u))
+    return Column(f"{axis}.{kind.value}", kind, axis, si, factor)
+
+
+def _factor(name: str, unit: str | None, units: tuple[str, ...], place: Place) -> float:
+    example = {"s": "s", "m": "mm", "V": "V", "A": "A"}[units[0]]
+    remedy = f'Write it like "{name} [{example}]".'
+    if not unit:
+        raise RecordingError(f"column {name!r} has no unit", place=place, remedy=remedy)
+    for target in units:
+        try:
+            return unit_factor(unit, target)
+        except UnitError:
+            continue
+    wanted = " or ".join(units)
+    raise RecordingError(
+        f"column {name!r} is in {unit[:20]!r}, which is not a unit like {wanted}",
+        place=place,
+        remedy=remedy,
+    )

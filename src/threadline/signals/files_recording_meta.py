@@ -1,0 +1,127 @@
+"""What the files of recordings say beside the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from threadline import __version__
+from threadline.errors import Place, RecordingError
+from threadline.signals.clock import Clock
+from threadline.signals.files_common import (
+    FractionText,
+    Hash,
+    Label,
+    checked_meta,
+    fraction_text,
+    positive_fraction,
+)
+from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.signals.stream import Stream
+
+TITLE = "recording 1"
+_STRICT = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class ChannelMeta:
+    """A channel as it stands in a file."""
+
+    name: Label
+    kind: ChannelKind
+    unit: Annotated[str, Field(max_length=20)]
+    clock: Label
+    axis: Annotated[str, Field(max_length=20)]
+    stride: Annotated[int, Field(strict=True, ge=1, le=2**40)]
+
+
+@dataclass(frozen=True, config=_STRICT)
+class RecordingMeta:
+    """A recording as it stands in a file, but for its samples."""
+
+    version: Label
+    clocks: dict[Label, FractionText]
+    channels: Annotated[tuple[ChannelMeta, ...], Field(max_length=400)]
+    simulated: Annotated[bool, Field(strict=True)]
+    job_sha256: Hash
+    machine_sha256: Hash
+    origin: Mapping[str, str]
+
+
+_META = TypeAdapter(RecordingMeta)
+
+
+def recording_meta(recording: Recording) -> dict[str, Any]:
+    """Return what is to be written of ``recording`` beside its samples.
+
+    Raises
+    ------
+    RecordingError
+        If channels share a name, or clocks of different periods do.
+    """
+    clocks: dict[str, str] = {}
+    names: set[str] = set()
+    for channel in recording.channels:
+        period = fraction_text(channel.clock.period_s)
+        if clocks.setdefault(channel.clock.name, period) != period:
+            raise RecordingError(f"clock {channel.clock.name!r} has two periods")
+        if channel.name in names:
+            raise RecordingError(f"two channels are called {channel.name!r}")
+        names.add(channel.name)
+    return {
+        "version": __version__,
+        "clocks": clocks,
+        "channels": [
+            {
+                "name": c.name,
+                "kind": c.kind.value,
+                "unit": c.unit,
+                "clock": c.clock.name,
+                "axis": c.axis,
+                "stride": c.stride,
+            }
+            for c in recording.channels
+        ],
+        "simulated": recording.simulated,
+        "job_sha256": recording.job_sha256,
+        "machine_sha256": recording.machine_sha256,
+        "origin": dict(recording.origin),
+    }
+
+
+def recording_from(meta: Any, blocks: Stream[RecordingBlock], path: Path) -> Recording:
+    """Return the recording of a file's description and samples."""
+    found = checked_meta(_META, meta, path)
+    place = Place(str(path))
+    clocks = {n: Clock(n, positive_fraction(p, place)) for n, p in found.clocks.items()}
+    channels = []
+    for channel in found.channels:
+        if channel.clock not in clocks:
+            raise RecordingError(
+                f"channel {channel.name!r} is on the clock {channel.clock!r}, which is not given",
+                place=place,
+            )
+        channels.append(
+            Channel(
+                name=channel.name,
+                kind=channel.kind,
+                unit=channel.unit,
+                clock=clocks[channel.clock],
+                axis=channel.axis,
+                stride=channel.stride,
+            )
+        )
+    if len({channel.name for channel in channels}) < len(channels):
+        raise RecordingError("two channels have the same name", place=place)
+    return Recording(
+        channels=tuple(channels),
+        blocks=blocks,
+        job_sha256=found.job_sha256,
+        machine_sha256=found.machine_sha256,
+        simulated=found.simulated,
+        origin=dict(found.origin),
+    )
