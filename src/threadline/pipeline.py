@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from threadline.errors import OptionError, UnitError
+from threadline.errors import OptionError, PlanError, UnitError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.path import plan_path, programmed_path
 from threadline.plan import Plan
-from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.signals import Recording, RecordingBlock, Stream, TickTable
 from threadline.targets import compile_ticks
 from threadline.trajectory import plan_trajectory
 from threadline.twin import simulate
@@ -176,6 +176,8 @@ def prove(
 
 def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None) -> Proof:
     """Simulate and judge a plan."""
+    if not isinstance(plan.commands, TickTable):
+        raise PlanError(f"{plan.job.name}: only tick tables can be simulated on axes")
     recording = simulate(plan.commands, plan.machine)
     recording = replace(recording, origin=dict(plan.options))
     watched = recording if progress is None else _watched(recording, plan, progress)

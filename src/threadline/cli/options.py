@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.machine import Machine, load_machine
-from threadline.machine.par import read_par
+from threadline.machine.par import read_parameters
 from threadline.pipeline import (
     DEFAULT_INTERPOLATION,
     DEFAULT_TOLERANCE_M,
@@ -52,6 +52,10 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 ReportOption = Annotated[
     Path | None, typer.Option(help="Folder for the report (HTML, PDF, PNG, SVG).")
 ]
+RecordingOption = Annotated[
+    Path | None,
+    typer.Option(help="Write the recording to this file: .npz, .csv or .plt."),
+]
 DEFAULT_INTERPOLATION_TEXT = DEFAULT_INTERPOLATION
 DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 
@@ -59,7 +63,7 @@ DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 def machine_from(reference: str, par: Path | None) -> Machine:
     """Return the machine that the options name."""
     machine = load_machine(reference)
-    return machine if par is None else read_par(par, machine)
+    return machine if par is None else read_parameters(par, machine)
 
 
 def options_of(interpolation: str, feed: str | None, tolerance: str) -> Options:

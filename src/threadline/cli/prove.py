@@ -13,6 +13,7 @@ from threadline.cli.options import (
     JsonOption,
     MachineOption,
     ParOption,
+    RecordingOption,
     ReportOption,
     SpecOption,
     ToleranceOption,
@@ -23,6 +24,7 @@ from threadline.cli.output import note, print_json, print_table, progress_bar
 from threadline.pipeline import Proof
 from threadline.pipeline import prove as prove_job
 from threadline.report import write_report
+from threadline.signals.files import write_recording
 from threadline.targets import calculate
 from threadline.verdict import load_spec, verdict_json, verdict_rows
 
@@ -36,6 +38,7 @@ def prove(
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     par: ParOption = None,
     report: ReportOption = None,
+    recording: RecordingOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
@@ -48,6 +51,8 @@ def prove(
     options = options_of(interpolation, feed, tolerance)
     with progress_bar(not json) as progress:
         proof = prove_job(job, chosen, load_spec(spec, chosen), options, progress)
+        if recording is not None:
+            write_recording(proof.recording, recording)
         written = None if report is None else write_report(proof, report)
     if json:
         content = verdict_json(proof.verdict, proof.plan)

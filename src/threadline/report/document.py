@@ -138,7 +138,8 @@ def _pages(document: Document) -> list[Figure]:
     first = True
     for table in [*document.tables, facts]:
         for start in range(0, max(len(table.rows), 1), _ROWS_PER_PAGE):
-            figure = Figure(figsize=(11.69, 8.27), layout="none")
+            figure = Figure(figsize=(11.69, 8.27))
+            figure.set_layout_engine("none")
             top = 0.95
             if first:
                 figure.text(0.05, top, document.title, fontsize=15, weight="bold", va="top")

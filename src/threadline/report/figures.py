@@ -62,43 +62,73 @@ def worst_result(proof: Proof, name: str) -> Result | None:
 
 
 def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure:
-    """Draw two axes against each other: programmed points, planned and actual path."""
+    """Draw two axes against each other: programmed points, planned and actual path.
+
+    Two linear axes get a second panel, to scale, around the largest contour error: over-travel of
+    half a millimetre cannot be seen in a picture of half a metre.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 4.2))
-    axes = figure.subplots()
-    columns = [proof.plan.trajectory.axes.index(axis) for axis in (first, second)]
-    (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
-    planned = [traces.planned[axis][:, 0] for axis in (first, second)]
-    axes.plot(planned[0] * fx, planned[1] * fy, label="planned", **PLANNED)
-    axes.plot(
-        traces.actual[first] * fx, traces.actual[second] * fy, label="actual (load)", **ACTUAL
-    )
-    axes.plot(
-        traces.vertices[:, columns[0]] * fx,
-        traces.vertices[:, columns[1]] * fy,
-        label="programmed points",
-        **PROGRAMMED,
-    )
-    _mark_worst_on_path(proof, traces, axes, (first, second))
-    axes.set_xlabel(f"{first} [{ux}]")
-    axes.set_ylabel(f"{second} [{uy}]")
-    axes.set_title(f"Path {first}-{second}")
-    axes.margins(0.06)
-    axes.legend(loc="best")
-    if ux == uy:
-        axes.set_aspect("equal", adjustable="datalim")
+    same_unit = display(proof, first)[1] == display(proof, second)[1]
+    worst = worst_result(proof, "contour_error")
+    zoomed = same_unit and worst is not None and worst.time_s is not None
+    figure = Figure(figsize=(7.2, 6.8 if zoomed else 3.8))
+    panels = figure.subplots(2 if zoomed else 1, 1, squeeze=False)[:, 0]
+    for panel in panels:
+        _draw_path(proof, traces, panel, (first, second))
+        if worst is not None and worst.time_s is not None:
+            _mark_worst_on_path(proof, traces, panel, (first, second), worst)
+        panel.margins(0.06)
+        if same_unit:
+            panel.set_aspect("equal", adjustable="datalim")
+    panels[0].set_title(f"Path {first}-{second}")
+    panels[0].legend(loc="lower left", bbox_to_anchor=(0.18, 1.0), ncols=4, borderaxespad=0.0)
+    if zoomed and worst is not None and worst.time_s is not None:
+        x, y = _place_at(proof, traces, (first, second), worst.time_s)
+        half = max(6.0 * abs(worst.measured or 0.0) * 1e3, 0.5)
+        panels[1].set_xlim(x - 1.6 * half, x + 1.6 * half)
+        panels[1].set_ylim(y - half, y + half)
+        panels[1].set_aspect("equal", adjustable="box")
+        panels[1].set_title("Around the largest contour error")
     return figure
 
 
-def _mark_worst_on_path(proof: Proof, traces: Traces, axes: Axes, pair: tuple[str, str]) -> None:
-    worst = worst_result(proof, "contour_error")
-    if worst is None or worst.time_s is None or not len(traces.time_s):
-        return
-    at = int(np.argmin(np.abs(traces.time_s - worst.time_s)))
-    x, y = (traces.actual[axis][at] * display(proof, axis)[0] for axis in pair)
+def _draw_path(proof: Proof, traces: Traces, panel: Axes, pair: tuple[str, str]) -> None:
+    first, second = pair
+    columns = [proof.plan.trajectory.axes.index(axis) for axis in pair]
+    (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
+    panel.plot(
+        traces.planned[first][:, 0] * fx,
+        traces.planned[second][:, 0] * fy,
+        label="planned",
+        **PLANNED,
+    )
+    panel.plot(traces.actual[first] * fx, traces.actual[second] * fy, label="actual", **ACTUAL)
+    panel.plot(
+        traces.vertices[:, columns[0]] * fx,
+        traces.vertices[:, columns[1]] * fy,
+        label="programmed",
+        **PROGRAMMED,
+    )
+    panel.set_xlabel(f"{first} [{ux}]")
+    panel.set_ylabel(f"{second} [{uy}]")
+
+
+def _place_at(
+    proof: Proof, traces: Traces, pair: tuple[str, str], time_s: float
+) -> tuple[float, float]:
+    at = int(np.argmin(np.abs(traces.time_s - time_s)))
+    x, y = (float(traces.actual[axis][at]) * display(proof, axis)[0] for axis in pair)
+    return x, y
+
+
+def _mark_worst_on_path(
+    proof: Proof, traces: Traces, panel: Axes, pair: tuple[str, str], worst: Result
+) -> None:
+    assert worst.time_s is not None
+    x, y = _place_at(proof, traces, pair, worst.time_s)
     line = "" if worst.job_line is None else f", line {worst.job_line}"
-    axes.plot([x], [y], label=f"largest contour error{line}", **WORST)
+    panel.plot([x], [y], label=f"largest contour error{line}", **WORST)
 
 
 def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
@@ -123,8 +153,15 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
             for sign in (-1.0, 1.0):
                 label = "limit" if sign > 0 else None
                 panel.axhline(sign * bound * factor, label=label, **LIMIT)
-        panel.legend(loc="upper right", ncols=3)
     rows[0].set_title(f"Axis {axis}: displacement, velocity, acceleration")
+    handles = {
+        label: line
+        for row in rows
+        for line, label in zip(*row.get_legend_handles_labels(), strict=True)
+    }
+    rows[0].legend(
+        handles.values(), handles.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3
+    )
     rows[2].set_xlabel("time [s]")
     return figure
 
@@ -158,8 +195,9 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
         along.axvline(worst.time_s, label=label, **LIMIT)
     along.set_xlabel("time [s]")
     along.set_ylabel("actual - commanded [mm]")
-    along.set_title("Tracking error at the tool; lag counts")
-    along.legend(loc="upper right", ncols=4)
+    along.margins(y=0.12)
+    along.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
+    along.set_title("Tracking error at the tool", loc="left")
     _bars(proof, bars)
     return figure
 
@@ -175,7 +213,7 @@ def _bars(proof: Proof, panel: Axes) -> None:
     for bar, hatch, percent in zip(drawn, hatches, used, strict=True):
         bar.set_hatch(hatch)
         panel.text(
-            bar.get_width() + 2,
+            max(bar.get_width() + 2, 102.0 if 88.0 < percent < 100.0 else 0.0),
             bar.get_y() + bar.get_height() / 2,
             f"{percent:.0f} %",
             va="center",

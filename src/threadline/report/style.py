@@ -8,8 +8,8 @@ from typing import Any
 
 # Okabe and Ito's palette, ordered so that neighbours differ in grey value too; every line also
 # differs in dash, so that nothing depends on colour.
-PLANNED = {"color": "0.45", "linestyle": (0, (6, 2)), "linewidth": 1.6}
-ACTUAL = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1}
+PLANNED: dict[str, Any] = {"color": "0.45", "linestyle": (0, (6, 2)), "linewidth": 1.6}
+ACTUAL: dict[str, Any] = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1}
 PROGRAMMED: dict[str, Any] = {
     "color": "black",
     "linestyle": "none",
@@ -18,7 +18,7 @@ PROGRAMMED: dict[str, Any] = {
     "markerfacecolor": "none",
     "markeredgewidth": 0.8,
 }
-LIMIT = {"color": "#D55E00", "linestyle": (0, (1, 1.5)), "linewidth": 1.4}
+LIMIT: dict[str, Any] = {"color": "#D55E00", "linestyle": (0, (1, 1.5)), "linewidth": 1.4}
 WORST: dict[str, Any] = {
     "color": "#D55E00",
     "linestyle": "none",
@@ -28,7 +28,7 @@ WORST: dict[str, Any] = {
     "zorder": 5,
 }
 
-_RC = {
+_RC: dict[Any, Any] = {
     "figure.dpi": 110,
     "figure.constrained_layout.use": True,
     "font.family": "DejaVu Sans",
