@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from threadline.errors import OptionError
-from threadline.signals import Commands, TickTable
+from threadline.signals import Commands, SwitchSchedule, TickTable
 from threadline.signals.files_array import write_array
-from threadline.signals.files_common import Written, nearest
+from threadline.signals.files_common import Written, atomic_file, nearest, written
 from threadline.signals.files_table import write_table_csv, write_table_npz
 from threadline.targets.calculate import CompiledPlan
+from threadline.targets.nc import NcStyle, part_program_lines
+from threadline.targets.planned_job import planned_job
+from threadline.trajectory.types import Trajectory
 
 TableWriter = Callable[[TickTable, Path], Written]
 
@@ -22,12 +27,40 @@ TABLES: dict[str, TableWriter] = {
 """Targets that need the tick table alone."""
 
 
+class TimedPlan(CompiledPlan, Protocol):
+    """What a target of moves needs: the trajectory too."""
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The planned motion."""
+        ...
+
+
+PlanWriter = Callable[[TimedPlan, Path], Written]
+
+
+def write_nc(plan: TimedPlan, path: Path) -> Written:
+    """Write the planned motion as a part program: chords with their times (G93), blended (G64)."""
+    job = planned_job(plan.job, plan.trajectory, plan.machine)
+    # The plan has already been held to the operator's normal feed; its times are not to be
+    # stretched again.
+    machine = replace(plan.machine, operator=None)
+    with atomic_file(path) as file:
+        for line in part_program_lines(job, machine, style=NcStyle.LINUXCNC):
+            file.write(f"{line}\n".encode())
+    return written(path)
+
+
+PLANS: dict[str, PlanWriter] = {"nc": write_nc}
+"""Targets that need the whole plan."""
+
+
 def target_names() -> tuple[str, ...]:
     """Return the names of all targets."""
-    return tuple(sorted([*TABLES]))
+    return tuple(sorted([*TABLES, *PLANS]))
 
 
-def write(plan: CompiledPlan | Commands, target: str, out: str | Path) -> list[Written]:
+def write(plan: TimedPlan | Commands, target: str, out: str | Path) -> list[Written]:
     """Write ``plan`` for a controller; whole files or none.
 
     Parameters
@@ -36,7 +69,7 @@ def write(plan: CompiledPlan | Commands, target: str, out: str | Path) -> list[W
         A plan, or for ``csv``, ``npz`` and ``ticks`` the commands alone.
     target
         ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
-        array of the 1994 controller.
+        array of the 1994 controller. ``nc``: a part program for LinuxCNC.
     out
         The file.
 
@@ -52,13 +85,20 @@ def write(plan: CompiledPlan | Commands, target: str, out: str | Path) -> list[W
     PlanError
         If the commands break a limit; nothing is written then.
     """
-    writer = TABLES.get(target)
-    if writer is None:
+    path = Path(out)
+    if target in PLANS:
+        if isinstance(plan, TickTable | SwitchSchedule):
+            raise OptionError(
+                f"target {target!r} is made from a plan, not from a {type(plan).__name__}",
+                remedy="Give the job and the machine.",
+            )
+        return [PLANS[target](plan, path)]
+    if target not in TABLES:
         raise OptionError(f"unknown target {target[:40]!r}", remedy=nearest(target, target_names()))
-    commands = getattr(plan, "commands", plan)
+    commands = plan if isinstance(plan, TickTable | SwitchSchedule) else plan.commands
     if not isinstance(commands, TickTable):
         raise OptionError(
             f"target {target!r} takes a tick table, not a {type(commands).__name__}",
             remedy="Choose a target for this kind of machine.",
         )
-    return [writer(commands, Path(out))]
+    return [TABLES[target](commands, path)]
