@@ -144,22 +144,35 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refuse(error: ValidationError, text: str, file: str) -> NoReturn:
-    first = error.errors(include_url=False)[0]
+    errors = error.errors(include_url=False)
+    # A misspelt key is also a missing one; only its own error says what to mend.
+    unknown = {"unexpected_keyword_argument", "extra_forbidden"}
+    first = next((e for e in errors if e["type"] in unknown), errors[0])
     # Pydantic puts the tag of a union and "[key]" into the location; the file has neither.
-    location = tuple(str(part) for part in first["loc"] if part != "[key]")
+    tagged = tuple(str(part) for part in first["loc"] if part != "[key]")
+    location = tagged[:2] + tagged[3:] if _is_tagged(tagged) else tagged
     where = ".".join(location)
     place = Place(file, _line_of(text, location))
-    if first["type"] in {"unexpected_keyword_argument", "extra_forbidden"}:
-        siblings = _field_names(location[:-1])
+    if first["type"] in unknown:
+        siblings = _field_names(tagged[:-1])
         close = difflib.get_close_matches(location[-1], siblings, n=1, cutoff=0.5)
         hint = f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(siblings)}."
         raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
+    if first["type"] == "union_tag_not_found":
+        raise MachineError(
+            f"'{where}.kind' is missing", place=place, remedy="Add it to the file."
+        ) from error
     if first["type"] in {"missing", "missing_argument"}:
         raise MachineError(
             f"{where!r} is missing", place=place, remedy="Add it to the file."
         ) from error
     message = str(first["msg"]).removeprefix("Value error, ")
     raise MachineError(f"{where}: {message}" if where else message, place=place) from error
+
+
+def _is_tagged(location: tuple[str, ...]) -> bool:
+    """Say whether the third part is the kind of a controller or sensor, which no file writes."""
+    return len(location) > 2 and location[0] in {"controllers", "sensors"}
 
 
 def _field_names(location: tuple[str, ...]) -> list[str]:
@@ -169,7 +182,12 @@ def _field_names(location: tuple[str, ...]) -> list[str]:
     node = schema
     for part in location:
         node = _deref(node, definitions)
-        node = node.get("properties", {}).get(part) or node.get("additionalProperties") or {}
+        kinds = node.get("discriminator", {}).get("mapping", {})
+        if part in kinds:
+            node = {"$ref": kinds[part]}
+            continue
+        entries = [node.get("additionalProperties"), *node.get("patternProperties", {}).values()]
+        node = node.get("properties", {}).get(part) or next((e for e in entries if e), {})
     node = _deref(node, definitions)
     return list(node.get("properties", {}))
 

@@ -11,16 +11,15 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.arrays import FloatArray
+from threadline.machine.controllers import Controller, Sensor
 from threadline.machine.parts import (
     STRICT,
     Axis,
     Body,
     DcMotor,
-    Encoder,
     LimitSwitch,
     Link,
     Operator,
-    PdController,
     PositiveTime,
     Tool,
 )
@@ -58,8 +57,8 @@ class Machine:
     bodies: dict[Name, Body] = Field(min_length=1)
     links: dict[Name, Link] = Field(default_factory=dict)
     drives: dict[Name, DcMotor] = Field(min_length=1)
-    sensors: dict[Name, Encoder] = Field(min_length=1)
-    controllers: dict[Name, PdController] = Field(min_length=1)
+    sensors: dict[Name, Sensor] = Field(min_length=1)
+    controllers: dict[Name, Controller] = Field(min_length=1)
     axes: dict[AxisName, Axis] = Field(min_length=1, max_length=MAX_AXES)
     inputs: dict[Name, LimitSwitch] = Field(default_factory=dict)
     tool: Tool
@@ -79,7 +78,11 @@ class Machine:
         for name, controller in self.controllers.items():
             where = f"controllers.{name}"
             _known([controller.clock], self.clocks, f"{where}.clock", "clock")
-            _known([controller.sensor], self.sensors, f"{where}.sensor", "sensor")
+            if controller.reference_clock is not None:
+                at = f"{where}.reference_clock"
+                _known([controller.reference_clock], self.clocks, at, "clock")
+            encoders = [n for n, s in self.sensors.items() if s.kind == "encoder"]
+            _known([controller.sensor], encoders, f"{where}.sensor", "encoder")
             _known([controller.drive], self.drives, f"{where}.drive", "drive")
         for name, axis in self.axes.items():
             where = f"axes.{name}"
@@ -105,8 +108,8 @@ class Machine:
     @property
     def tick_clock(self) -> Clock:
         """The clock on which the axes' references are given: that of the first controller."""
-        first = next(iter(self.axes.values()))
-        return self.clock(self.controllers[first.controller].clock)
+        first = self.controllers[next(iter(self.axes.values())).controller]
+        return self.clock(first.reference_clock or first.clock)
 
     def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:
         return np.array([getattr(axis, field).si for axis in self.axes.values()])

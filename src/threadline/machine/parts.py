@@ -19,6 +19,7 @@ STRICT = ConfigDict(extra="forbid")
 PositiveTime = Annotated[Quantity, Units(("s",), positive=True)]
 Coefficient = Annotated[Quantity, Units(("", "m/rad", "rad/m"))]
 Resolution = Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
+Sensitivity = Annotated[Quantity, Units(("V/m", "V/rad"))]
 Position = Annotated[Quantity, Units(("m", "rad"))]
 
 
@@ -110,6 +111,14 @@ class Encoder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Potentiometer:
+    """A voltage proportional to ``sum(sensitivity * coordinate)``; observes, closes no loop."""
+
+    kind: Literal["potentiometer"]
+    reads: dict[str, Sensitivity] = Field(min_length=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Dac:
     """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped."""
 
@@ -134,6 +143,7 @@ class PdController:
     kp: Annotated[Quantity, Units(("dac/count",), not_negative=True)]
     kd: Annotated[Quantity, Units(("dac/count",), not_negative=True)]
     dac: Dac
+    reference_clock: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -142,7 +152,8 @@ class Axis:
 
     ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum
     of coordinates; without it the axis' own sensor, free of its rounding, is the load.
-    ``endless`` axes have no travel.
+    ``endless`` axes have no travel. ``working_velocity`` is the speed of the axis' daily work,
+    for which warnings are given.
     """
 
     kind: Literal["linear", "rotary"]
@@ -155,6 +166,7 @@ class Axis:
     endless: bool = False
     load: dict[str, Coefficient] | None = None
     frame: dict[str, Coefficient] | None = None
+    working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Axis:
@@ -164,6 +176,7 @@ class Axis:
             ("velocity", self.velocity, f"{length}/s"),
             ("acceleration", self.acceleration, f"{length}/s^2"),
             ("jerk", self.jerk, f"{length}/s^3"),
+            ("working_velocity", self.working_velocity, f"{length}/s"),
         ):
             if part is not None and part.unit != wanted:
                 raise ValueError(f"{name} of a {self.kind} axis is in {wanted}, not {part.unit}")

@@ -119,7 +119,9 @@ class Units:
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
         """Tell pydantic to read a string of the machine file into a ``Quantity``."""
-        return core_schema.no_info_plain_validator_function(self._read)
+        return core_schema.no_info_plain_validator_function(
+            self._read, json_schema_input_schema=core_schema.str_schema()
+        )
 
     def _read(self, value: Any) -> Quantity:
         if isinstance(value, Quantity):

@@ -8,6 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
+from threadline.plant.controllers import difference_equation
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
 
@@ -133,14 +134,13 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
     )
     for k, name in enumerate(group.controllers):
         controller, path = machine.controllers[name], f"controllers.{name}"
-        kp = values.at(f"{path}.kp", controller.kp)
-        kd = values.at(f"{path}.kd", controller.kd)
         bits = values.at(f"{path}.dac.bits", controller.dac.bits)
         volts = values.at(f"{path}.dac.range", controller.dac.range)
         drive = group.drives.index(controller.drive)
         half = 2.0 ** (np.asarray(bits) - 1.0)
-        tables.numerator[:, k, 0] = np.asarray(kp) + kd
-        tables.numerator[:, k, 1] = -np.asarray(kd)
+        tables.numerator[:, k], tables.denominator[:, k] = difference_equation(
+            machine, name, values
+        )
         tables.sensor_row[:, k] = piece.sensor_rows[:, group.sensors.index(controller.sensor)]
         tables.volt_per_level[:, k] = volts / half
         tables.level_low[:, k] = -half

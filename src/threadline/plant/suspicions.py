@@ -1,0 +1,146 @@
+"""Numbers of a machine that don't fit together, named before anyone relies on them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.machine.parts import Axis
+
+_VISCOUS_SHARE = 0.5
+_CONSTANTS_APART = 0.05
+_SPARE = 1.0 + 1e-9
+
+
+def suspicions(machine: Machine) -> list[str]:
+    """Return one sentence for every number that asks for a second look; empty when none does.
+
+    Found are torque and back-emf constants that disagree by more than 5 % (in SI they are
+    the same number), viscous friction that takes half of a motor's current or more at
+    the axis' working speed, and a speed and acceleration that an axis allows, or works at, but
+    that need more current than there is.
+    """
+    found = [text for name in machine.drives for text in _constants(machine, name)]
+    for name in machine.axes:
+        found += _viscous(machine, name)
+        found += _beyond_current(machine, name)
+    return found
+
+
+def current_needed(
+    machine: Machine, axis: str, velocity_si: float, acceleration_si: float
+) -> float:
+    """Return the current in A that an axis needs at a velocity and acceleration, all links rigid.
+
+    Parameters
+    ----------
+    velocity_si, acceleration_si
+        Of the axis, in m/s and m/s^2 or rad/s and rad/s^2.
+    """
+    rates = rigid_motion(machine, axis)
+    drive = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
+    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    force = 0.0
+    for name, body in machine.bodies.items():
+        rate = rates[name]
+        damping = 0.0 if body.damping is None else body.damping.si
+        friction = 0.0 if body.friction is None else body.friction.si
+        force += rate * rate * (body.inertia.si * acceleration_si + damping * velocity_si)
+        force += abs(rate) * friction * np.sign(velocity_si)
+    return float(force / (turning * drive.torque_constant.si))
+
+
+def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
+    """Return the rate of every body when the axis moves at 1 m/s or rad/s and nothing stretches.
+
+    Bodies that the axis doesn't take along stand still.
+    """
+    bodies = list(machine.bodies)
+    rows: list[FloatArray] = []
+    for link in machine.links.values():
+        if link.stiffness.si > 0:
+            rows.append(_row(bodies, {b: q.si for b, q in link.stretch.items()}))
+    part = machine.axes[axis]
+    if part.load is not None:
+        rows.append(_row(bodies, {b: q.si for b, q in part.load.items()}))
+    else:
+        sensor = machine.sensors[machine.controllers[part.controller].sensor]
+        rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
+    wanted = np.zeros(len(rows))
+    wanted[-1] = 1.0
+    # Lengths and angles differ by orders of magnitude: the least squares are scaled per body.
+    matrix = np.array(rows)
+    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
+    solution = np.linalg.lstsq(matrix / scale, wanted, rcond=None)[0] / scale
+    return dict(zip(bodies, solution.tolist(), strict=True))
+
+
+def _row(bodies: list[str], weights: dict[str, float]) -> FloatArray:
+    return np.array([weights.get(b, 0.0) for b in bodies])
+
+
+def _constants(machine: Machine, name: str) -> list[str]:
+    drive = machine.drives[name]
+    torque, emf = drive.torque_constant, drive.back_emf
+    if emf.si <= 0:
+        return []
+    apart = emf.si / torque.si - 1.0
+    if abs(apart) <= _CONSTANTS_APART:
+        return []
+    return [
+        f"drives.{name}: torque_constant {torque.si:.4g} N m/A and back_emf {emf.si:.4g} V s/rad "
+        f"should be the same number; they disagree by {abs(apart) * 100:.0f} %"
+    ]
+
+
+def _viscous(machine: Machine, name: str) -> list[str]:
+    axis = machine.axes[name]
+    drive_name = machine.controllers[axis.controller].drive
+    drive = machine.drives[drive_name]
+    limit = drive.amplifier.current_limit
+    if limit is None or axis.working_velocity is None:
+        return []
+    speed = axis.working_velocity.si
+    rates = rigid_motion(machine, name)
+    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    driven = [b for b in drive.acts_on if machine.bodies[b].damping is not None]
+    own = 0.0
+    for body in driven:
+        damping = machine.bodies[body].damping
+        assert damping is not None
+        own += rates[body] ** 2 * damping.si * speed / (turning * drive.torque_constant.si)
+    whole = current_needed(machine, name, speed, 0.0)
+    if whole < _VISCOUS_SHARE * limit.si:
+        return []
+    said = ", ".join(f"{machine.bodies[b].damping.si:.3g}" for b in driven)  # type: ignore[union-attr]
+    return [
+        f"axes.{name}: at its working speed of {_speed(axis, speed)} the motor's damping of {said} "
+        f"N m s/rad takes {own:.1f} A of the {limit.si:g} A of drives.{drive_name}, all friction "
+        f"{whole:.1f} A; is it that large?"
+    ]
+
+
+def _beyond_current(machine: Machine, name: str) -> list[str]:
+    axis = machine.axes[name]
+    drive_name = machine.controllers[axis.controller].drive
+    limit = machine.drives[drive_name].amplifier.current_limit
+    if limit is None or axis.working_velocity is None:
+        return []
+    speed, acceleration = axis.working_velocity.si, axis.acceleration.si
+    needed = current_needed(machine, name, speed, acceleration)
+    if needed <= limit.si * _SPARE:
+        return []
+    unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
+    spare = limit.si - current_needed(machine, name, speed, 0.0)
+    per_acceleration = current_needed(machine, name, 0.0, 1.0)
+    left = f"{max(spare, 0.0) / per_acceleration:.3g} {unit}"
+    return [
+        f"axes.{name}: a reference that reaches {_speed(axis, speed)} at the allowed "
+        f"{acceleration:.4g} {unit} needs {needed:.1f} A, more than the {limit.si:g} A of "
+        f"drives.{drive_name}; at that speed {left} are left"
+    ]
+
+
+def _speed(axis: Axis, speed_si: float) -> str:
+    return f"{speed_si:.4g} m/s" if axis.kind == "linear" else f"{speed_si:.4g} rad/s"
