@@ -252,10 +252,10 @@ def _refuse_word(letter: str, number: str, line: int, dialect: Dialect) -> NoRet
             remedy=f"Its axes are {', '.join(dialect.axes)}; choose another machine (-m).",
         )
     known = {
-        "G": "G words are G0 G1 G4 G20 G21 G28 G64 G90 G91 G93 G94.",
-        "M": "M words are M0 M2 M5 M30 M98 M99.",
-    }.get(letter, f"Letters are F G L M N O P and the axes {' '.join(dialect.axes)}.")
-    raise JobError(f"unknown word {letter}{_short(number)}", place=place, remedy=f"Known {known}")
+        "G": "Known G words are G0 G1 G4 G20 G21 G28 G64 G90 G91 G93 G94.",
+        "M": "Known M words are M0 M2 M5 M30 M98 M99.",
+    }.get(letter, f"Known letters are F G L M N O P and the axes {' '.join(dialect.axes)}.")
+    raise JobError(f"unknown word {letter}{_short(number)}", place=place, remedy=known)
 
 
 def _short(number: str) -> str:

@@ -47,8 +47,6 @@ class PartProgram:
         (axes,) whether an axis is linear.
     mode, base_axes
         What F means in G94.
-    plain
-        Whether plain blocks are left to the kernel; the operations are the same without it.
     """
 
     file: SourceFile
@@ -57,7 +55,6 @@ class PartProgram:
     linear: tuple[bool, ...]
     mode: FeedMode
     base_axes: tuple[str, ...]
-    plain: bool = True
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Return the operations from the start position on, moves in runs.
@@ -108,7 +105,7 @@ class Interpreter:
             lines = frame.lines
             if not lines.more():
                 raise self._error(lines.number, "the program has no end", "Start again.")
-            if self._program.plain and self._plain.worth_trying():
+            if self._plain.worth_trying():
                 run = self._read_plain(lines)
                 if run is not None:
                     yield run

@@ -19,9 +19,10 @@ _MAX_SHOWN = 40
 
 _NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)"
 _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
-_BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.]))*+[ \t]*+")
+_BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*+[ \t]*+")
 _PARENTHESES = re.compile(r"\([^()]*\)")
-_TAG = re.compile(rf"\s*([A-Za-z_][A-Za-z0-9_-]*)\s*=\s*({_NUMBER})\s*")
+_TAG = re.compile(rf"([A-Za-z_][A-Za-z0-9_-]*)=({_NUMBER})")
+_TAGS = re.compile(rf"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*={_NUMBER}[\s,]*+)++")
 _POWERS: tuple[int, ...] = tuple(int(10**k) for k in range(DECIMALS + 1))
 
 
@@ -112,8 +113,10 @@ def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
 
 
 def _tags_of(comment: str) -> tuple[tuple[str, float], ...]:
-    match = _TAG.fullmatch(comment)
-    return ((match[1], float(match[2])),) if match else ()
+    """Return the numbers that a comment like ``tension=6.5 width=4`` names."""
+    if _TAGS.fullmatch(comment) is None:
+        return ()
+    return tuple((name, float(number)) for name, number in _TAG.findall(comment))
 
 
 def _shown(text: str) -> str:
