@@ -1,0 +1,165 @@
+"""The commands as a shell sees them: output, exit status, and nothing half-written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+from threadline.machine import load_machine
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    """Run the program in this process; returns exit status, output and errors."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    code = stopped.value.code
+    return (0 if code is None else int(code)), captured.out, captured.err
+
+
+def test_prove_json_has_the_promised_keys(
+    examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = examples / "x-180.prg"
+    code, out, _ = run(
+        capsys, "prove", job, "-m", "lathe-winder", "--interpolation", "linear", "--json"
+    )
+    content = json.loads(out)
+
+    assert code == 0
+    assert content["passed"] is True
+    assert content["ticks"] == 2000  # 360 mm at 36 mm/s in ticks of 5 ms
+    assert content["duration_s"] == pytest.approx(10.0, rel=1e-9)
+    wanted = {"job", "machine", "interpolation", "criteria", "job_sha256", "threadline"}
+    assert wanted <= content.keys()
+    assert content["machine_sha256"] == load_machine("lathe-winder").sha256
+    for criterion in content["criteria"]:
+        assert {
+            "name",
+            "axis",
+            "measured",
+            "limit",
+            "unit",
+            "status",
+            "time_s",
+            "job_line",
+        } <= criterion.keys()
+    turning = next(c for c in content["criteria"] if c["name"] == "turning_point_error")
+    # The facts sheet's independent model stops 0.47 mm short at 36 mm/s.
+    assert turning["measured"] == pytest.approx(0.47e-3, abs=0.03e-3)
+    assert turning["job_line"] == 12
+
+
+def test_prove_exits_with_one_out_of_spec(
+    examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(
+        capsys,
+        "prove",
+        examples / "x-180.prg",
+        "-m",
+        "lathe-winder",
+        "--interpolation",
+        "linear",
+        "--feed",
+        "80 count/tick",
+    )
+    assert code == 1
+    assert "OUT OF SPEC" in out
+    assert "failed" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-m", "lathe-windr"], ["lathe-windr", "Did you mean 'lathe-winder'"]),
+        (["-m", "lathe-winder", "--feed", "0 mm/s"], ["feed", "greater than zero"]),
+        (["-m", "lathe-winder", "--feed", "fast"], ["feed 'fast'", "count/tick"]),
+        (["-m", "lathe-winder", "--tolerance", "1 deg"], ["tolerance", "0.1 mm"]),
+        (["-m", "lathe-winder", "--interpolation", "liner"], ["liner", "linear"]),
+        (["-m", "lathe-winder", "-s", "no-such.toml"], ["no-such.toml"]),
+        (["-m", "lathe-winder+x"], ["no overlay 'x'", "physical"]),
+    ],
+)
+def test_wrong_options_exit_with_two_and_one_line(
+    arguments: list[str], words: list[str], examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, "prove", examples / "x-180.prg", *arguments)
+
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("error: [")
+    for word in words:
+        assert word in err
+
+
+def test_missing_job_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run(capsys, "prove", "no-such-job.prg", "-m", "lathe-winder")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "no-such-job.prg" in err
+
+
+def test_a_refused_job_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The last line leaves the travel: not a byte of the table may be there."""
+    job = tmp_path / "far.prg"
+    job.write_text("%\nO 1;\nN 10 G01 G90 F 600;\nN 20 X 10;\nN 30 X 900;\nN 40 M30;\n%\n")
+    out_file = tmp_path / "far.csv"
+    code, _, err = run(
+        capsys, "compile", job, "-m", "lathe-winder", "--target", "csv", "-o", out_file
+    )
+
+    assert code == 2
+    assert "far.prg:5" in err
+    assert "900" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["far.prg"]
+
+
+def test_a_recording_is_judged_as_the_run_was(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trace = tmp_path / "run.npz"
+    common = ["-m", "lathe-winder", "--interpolation", "b-spline-pulled"]
+    _, first, _ = run(
+        capsys, "prove", examples / "x-180.prg", *common, "--recording", trace, "--json"
+    )
+    code, second, _ = run(capsys, "judge", trace, "--json")
+
+    assert code == 0
+    assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
+
+
+def test_report_and_table_files(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(
+        capsys,
+        "prove",
+        examples / "x-180.prg",
+        "-m",
+        "lathe-winder",
+        "--interpolation",
+        "linear",
+        "--report",
+        tmp_path / "report",
+    )
+    assert code == 0
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "IN SPEC" in page
+    assert page.count("<svg") == 2  # the profile of X and the errors: nothing else has a shape
+    assert "src=" not in page  # self-contained
+    assert load_machine("lathe-winder").sha256 in page
+    assert (tmp_path / "report" / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "report" / "report-profile-X.png").stat().st_size > 10_000
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+    assert "report.html" in out
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("prove", "compare", "fastest", "compile", "judge"):
+        code, out, _ = run(capsys, command, "--help")
+        assert code == 0
+        assert f"Example: threadline {command}" in " ".join(out.split())

@@ -1,0 +1,63 @@
+"""Options of the pipeline: their text is read strictly and survives a round trip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from threadline.errors import OptionError
+from threadline.jobs import read_job
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.machine import load_machine
+from threadline.pipeline import Options, describe, options_from, parse_feed, parse_tolerance_m
+
+
+@pytest.mark.parametrize(
+    ("text", "feed"),
+    [
+        ("10 count/tick", Feed(FeedMode.COUNT_PER_TICK, 10.0)),
+        ("80count/tick", Feed(FeedMode.COUNT_PER_TICK, 80.0)),
+        ("36 mm/s", Feed(FeedMode.FASTEST_AXIS, 0.036)),
+        ("600 mm/min", Feed(FeedMode.FASTEST_AXIS, 0.01)),
+        ("7.5 in/s", Feed(FeedMode.FASTEST_AXIS, 0.1905)),
+    ],
+)
+def test_feeds(text: str, feed: Feed) -> None:
+    parsed = parse_feed(text)
+    assert parsed.mode is feed.mode
+    assert parsed.value == pytest.approx(feed.value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["10", "0 mm/s", "-3 mm/s", "fast", "3 deg", "1e400 mm/s", "", "3 mm", "nan mm/s"]
+)
+def test_bad_feeds_name_the_text(text: str) -> None:
+    with pytest.raises(OptionError, match="feed"):
+        parse_feed(text)
+
+
+@pytest.mark.parametrize("text", ["0 mm", "-1 mm", "0.1", "0.1 deg", "x"])
+def test_bad_tolerances(text: str) -> None:
+    with pytest.raises(OptionError, match="tolerance"):
+        parse_tolerance_m(text)
+
+
+@pytest.mark.parametrize("feed", [None, "10 count/tick", "123.456 mm/s"])
+def test_a_recording_carries_its_options(feed: str | None, examples: Path) -> None:
+    machine = load_machine("lathe-winder+physical")
+    job = read_job(examples / "x-180.prg", machine)
+    options = Options(
+        interpolation="linear",
+        feed=None if feed is None else parse_feed(feed),
+        tolerance_m=parse_tolerance_m("0.25 mm"),
+    )
+    text = describe(job, machine, options)
+
+    assert options_from(text) == options
+    assert load_machine(text["machine"]).sha256 == machine.sha256
+
+
+def test_missing_options_are_named() -> None:
+    with pytest.raises(OptionError, match="which feed"):
+        options_from({"interpolation": "linear", "tolerance": "0.1 mm"})
