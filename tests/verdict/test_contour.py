@@ -19,15 +19,14 @@ CONTOUR = spec_of(Criterion(name="contour_error", limit=5e-4))
 XY = ("X", "Y")
 
 
-def contour(points, actual, operation, *, spec=CONTOUR, axes=XY, per_block=64, **plan):
+def contour(
+    points, actual, operation, *, commanded=None, spec=CONTOUR, axes=XY, per_block=64, **plan
+):
     made = plan_through(points, axes, **plan)
-    commanded = np.zeros_like(actual)
-    recording = record(
-        axes,
-        {ChannelKind.COMMANDED: commanded, ChannelKind.LOAD: actual},
-        operation,
-        per_block=per_block,
-    )
+    channels = {ChannelKind.LOAD: actual}
+    if commanded is not None:
+        channels[ChannelKind.COMMANDED] = commanded
+    recording = record(axes, channels, operation, per_block=per_block)
     return judge([recording], made, spec).result("contour_error")
 
 
@@ -157,6 +156,39 @@ def test_a_load_that_trails_by_more_than_the_lag_is_charged() -> None:
 
     assert generous.measured == pytest.approx(0.0, abs=1e-12)
     assert strict.measured > 0.02
+
+
+def labelled_early(points, per_move, samples):
+    """Return a command along ``points`` whose operations begin ``samples`` before their chords."""
+    commanded, operation = follow(points, per_move)
+    return commanded, np.concatenate([operation[samples:], np.repeat(operation[-1:], samples)])
+
+
+@pytest.mark.parametrize("per_block", [1, 9, 1000])
+def test_a_blend_is_on_the_chord_that_the_command_is_on(per_block: int) -> None:
+    """A blend round a corner bears one operation's name from well before the corner.
+
+    The load follows the programmed path exactly, 6 samples late: nothing is wrong. Labels alone
+    say that it is 20 + 6 - 10 samples of 1 mm away.
+    """
+    points = [[0, 0], [0.1, 0], [0.1, 0.1]]
+    commanded, operation = labelled_early(points, 100, 20)
+    late = np.vstack([np.repeat(commanded[:1], 6, axis=0), commanded[:-6]])
+    spec = spec_of(*CONTOUR.criteria, lag_s=10 * TICK_S)
+    exact = contour(points, late, operation, commanded=commanded, spec=spec, per_block=per_block)
+    assert exact.measured == pytest.approx(0.0, abs=1e-12)
+    labels = contour(points, late, operation, spec=spec, per_block=per_block)
+    assert labels.measured == pytest.approx(0.016, abs=1e-12)
+
+
+def test_the_command_tells_two_nearly_equal_chords_apart() -> None:
+    """Out and back 0.8 mm apart: a load 0.6 mm off towards the other line is 0.6 mm off."""
+    points = [[0, 0], [0.1, 0], [0, 8e-4]]
+    commanded, operation = follow(points, 200)
+    load = commanded.copy()
+    load[20:60, 1] += 6e-4
+    found = contour(points, load, operation, commanded=commanded)
+    assert found.measured == pytest.approx(6e-4, abs=1e-12)
 
 
 def test_a_recording_that_ends_early_fails() -> None:

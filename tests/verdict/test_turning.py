@@ -128,6 +128,19 @@ def test_a_recording_that_ends_early_fails() -> None:
     assert result.note == "short"
 
 
+def test_a_turning_that_bears_the_next_operations_name_early() -> None:
+    """The command turns 30 samples after its label: the turning is watched until then."""
+    points = [[0.0], [0.1], [0.0]]
+    commanded, operation = follow(points, 100)
+    early = np.concatenate([operation[30:], np.repeat(operation[-1:], 30)])
+    recording = record(
+        ("X",), {ChannelKind.COMMANDED: commanded, ChannelKind.LOAD: late(commanded, 6)}, early
+    )
+    spec = spec_of(TURNING, lag_s=20 * TICK_S)
+    result = judge([recording], plan_through(points, ("X",)), spec).result("turning_point_error")
+    assert result.measured == pytest.approx(0.0, abs=1e-12)
+
+
 @given(
     seed=st.integers(0, 2**32 - 1),
     strokes=st.integers(1, 8),

@@ -11,6 +11,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.measure import Block
+from threadline.verdict.progress import chords_under_way
 from threadline.verdict.window import PathWindow
 
 _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)
@@ -21,6 +22,8 @@ _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
     "voltage": (ChannelKind.VOLTAGE,),
     "current": (ChannelKind.CURRENT,),
 }
+# The value of largest magnitude since the sample before: a second channel of the same kind.
+_PEAK_NAME = "{axis}.current_peak"
 _ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may differ by a rounding
 
 
@@ -100,22 +103,20 @@ class _Held:
 
     time_s: FloatArray
     columns: dict[str, FloatArray]
-    operation: IntArray | None
+    whole: dict[str, IntArray]
 
     def join(self, other: _Held) -> _Held:
         return _Held(
             np.concatenate([self.time_s, other.time_s]),
             {k: np.concatenate([v, other.columns[k]]) for k, v in self.columns.items()},
-            None
-            if self.operation is None or other.operation is None
-            else np.concatenate([self.operation, other.operation]),
+            {k: np.concatenate([v, other.whole[k]]) for k, v in self.whole.items()},
         )
 
     def part(self, begin: int, end: int) -> _Held:
         return _Held(
             self.time_s[begin:end],
             {k: v[begin:end] for k, v in self.columns.items()},
-            None if self.operation is None else self.operation[begin:end],
+            {k: v[begin:end] for k, v in self.whole.items()},
         )
 
 
@@ -126,6 +127,10 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
         name: [find_first(recording, kinds, axis) for axis in axes]
         for name, kinds in _COLUMNS.items()
     }
+    found["current_peak"] = [
+        next((c for c in recording.channels if c.name == _PEAK_NAME.format(axis=axis)), None)
+        for axis in axes
+    ]
     followers = {
         name: [None if c is None else _Follower(c, master) for c in channels]
         for name, channels in found.items()
@@ -145,19 +150,20 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
             name: np.column_stack([nothing if f is None else f.at(block, time_s) for f in row])
             for name, row in followers.items()
         }
-        operation = None
+        whole = {}
         if operation_follower is not None:
             operation = np.rint(operation_follower.at(block, time_s)).astype(np.int64)
             # After its end a controller may say -1: the machine is still at its last operation.
             operation = np.maximum.accumulate(np.maximum(operation, reached))
             reached = int(operation[-1])
-        yield _Held(time_s, columns, operation)
+            whole["operation"] = operation
+        yield _Held(time_s, columns, whole)
 
 
 def judged_blocks(
     recording: Recording, axes: Sequence[str], lag_samples: int, path: PathWindow | None
 ) -> Iterator[Block]:
-    """Yield every sample once, in order, with the operations within the lag before and after it.
+    """Yield every sample once, in order, with the chords within the lag before and after it.
 
     Memory holds one block of the recording, twice the lag, and the programmed path about them.
 
@@ -175,6 +181,8 @@ def judged_blocks(
     held: _Held | None = None
     before = first = 0  # samples of `held` that were yielded already; number of the next one
     for fresh in _samples(recording, axes):
+        if path is not None and "operation" in fresh.whole:
+            fresh.whole |= _chords(fresh, path, held)
         held = fresh if held is None else held.join(fresh)
         ready = len(held.time_s) - lag_samples
         if ready <= before:
@@ -191,14 +199,14 @@ def _block(
     held: _Held, begin: int, end: int, first: int, lag_samples: int, path: PathWindow | None
 ) -> Block:
     part = held.part(begin, end)
-    earliest = latest = None
-    if held.operation is not None:
+    chord_begin = chord_end = None
+    if path is not None and "low" in held.whole:
+        low, high = held.whole["low"], held.whole["high"]
         at = np.arange(begin, end)
-        earliest = held.operation[np.maximum(at - lag_samples, 0)]
-        latest = held.operation[np.minimum(at + lag_samples, len(held.operation) - 1)]
-        if path is not None:
-            # One sample back: the way from the last sample to this one still counts there.
-            path.move(int(held.operation[max(begin - 1 - lag_samples, 0)]), int(latest[-1]))
+        chord_begin = np.minimum(low[np.maximum(at - lag_samples, 0)], low[at])
+        chord_end = np.maximum(high[np.minimum(at + lag_samples, len(high) - 1)], high[at])
+        # One sample back: the way from the last sample to this one still counts there.
+        path.drop(int(held.whole["safe"][max(begin - 1 - lag_samples, 0)]))
     return Block(
         first=first,
         time_s=part.time_s,
@@ -207,8 +215,23 @@ def _block(
         own=part.columns.get("own"),
         voltage=part.columns.get("voltage"),
         current=part.columns.get("current"),
-        operation=part.operation,
-        earliest=earliest,
-        latest=latest,
-        path=path if held.operation is not None else None,
+        current_peak=part.columns.get("current_peak"),
+        operation=part.whole.get("operation"),
+        chord=part.whole.get("low"),
+        begin=chord_begin,
+        end=chord_end,
+        path=path if chord_begin is not None else None,
     )
+
+
+def _chords(fresh: _Held, path: PathWindow, held: _Held | None) -> dict[str, IntArray]:
+    """Return the chords that the samples are on, and the first that any later one can be on."""
+    operation = fresh.whole["operation"]
+    path.reach(int(operation[-1]))
+    commanded = fresh.columns.get("commanded")
+    at_tool = before = None
+    if commanded is not None:
+        at_tool = commanded * path.radius_m
+        before = None if held is None else held.columns["commanded"][-1] * path.radius_m
+    low, high = chords_under_way(path, operation, at_tool, before)
+    return {"low": low, "high": high, "safe": path.chord_from(operation) - 1 + path.first}

@@ -18,9 +18,9 @@ class Contour:
     """Both directions at once: path to chords, and programmed vertices to path.
 
     Lengths are at the tool, Euclidean over all axes, rotary ones times their radius. The chords
-    and vertices of a sample are those of the operations under way within the lag before and
-    after it: a path may cross or retrace itself without hiding an error, and trailing along the
-    path by less than the lag costs nothing. A machine that trails by more is charged for it.
+    and vertices of a sample are those that the command was or will be on within the lag before
+    and after it: a path may cross or retrace itself without hiding an error, and trailing along
+    the path by less than the lag costs nothing. A machine that trails by more is charged for it.
 
     The actual path is taken as straight between samples: an axis that accelerates by a bows out
     of it by at most a T^2 / 8 in a sample interval T.
@@ -37,43 +37,40 @@ class Contour:
         self._line: IntArray = np.empty(0, dtype=np.int64)
         self._best: FloatArray = np.empty(0)  # m^2
         self._best_time_s: FloatArray = np.empty(0)
-        self._last: tuple[FloatArray, float, int] | None = None  # point, time, earliest operation
+        self._last: tuple[FloatArray, float, int] | None = None  # point, time, first chord
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        path = block.path
-        assert block.actual is not None and path is not None
-        assert block.earliest is not None and block.latest is not None
+        assert block.actual is not None
         points = np.ascontiguousarray(block.actual * self._radius_m)
-        begin = path.chord_from(block.earliest)
-        end = np.maximum(begin, path.chord_to(block.latest))
-        squared, at, chord = path_to_chords(points, begin, end, path.vertices)
+        path, begin, end = block.window()
+        squared, at, nearest = path_to_chords(points, begin, end, path.vertices)
         self._offer(
             Finding(
                 value=float(np.sqrt(squared)),
                 time_s=float(block.time_s[at]),
                 operation=block.operation_at(at),
-                job_line=int(path.line[chord]),
+                job_line=int(path.line[nearest]),
                 position=block.position_at(at),
             )
         )
         self._settle(path.first - self._first)
         self._hold(path)
-        last, last_s, earliest = self._last or (
+        last, last_s, chord = self._last or (
             points[0],
             float(block.time_s[0]),
-            int(block.earliest[0]),
+            int(begin[0]) + path.first,
         )
         vertices_to_path(
             np.concatenate([last[None], points]),
             np.concatenate([[last_s], block.time_s]),
-            np.concatenate([path.chord_from(np.array([earliest])), begin]),
+            np.concatenate([[max(chord - path.first, 1)], begin]),
             np.concatenate([end[:1], end]),
             path.vertices,
             self._best,
             self._best_time_s,
         )
-        self._last = (points[-1], float(block.time_s[-1]), int(block.earliest[-1]))
+        self._last = (points[-1], float(block.time_s[-1]), int(begin[-1]) + path.first)
 
     def finish(self) -> Sequence[Finding]:
         """Return the worst of what was fed."""

@@ -21,7 +21,7 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     """Return the largest distance, at the tool, between planned and programmed path.
 
     Both ways, as for the contour error: from the planned path to the chords of its operation and
-    the two beside it, and from each programmed vertex to the planned path there.
+    the two beside them, and from each programmed vertex to the planned path there.
     """
     contour = Contour(plan.programmed.radius_m)
     for block in _blocks(plan, PathWindow(plan.programmed)):
@@ -35,9 +35,12 @@ def _blocks(plan: Plan, path: PathWindow) -> Iterator[Block]:
         if not len(pieces):
             continue
         points, operation = _points(pieces)
-        earliest, latest = operation - 1, operation + 1
-        path.move(int(earliest[0] if previous is None else previous), int(latest[-1]))
-        previous = int(earliest[-1])
+        path.reach(int(operation[-1]) + 1)
+        begin = path.chord_from(operation) - 1 + path.first
+        end = path.chord_to(operation) + 1 + path.first
+        path.drop(int(begin[0] if previous is None else previous))
+        previous = int(begin[-1])
+        end = np.minimum(end, path.first + len(path) - 1)
         yield Block(
             first=0,
             time_s=np.zeros(len(points)),
@@ -46,9 +49,11 @@ def _blocks(plan: Plan, path: PathWindow) -> Iterator[Block]:
             own=None,
             voltage=None,
             current=None,
+            current_peak=None,
             operation=operation,
-            earliest=earliest,
-            latest=latest,
+            chord=None,
+            begin=begin,
+            end=end,
             path=path,
         )
 

@@ -12,16 +12,20 @@ from threadline.verdict.measure import Block, Finding, Measure, Setting, largest
 
 
 class _CurrentPeak:
-    """Per axis: the largest absolute current of its motor, in A."""
+    """Per axis: the largest absolute current of its motor, in A.
+
+    Between samples too where the recording has a channel ``AXIS.current_peak``.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self._axes = setting.axes
         self._worst: dict[str, Finding] = {}
 
     def feed(self, block: Block) -> None:
-        assert block.current is not None
+        source = block.current if block.current_peak is None else block.current_peak
+        assert source is not None
         for column, axis in enumerate(self._axes):
-            at, value = largest(np.abs(block.current[:, column]))
+            at, value = largest(np.abs(source[:, column]))
             known = self._worst.get(axis)
             if at >= 0 and (known is None or known.value is None or value > known.value):
                 self._worst[axis] = Finding(

@@ -67,14 +67,16 @@ class Block:
         Number of the first sample since the start.
     time_s
         (n,) instants.
-    commanded, actual, own, voltage, current
+    commanded, actual, own, voltage, current, current_peak
         (n, axes) or None where a channel is absent: the command; the tool or the load; the axis'
-        own encoder; the amplifier's input; the motor's current. A column of NaN marks an axis
-        that lacks the channel while another has it.
+        own encoder; the amplifier's input; the motor's current, and its largest since the sample
+        before. A column of NaN marks an axis that lacks the channel while another has it.
     operation
         (n,) operation under way, never decreasing, or None.
-    earliest, latest
-        (n,) first and last operation under way within the lag of each sample.
+    chord
+        (n,) chord that the command is on, counted from the start of the path, or None.
+    begin, end
+        (n,) first and last chord that it was or will be on within the lag of each sample.
     path
         The programmed path about these operations, or None without an operation channel.
     """
@@ -86,13 +88,21 @@ class Block:
     own: FloatArray | None
     voltage: FloatArray | None
     current: FloatArray | None
+    current_peak: FloatArray | None
     operation: IntArray | None
-    earliest: IntArray | None
-    latest: IntArray | None
+    chord: IntArray | None
+    begin: IntArray | None
+    end: IntArray | None
     path: PathWindow | None
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def window(self) -> tuple[PathWindow, IntArray, IntArray]:
+        """Return the path, and ``begin`` and ``end`` counted within what it holds."""
+        assert self.path is not None and self.begin is not None and self.end is not None
+        begin = np.maximum(self.begin - self.path.first, 1)
+        return self.path, begin, np.maximum(self.end - self.path.first, begin)
 
     def operation_at(self, index: int) -> int | None:
         """Return the operation under way at a sample."""

@@ -26,7 +26,7 @@ def _squared_to_segment(
     return squared, where
 
 
-_squared_to_segment_fast = njit(cache=True, inline="always")(_squared_to_segment)
+squared_to_segment = njit(cache=True, inline="always")(_squared_to_segment)
 
 
 def _path_to_chords(
@@ -37,7 +37,7 @@ def _path_to_chords(
     for i in range(len(points)):
         best, best_chord = np.inf, -1
         for chord in range(begin[i], end[i] + 1):
-            squared, _ = _squared_to_segment_fast(points[i], vertices[chord - 1], vertices[chord])
+            squared, _ = squared_to_segment(points[i], vertices[chord - 1], vertices[chord])
             if squared < best:
                 best, best_chord = squared, chord
         if best > worst:
@@ -61,7 +61,7 @@ def _vertices_to_path(
     """
     for i in range(len(points) - 1):
         for vertex in range(begin[i] - 1, end[i + 1] + 1):
-            squared, where = _squared_to_segment_fast(vertices[vertex], points[i], points[i + 1])
+            squared, where = squared_to_segment(vertices[vertex], points[i], points[i + 1])
             if squared < best[vertex]:
                 best[vertex] = squared
                 best_time_s[vertex] = time_s[i] + where * (time_s[i + 1] - time_s[i])

@@ -24,7 +24,7 @@ class Turning:
     operation, line, position
         Of the first vertex there; the position in the units of the axes.
     leaves
-        The operation that leaves it: the axis may stand there for many operations before.
+        Number of the chord that leaves it: the axis may stand there for many chords before.
     """
 
     value: float
@@ -112,7 +112,7 @@ class ReversalScan:
         for index, leaving in zip(where[:count], leaves[:count], strict=True):
             if index >= 0:
                 self._keep(path, begin + int(index))
-            found.append(self._turning(direction, int(path.operation[begin + int(leaving)])))
+            found.append(self._turning(direction, path.first + begin + int(leaving)))
             direction = -direction
         if at >= 0:
             self._keep(path, begin + int(at))
@@ -120,7 +120,7 @@ class ReversalScan:
 
     def end(self) -> Turning:
         """Return the end of what was scanned, which counts as a turning."""
-        return self._turning(self.direction, self._operation)
+        return self._turning(self.direction, self._seen)
 
     def _turning(self, direction: int, leaves: int) -> Turning:
         return Turning(

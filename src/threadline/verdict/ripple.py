@@ -16,7 +16,7 @@ class _Ripple:
     """Largest relative difference between the tool's speed and the programmed one.
 
     The speed is that of the tool's displacement over ``over``. Samples within the lag of a corner
-    are exempt: they belong to two operations. So are rapid moves, which have no set speed.
+    are exempt: they belong to two chords. So are rapid moves, which have no set speed.
     """
 
     def __init__(self, setting: Setting, over_s: float) -> None:
@@ -27,9 +27,8 @@ class _Ripple:
         self._worst = Finding(value=None, note="no sample is away from every corner")
 
     def feed(self, block: Block) -> None:
-        path = block.path
-        assert path is not None and block.actual is not None
-        assert block.earliest is not None and block.latest is not None
+        assert block.actual is not None
+        path, begin, end = block.window()
         points = np.concatenate([self._tail, block.actual * self._radius_m])
         known = len(self._tail)
         self._tail = points[-self._span :]
@@ -39,8 +38,7 @@ class _Ripple:
             return
         moved = points[self._span :] - points[: -self._span]
         speed = np.linalg.norm(moved, axis=1) / (self._span * self._interval_s)
-        begin = path.chord_from(block.earliest)[skipped:]
-        end = path.chord_to(block.latest)[skipped:]
+        begin, end = begin[skipped:], end[skipped:]
         wanted = path.speed_m_s[begin]
         free = (begin == end) & (wanted > 0)
         if not free.any():

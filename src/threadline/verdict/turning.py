@@ -18,7 +18,7 @@ OPTIONS = {"smallest": Option(unit="m", default=5e-5)}
 def _track(
     x: FloatArray,
     time_s: FloatArray,
-    operation: IntArray,
+    chord: IntArray,
     first: int,
     lag: int,
     values: FloatArray,
@@ -43,11 +43,11 @@ def _track(
             real[2], real[3] = -y, time_s[i]
         if closed == len(values):
             continue
-        if whole[1] < 0 and operation[i] >= leaves[closed]:
+        if whole[1] < 0 and chord[i] >= leaves[closed]:
             whole[1] = first + i
         if whole[1] < 0:
             continue
-        overtaken = closed + 1 < len(values) and operation[i] >= leaves[closed + 1]
+        overtaken = closed + 1 < len(values) and chord[i] >= leaves[closed + 1]
         if overtaken or first + i - whole[1] >= lag:
             errors[closed] = real[0] - whole[0] * values[closed]
             times_s[closed] = real[1]
@@ -77,7 +77,7 @@ class _Axis:
         self._last = (0.0, 0.0)  # position, time
 
     def feed(self, block: Block, path: PathWindow) -> None:
-        assert block.actual is not None and block.operation is not None
+        assert block.actual is not None and block.chord is not None
         found = self._scan.scan(path)
         self._open.extend(found)
         x = np.ascontiguousarray(block.actual[:, self._column]) * self._radius_m
@@ -91,7 +91,7 @@ class _Axis:
         closed = _track_fast(
             x,
             block.time_s,
-            block.operation,
+            block.chord,
             block.first,
             self._lag,
             np.array([turning.value for turning in self._open], dtype=np.float64),

@@ -45,7 +45,7 @@ class PathWindow:
 
     def __init__(self, path: ProgrammedPath) -> None:
         self._source: Iterator[VertexBlock] = iter(path)
-        self._radius_m = path.radius_m
+        self.radius_m = path.radius_m
         self.vertices: FloatArray = np.empty((0, len(path.axes)))
         self.operation: IntArray = np.empty(0, dtype=np.int64)
         self.line: IntArray = np.empty(0, dtype=np.int64)
@@ -57,24 +57,26 @@ class PathWindow:
     def __len__(self) -> int:
         return len(self.operation)
 
-    def move(self, earliest: int, latest: int) -> None:
-        """Hold every chord of the operations ``earliest`` to ``latest``, and little more.
-
-        An operation without motion (a dwell, an output) has no chord: the ones before and after
-        it are held instead.
-        """
+    def reach(self, latest: int) -> None:
+        """Read on until every chord of the operation ``latest`` and the one after are held."""
         while not self.ended and (not len(self) or self.operation[-1] <= latest):
             self._extend()
-        surplus = min(self.chord_from(np.array([earliest]))[0] - 1, len(self) - 2)
+
+    def drop(self, chord: int) -> None:
+        """Let go of the vertices before ``chord``, counted from the start of the path."""
+        surplus = min(chord - 1 - self.first, len(self) - 2)
         if surplus > 0:
             self.vertices = self.vertices[surplus:]
             self.operation = self.operation[surplus:]
             self.line = self.line[surplus:]
             self.speed_m_s = self.speed_m_s[surplus:]
-            self.first += int(surplus)
+            self.first += surplus
 
     def chord_from(self, operation: IntArray) -> IntArray:
-        """Return (n,) the first chord of each operation; chord c ends at vertex c of the window."""
+        """Return (n,) the first chord of each operation; chord c ends at vertex c of the window.
+
+        An operation without motion (a dwell, an output) has the chord that led to where it is.
+        """
         left = np.searchsorted(self.operation, operation, side="left")
         # Where the operation has no vertex, its predecessor's chord is where the machine stands.
         before = np.searchsorted(self.operation, operation, side="right") - 1
@@ -87,7 +89,7 @@ class PathWindow:
 
     def position(self, index: int) -> tuple[float, ...]:
         """Return a vertex in the units of the axes."""
-        return tuple((self.vertices[index] / self._radius_m).tolist())
+        return tuple((self.vertices[index] / self.radius_m).tolist())
 
     def remainder(self, point: FloatArray) -> Remainder | None:
         """Return what of the path lies after the window; reads it to its end, once.
@@ -101,7 +103,7 @@ class PathWindow:
             return self._remainder
         worst: Remainder | None = None
         for block in self._source:
-            vertices = block.positions * self._radius_m
+            vertices = block.positions * self.radius_m
             distance = np.linalg.norm(vertices - point, axis=1)
             far = int(np.argmax(distance))
             if worst is None or distance[far] > worst.distance_m:
@@ -130,7 +132,7 @@ class PathWindow:
             return
         if not len(block):
             return
-        vertices = block.positions * self._radius_m
+        vertices = block.positions * self.radius_m
         before = self.vertices[-1:] if len(self) else vertices[:1]
         length = np.linalg.norm(np.diff(vertices, axis=0, prepend=before), axis=1)
         timed = block.nominal_s > 0

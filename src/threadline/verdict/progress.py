@@ -1,0 +1,98 @@
+"""Which chord of the programmed path the command is on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.verdict.nearest import squared_to_segment
+from threadline.verdict.window import PathWindow
+
+_SAME_M = 1e-6  # two chords nearer to the command than this to each other are the same line there
+
+
+def _along(heading: FloatArray, start: FloatArray, end: FloatArray) -> float:
+    """Return the part of ``heading`` along a chord."""
+    along = 0.0
+    length = 0.0
+    for k in range(len(heading)):
+        along += heading[k] * (end[k] - start[k])
+        length += (end[k] - start[k]) ** 2
+    return along / np.sqrt(length) if length > 0.0 else 0.0
+
+
+_along_fast = njit(cache=True, inline="always")(_along)
+
+
+def _refine(
+    points: FloatArray,
+    before: FloatArray,
+    vertices: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    same_m: float,
+) -> None:
+    """Widen the chords ``first`` to ``last`` of each point by a neighbour that it is really on."""
+    end = len(vertices) - 1
+    heading = np.zeros(points.shape[1])
+    for i in range(len(points)):
+        heading[:] = points[i] - (points[i - 1] if i else before)
+        own = np.inf
+        chord = first[i]
+        for c in range(first[i], last[i] + 1):
+            squared, _ = squared_to_segment(points[i], vertices[c - 1], vertices[c])
+            if squared < own:
+                own, chord = squared, c
+        own = np.sqrt(own)
+        ahead = _along_fast(heading, vertices[chord - 1], vertices[chord])
+        low, high = first[i], last[i]
+        for side in range(2):
+            other = low - 1 if side == 0 else high + 1
+            if other < 1 or other > end:
+                continue
+            squared, _ = squared_to_segment(points[i], vertices[other - 1], vertices[other])
+            nearer = own - np.sqrt(squared)
+            if nearer > same_m or (
+                nearer >= -same_m
+                and _along_fast(heading, vertices[other - 1], vertices[other]) > ahead
+            ):
+                if side == 0:
+                    first[i] = other
+                else:
+                    last[i] = other
+
+
+_refine_fast = njit(cache=True, nogil=True)(_refine)
+
+
+def chords_under_way(
+    path: PathWindow,
+    operation: IntArray,
+    commanded: FloatArray | None,
+    before: FloatArray | None,
+) -> tuple[IntArray, IntArray]:
+    """Return (n,) first and last chord that each command is on, counted from the path's start.
+
+    The chords of its operation, and the one before or after them where the command is nearer to
+    that one, or as near and moving along it: a blend round a corner is labelled with one
+    operation although it follows two.
+
+    Parameters
+    ----------
+    path
+        Holds the operations and their neighbours.
+    operation
+        (n,) operation under way.
+    commanded
+        (n, axes) lengths at the tool, or None where the command was not recorded.
+    before
+        (axes,) the command before these, None at the start.
+    """
+    first, last = path.chord_from(operation), path.chord_to(operation)
+    last = np.maximum(first, last)
+    if commanded is not None and np.isfinite(commanded).all():
+        points = np.ascontiguousarray(commanded)
+        before = points[0] if before is None else before
+        _refine_fast(points, before, path.vertices, first, last, _SAME_M)
+    return first + path.first, last + path.first
