@@ -9,10 +9,20 @@ from threadline.sizing.corner import (
     corner_speed_m_s,
     ramp_acceleration_m_s2,
 )
+from threadline.sizing.demands import Demands
+from threadline.sizing.profile import PROFILES, SpeedProfile
+from threadline.sizing.result import SizeLine, Sizing
+from threadline.sizing.size import size
 
 __all__ = [
+    "PROFILES",
+    "Demands",
+    "SizeLine",
+    "Sizing",
+    "SpeedProfile",
     "corner_acceleration_m_s2",
     "corner_error_m",
     "corner_speed_m_s",
     "ramp_acceleration_m_s2",
+    "size",
 ]

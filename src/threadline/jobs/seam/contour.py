@@ -132,9 +132,9 @@ def _partners(
         for one, other in ((i, j), (j, i)):
             if partner[one] >= 0:
                 met = sorted({strokes[e % count].line for e in (one, other, partner[one])})
+                which = f" (lines {', '.join(map(str, met))})" if met[0] else ""
                 raise JobError(
-                    f"three or more ends meet at {point_text(ends[one])} (lines "
-                    f"{', '.join(map(str, met))})",
+                    f"three or more ends meet at {point_text(ends[one])}{which}",
                     place=Place(file, strokes[one % count].line),
                     remedy="Delete lines drawn twice, or put the branches on layers of their own.",
                 )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import JobError, Place
 from threadline.jobs.seam.drawing import MAX_STROKES, Drawing, Refusal, Stroke
 from threadline.jobs.seam.dxf_entities import NotFlatError, entity_pieces
@@ -41,8 +42,9 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
         raise JobError("this is a DWG file", place=place, remedy="Save the drawing as DXF.")
     document = _load(file)
     factor = _metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
-    walk = _Walk(file, document, entity_lines(content), factor)
-    walk.entities(document.modelspace(), _Inherited("0", "#ffffff"), 0)
+    walk = _Walk(file, document, entity_lines(content))
+    root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
+    walk.entities(document.modelspace(), root, 0)
     return Drawing(
         file=file,
         strokes=tuple(walk.strokes),
@@ -108,10 +110,16 @@ def entity_lines(content: bytes) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True)
 class _Inherited:
-    """What an entity on layer 0, or of colour BYBLOCK, takes from the block's insert."""
+    """What an entity takes from the insert of its block.
+
+    Its layer when it is on layer 0, its colour when that is BYBLOCK, and its place: a point p of
+    the block lies at ``matrix @ p + offset``, in m. The map is exact whatever the scales are.
+    """
 
     layer: str
     colour: str
+    matrix: FloatArray
+    offset: FloatArray
 
 
 @dataclass(slots=True)
@@ -119,7 +127,6 @@ class _Walk:
     file: str
     document: Any
     lines: dict[str, int]
-    factor: float
     strokes: list[Stroke] = field(default_factory=list)
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -134,7 +141,7 @@ class _Walk:
             layer = inherited.layer if layer == "0" else layer
             if self._is_hidden(layer):
                 continue
-            here = _Inherited(layer, self._colour(entity, layer, inherited))
+            here = replace(inherited, layer=layer, colour=self._colour(entity, layer, inherited))
             if kind == "INSERT":
                 self._insert(entity, here, depth)
             else:
@@ -169,8 +176,8 @@ class _Walk:
                 f"{Place(self.file, line)}: a SPLINE has fit points only; its control points "
                 "were computed, other programs may draw it a little differently"
             )
-        scaled = pieces.transform(self.factor * np.eye(2), np.zeros(2))
-        self.strokes.append(Stroke(pieces=scaled, layer=here.layer, colour=here.colour))
+        placed = pieces.transform(here.matrix, here.offset)
+        self.strokes.append(Stroke(pieces=placed, layer=here.layer, colour=here.colour))
 
     def _insert(self, insert: Any, here: _Inherited, depth: int) -> None:
         line = self._line(insert)
@@ -190,18 +197,21 @@ class _Walk:
         for attribute in insert.attribs:
             self._refuse_text(attribute, here)
         for single in self._copies(insert, place):
-            skipped: list[str] = []
-            parts = single.virtual_entities(
-                skipped_entity_callback=lambda entity, _, s=skipped: s.append(entity.dxftype())
+            map3d = np.array(list(single.matrix44())).reshape(4, 4)
+            if np.abs(map3d[:2, 2]).max() > 1e-9 * np.abs(map3d[:2, :2]).max():
+                self._refuse(
+                    f"the block {name[:60]!r} is not inserted in the XY plane",
+                    here,
+                    line,
+                    "Flatten it.",
+                )
+                return
+            placed = replace(
+                here,
+                matrix=here.matrix @ map3d[:2, :2].T,
+                offset=here.matrix @ map3d[3, :2] + here.offset,
             )
-            try:
-                self.entities(parts, here, depth + 1)
-            except (ValueError, ArithmeticError, TypeError, AttributeError) as error:
-                if isinstance(error, JobError):
-                    raise
-                raise JobError(f"the block {name[:60]!r} is wrong: {error}", place=place) from error
-            for kind in skipped:
-                self._refuse(f"a {kind} in a block cannot be sewn", here, line, "Explode it.")
+            self.entities(block, placed, depth + 1)
 
     def _copies(self, insert: Any, place: Place) -> Iterator[Any]:
         if insert.mcount > MAX_STROKES:
@@ -238,12 +248,7 @@ class _Walk:
         return hidden
 
     def _line(self, entity: Any) -> int:
-        handle = entity.dxf.handle
-        source = entity
-        while handle is None and source.source_of_copy is not None:
-            source = source.source_of_copy
-            handle = source.dxf.handle
-        return self.lines.get(str(handle), 0)
+        return self.lines.get(str(entity.dxf.handle), 0)
 
     def _refuse_text(self, entity: Any, here: _Inherited) -> None:
         plain = getattr(entity, "plain_text", None)

@@ -39,10 +39,9 @@ def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
     """
     scan = scan_svg(content, file)
     root = _load(scan, file)
-    pixel_m, warnings = _pixel(scan, unit, file)
-    height_px = float(root.height)
-    matrix = np.array([[pixel_m, 0.0], [0.0, -pixel_m]])
-    offset = np.array([0.0, height_px * pixel_m])
+    (x_m, y_m), warnings = _pixel(scan, root, unit, file)
+    matrix = np.array([[x_m, 0.0], [0.0, -y_m]])
+    offset = np.array([0.0, float(root.height) * y_m])
     strokes: list[Stroke] = []
     for shape in _shapes(root):
         values = shape.values
@@ -88,19 +87,23 @@ def _load(scan: SvgScan, file: str) -> Any:
     return root
 
 
-def _pixel(scan: SvgScan, unit: str | None, file: str) -> tuple[float, list[str]]:
-    """Return the size of a pixel in m, and a warning where it is assumed."""
-    if scan.has_size:
+def _pixel(
+    scan: SvgScan, root: Any, unit: str | None, file: str
+) -> tuple[tuple[float, float], list[str]]:
+    """Return the width and height of a pixel in m, and a warning where they are assumed."""
+    if scan.size_m is not None:
         if unit is not None:
             raise JobError(
                 f"the drawing states its size, the seam file a unit ({unit})",
                 place=Place(file),
                 remedy="Remove the unit from the seam file.",
             )
-        return _PIXEL_M, []
+        # svgelements takes 0.0393701 in for a millimetre, half a micron off in a metre; what it
+        # makes of the page's size tells how large its pixel is.
+        return (scan.size_m[0] / float(root.width), scan.size_m[1] / float(root.height)), []
     if unit is not None:
-        return unit_factor(unit, "m"), []
-    return _PIXEL_M, [
+        return (unit_factor(unit, "m"), unit_factor(unit, "m")), []
+    return (_PIXEL_M, _PIXEL_M), [
         f"{Place(file)}: the SVG states no physical size; 96 pixels are taken as an inch"
     ]
 

@@ -21,6 +21,8 @@ _INKSCAPE = "http://www.inkscape.org/namespaces/inkscape "
 _SVG = "http://www.w3.org/2000/svg "
 _XLINK = "http://www.w3.org/1999/xlink "
 _UNSEEN = ("mask", "marker", "symbol", "clipPath", "pattern", "linearGradient", "radialGradient")
+_PHYSICAL = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|in|pt|pc)\s*")
+_UNIT_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72.0, "pc": 0.0254 / 6.0}
 _TEXTS = ("text", "tspan", "textPath", "flowRoot")
 
 
@@ -41,14 +43,14 @@ class SvgScan:
         The SVG with line and layer noted on its elements.
     texts
         Line and layer of each visible text; images and foreign objects under ``others``.
-    has_size
-        The drawing states its width and height with a physical unit.
+    size_m
+        Width and height, where the drawing states them with physical units.
     """
 
     text: str = ""
     texts: list[tuple[int, str]] = field(default_factory=list)
     others: list[tuple[str, int, str]] = field(default_factory=list)
-    has_size: bool = False
+    size_m: tuple[float, float] | None = None
 
 
 def scan_svg(content: bytes, file: str) -> SvgScan:
@@ -164,10 +166,10 @@ class _Visit:
                 place=self.place(),
                 remedy="Save the drawing as SVG.",
             )
-        physical = re.compile(r"[\d.eE+-]+\s*(mm|cm|in|pt|pc)\s*")
-        self.scan.has_size = all(
-            physical.fullmatch(attributes.get(key, "")) for key in ("width", "height")
-        )
+        sizes = [_PHYSICAL.fullmatch(attributes.get(key, "")) for key in ("width", "height")]
+        if sizes[0] and sizes[1]:
+            width, height = (float(m[1]) * _UNIT_M[m[2]] for m in sizes if m)
+            self.scan.size_m = (width, height)
 
     def _note(self, note: str) -> None:
         at = self.parser.CurrentByteIndex

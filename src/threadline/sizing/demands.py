@@ -1,0 +1,94 @@
+"""The demands of a product on a machine: what is known; what is not stays None."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from threadline.errors import OptionError
+
+_MAY_BE_ZERO = (
+    "turn_rad",
+    "load_damping_n_s_m",
+    "motor_damping_n_m_s",
+    "friction_n",
+    "dwell_s",
+)
+_NOT_NUMBERS = ("profile",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demands:
+    """What the product asks for and what is known of the drive; SI.
+
+    Parameters
+    ----------
+    needle_speed_hz, stitch_length_m
+        Stitches a second, and their length.
+    speed_m_s
+        Of the head, where no stitches are sewn; else it follows from the two above.
+    ramp_stitches
+        Stitches within which the head has to be at speed.
+    placement_m, turn_rad
+        How far a corner may be missed by, and the angle of the corner.
+    acceleration_m_s2
+        Where it is given by something else; else the larger of the two rules.
+    load_mass_kg, load_damping_n_s_m, friction_n
+        Of what the motor drives.
+    pulley_radius_m, gear_ratio
+        ``x = radius * motor angle / ratio``; without a ratio the matched one is taken.
+    motor_inertia_kg_m2, motor_damping_n_m_s
+        Of the rotor with what turns with it.
+    torque_constant_n_m_a, back_emf_v_s, resistance_ohm, current_limit_a
+        Of the motor and its amplifier.
+    move_m, move_s, dwell_s, profile, ramp
+        A move from rest to rest that is repeated, with a pause after each.
+    encoder_lines, count_rate_limit_hz
+        Lines a motor turn (four counts each), and what the counter can follow.
+    """
+
+    needle_speed_hz: float | None = None
+    stitch_length_m: float | None = None
+    speed_m_s: float | None = None
+    ramp_stitches: float = 2.0
+    placement_m: float | None = None
+    turn_rad: float = math.pi / 2.0
+    acceleration_m_s2: float | None = None
+    load_mass_kg: float | None = None
+    load_damping_n_s_m: float = 0.0
+    friction_n: float = 0.0
+    pulley_radius_m: float | None = None
+    gear_ratio: float | None = None
+    motor_inertia_kg_m2: float | None = None
+    motor_damping_n_m_s: float = 0.0
+    torque_constant_n_m_a: float | None = None
+    back_emf_v_s: float | None = None
+    resistance_ohm: float | None = None
+    current_limit_a: float | None = None
+    move_m: float | None = None
+    move_s: float | None = None
+    dwell_s: float = 0.0
+    profile: str = "trapezoidal"
+    ramp: float = 1.0 / 3.0
+    encoder_lines: float | None = None
+    count_rate_limit_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            value = getattr(self, part.name)
+            if value is None or part.name in _NOT_NUMBERS:
+                continue
+            least = 0.0 if part.name in _MAY_BE_ZERO else math.ulp(0.0)
+            if not (math.isfinite(value) and value >= least):
+                raise OptionError(
+                    f"{part.name} is {value!r}; it must be finite and "
+                    f"{'not negative' if part.name in _MAY_BE_ZERO else 'above 0'}"
+                )
+        if self.turn_rad > math.pi:
+            raise OptionError(f"turn_rad is {self.turn_rad!r}; a corner turns by at most pi")
+        sewn = self.needle_speed_hz is not None and self.stitch_length_m is not None
+        if sewn and self.speed_m_s is not None:
+            raise OptionError(
+                "the speed is given twice: by itself, and by needle speed and stitch length",
+                remedy="Leave one out.",
+            )

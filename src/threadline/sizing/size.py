@@ -1,0 +1,307 @@
+"""From the product to the machine: speed, acceleration, gear, motor, encoder.
+
+The stitcher thesis's chapter 2 and the filament winding thesis's chapter 4 and section 6.3 as a
+calculator.
+"""
+
+from __future__ import annotations
+
+import math
+
+from threadline.errors import OptionError
+from threadline.sizing.corner import (
+    corner_acceleration_m_s2,
+    corner_error_m,
+    corner_speed_m_s,
+    ramp_acceleration_m_s2,
+)
+from threadline.sizing.demands import Demands
+from threadline.sizing.profile import SpeedProfile
+from threadline.sizing.result import SizeLine, Sizing
+
+_STITCHER = "stitcher thesis"
+_WINDER = "filament winding thesis"
+_MECHANICS = "mechanics"
+_KT_KV_AGREE = 0.05
+
+
+def size(demands: Demands) -> Sizing:
+    """Return all that follows from ``demands``; what cannot be known is left out.
+
+    Raises
+    ------
+    OptionError
+        If nothing follows from them.
+    """
+    sheet = _Sheet(demands)
+    sheet.product()
+    sheet.drive()
+    sheet.motor()
+    sheet.move()
+    sheet.encoder()
+    if not sheet.lines:
+        raise OptionError(
+            "nothing follows from what is given",
+            remedy="Give needle speed and stitch length, or a load with a pulley and a motor.",
+        )
+    return Sizing(lines=tuple(sheet.lines), warnings=tuple(sheet.warnings))
+
+
+class _Sheet:
+    """The lines as they are filled in."""
+
+    def __init__(self, demands: Demands) -> None:
+        self.given = demands
+        self.lines: list[SizeLine] = []
+        self.warnings: list[str] = []
+        self.speed = demands.speed_m_s
+        self.acceleration = demands.acceleration_m_s2
+        self.ratio = demands.gear_ratio
+        self.inertia: float | None = None  # at the motor, rotor and load, kg m^2
+        self.damping = self.friction = 0.0  # at the motor, N m s and N m
+
+    def add(self, name: str, value: float, unit: str, formula: str, source: str) -> float:
+        self.lines.append(SizeLine(name, value, unit, formula, source))
+        return value
+
+    def product(self) -> None:
+        """Speed and acceleration from stitches and corners."""
+        g = self.given
+        rules = []
+        if g.needle_speed_hz is not None and g.stitch_length_m is not None:
+            self.speed = self.add(
+                "head speed",
+                g.needle_speed_hz * g.stitch_length_m,
+                "m/s",
+                "needle speed x stitch length",
+                f"{_STITCHER}, eq 2.3",
+            )
+            rules.append(
+                self.add(
+                    "ramp acceleration",
+                    ramp_acceleration_m_s2(self.speed, g.stitch_length_m, g.ramp_stitches),
+                    "m/s^2",
+                    f"speed^2 / ({g.ramp_stitches:g} x stitch length): at speed within "
+                    f"{g.ramp_stitches:g} turns of the needle",
+                    f"{_STITCHER}, chapter 2, the two-stitch rule",
+                )
+            )
+        if self.speed is not None and g.placement_m is not None:
+            rules.append(
+                self.add(
+                    "corner acceleration",
+                    corner_acceleration_m_s2(self.speed, g.placement_m, g.turn_rad),
+                    "m/s^2",
+                    f"speed^2 sin(turn / 2) / (4 placement), turn {math.degrees(g.turn_rad):g} deg",
+                    f"{_STITCHER}, eqs 2.4 to 2.7, for any angle",
+                )
+            )
+        if self.acceleration is None and rules:
+            self.acceleration = self.add(
+                "acceleration", max(rules), "m/s^2", "the larger of the rules", _MECHANICS
+            )
+        if self.speed is None or self.acceleration is None:
+            return
+        self.add(
+            "corner error",
+            corner_error_m(self.speed, self.acceleration, g.turn_rad),
+            "m",
+            "speed^2 sin(turn / 2) / (4 acceleration)",
+            f"{_STITCHER}, eqs 2.4 to 2.7, for any angle",
+        )
+        if g.placement_m is not None and g.turn_rad > 0.0:
+            self.add(
+                "corner speed",
+                corner_speed_m_s(g.placement_m, self.acceleration, g.turn_rad),
+                "m/s",
+                "sqrt(4 acceleration placement / sin(turn / 2))",
+                f"{_STITCHER}, eqs 2.4 to 2.7, for any angle",
+            )
+
+    def drive(self) -> None:
+        """Gear and inertia at the motor."""
+        g = self.given
+        if g.load_mass_kg is None or g.pulley_radius_m is None:
+            return
+        if g.motor_inertia_kg_m2 is not None:
+            matched = self.add(
+                "matched ratio",
+                g.pulley_radius_m * math.sqrt(g.load_mass_kg / g.motor_inertia_kg_m2),
+                "",
+                "radius sqrt(load / rotor): load inertia at the motor = rotor inertia",
+                f"{_WINDER}, sections 4.1 and 6.3",
+            )
+            self.ratio = self.ratio if self.ratio is not None else matched
+        if self.ratio is None:
+            return
+        lever = g.pulley_radius_m / self.ratio  # m per rad of the motor
+        reflected = self.add(
+            "reflected inertia",
+            g.load_mass_kg * lever**2,
+            "kg*m^2",
+            "load (radius / ratio)^2",
+            _MECHANICS,
+        )
+        self.damping = g.motor_damping_n_m_s + g.load_damping_n_s_m * lever**2
+        self.friction = g.friction_n * lever
+        if g.motor_inertia_kg_m2 is not None:
+            self.inertia = g.motor_inertia_kg_m2 + reflected
+            self.add(
+                "inertia ratio",
+                reflected / g.motor_inertia_kg_m2,
+                "",
+                "reflected inertia / rotor inertia; 1 heats the motor least",
+                f"{_WINDER}, sections 4.1 and 6.3",
+            )
+        if self.speed is not None:
+            self.add("motor speed", self.speed / lever, "rad/s", "speed ratio / radius", _MECHANICS)
+
+    def motor(self) -> None:
+        """Torque, current and voltage at full speed and acceleration."""
+        g = self.given
+        self._constants()
+        if self.inertia is None or self.speed is None or g.pulley_radius_m is None:
+            return
+        assert self.ratio is not None
+        per_m = self.ratio / g.pulley_radius_m
+        cruise = self.add(
+            "cruise torque",
+            self.damping * self.speed * per_m + self.friction,
+            "N*m",
+            "damping at the motor x motor speed + friction",
+            _MECHANICS,
+        )
+        peak = cruise
+        if self.acceleration is not None:
+            peak = self.add(
+                "peak torque",
+                cruise + self.inertia * self.acceleration * per_m,
+                "N*m",
+                "cruise torque + (rotor + reflected inertia) acceleration ratio / radius",
+                _MECHANICS,
+            )
+        if g.torque_constant_n_m_a is None:
+            return
+        steady_a = self.add(
+            "cruise current",
+            cruise / g.torque_constant_n_m_a,
+            "A",
+            "cruise torque / Kt",
+            _MECHANICS,
+        )
+        peak_a = self.add(
+            "peak current", peak / g.torque_constant_n_m_a, "A", "peak torque / Kt", _MECHANICS
+        )
+        limit = g.current_limit_a
+        if limit is not None and peak_a > limit:
+            self.warnings.append(
+                f"the motion needs {peak_a:.3g} A, the amplifier gives {limit:.3g} A"
+            )
+        if limit is not None and steady_a > limit / 2.0:
+            self.warnings.append(
+                f"cruising alone takes {steady_a:.3g} of {limit:.3g} A: is the damping right?"
+            )
+        if g.back_emf_v_s is not None and g.resistance_ohm is not None:
+            self.add(
+                "peak voltage",
+                g.back_emf_v_s * self.speed * per_m + g.resistance_ohm * peak_a,
+                "V",
+                "Ke motor speed + R peak current",
+                _MECHANICS,
+            )
+
+    def _constants(self) -> None:
+        g = self.given
+        kt, ke, resistance = g.torque_constant_n_m_a, g.back_emf_v_s, g.resistance_ohm
+        if kt is None or ke is None:
+            return
+        if abs(ke / kt - 1.0) > _KT_KV_AGREE:
+            self.warnings.append(
+                f"Kt is {kt:.4g} N m/A and Ke {ke:.4g} V s/rad, {abs(ke / kt - 1) * 100:.0f} % "
+                "apart; in SI they are one number"
+            )
+        if resistance is not None and g.motor_inertia_kg_m2 is not None:
+            self.add(
+                "mechanical time constant",
+                resistance * g.motor_inertia_kg_m2 / (kt * ke),
+                "s",
+                "R rotor inertia / (Kt Ke)",
+                f"{_WINDER}, section 6.3, KM",
+            )
+
+    def move(self) -> None:
+        """A repeated move: speeds, torque and heat by profile."""
+        g = self.given
+        if g.move_m is None or g.move_s is None:
+            return
+        try:
+            profile = SpeedProfile(name=g.profile, ramp=g.ramp)
+        except ValueError as error:
+            raise OptionError(str(error)) from error
+        self.add(
+            "profile efficiency",
+            profile.efficiency,
+            "",
+            f"heat of the parabola / heat of the {g.profile} profile",
+            f"{_WINDER}, section 6.3, Figure 6-3",
+        )
+        mean = g.move_m / g.move_s
+        factor = profile.peak_speed, profile.peak_acceleration
+        self.add(
+            "move speed", factor[0] * mean, "m/s", f"{factor[0]:.4g} distance / time", _MECHANICS
+        )
+        self.add(
+            "move acceleration",
+            factor[1] * mean / g.move_s,
+            "m/s^2",
+            f"{factor[1]:.4g} distance / time^2",
+            _MECHANICS,
+        )
+        if self.inertia is None or g.pulley_radius_m is None or self.ratio is None:
+            return
+        angle = g.move_m * self.ratio / g.pulley_radius_m
+        load = (self.inertia, self.damping, self.friction)
+        peak = self.add(
+            "move peak torque",
+            profile.peak_torque(angle, g.move_s, *load),
+            "N*m",
+            "largest of inertia x acceleration + damping x speed + friction",
+            _MECHANICS,
+        )
+        rms = self.add(
+            "move rms torque",
+            profile.rms_torque(angle, g.move_s, *load, dwell_s=g.dwell_s),
+            "N*m",
+            "root mean square over the move and the dwell",
+            f"{_WINDER}, section 6.3 (heat goes with its square)",
+        )
+        if g.torque_constant_n_m_a is not None:
+            for name, torque in (("move peak current", peak), ("move rms current", rms)):
+                self.add(name, torque / g.torque_constant_n_m_a, "A", "torque / Kt", _MECHANICS)
+
+    def encoder(self) -> None:
+        """Resolution at the load, and the rate of counts."""
+        g = self.given
+        if g.encoder_lines is None or g.pulley_radius_m is None or self.ratio is None:
+            return
+        per_m = self.add(
+            "encoder resolution",
+            4.0 * g.encoder_lines * self.ratio / (2.0 * math.pi * g.pulley_radius_m),
+            "count/m",
+            "4 lines ratio / (2 pi radius)",
+            f"{_WINDER}, sections 4.4 and 6.5",
+        )
+        if g.placement_m is not None:
+            self.add(
+                "counts in the placement", per_m * g.placement_m, "count", "resolution x placement",
+                _MECHANICS,
+            )  # fmt: skip
+        if self.speed is None:
+            return
+        rate = self.add(
+            "count rate", per_m * self.speed, "count/s", "resolution x speed", _MECHANICS
+        )
+        if g.count_rate_limit_hz is not None and rate > g.count_rate_limit_hz:
+            self.warnings.append(
+                f"{rate:.4g} counts/s at speed; the counter follows {g.count_rate_limit_hz:.4g}"
+            )
