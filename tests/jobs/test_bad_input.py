@@ -40,6 +40,7 @@ FILES = [
     (b"G\x001\x00 \x00", "a.nc:1: the line holds the control character 0x00 in column 2"),
     (b"X" * 300_000, "a.nc:1: the line has more than 4096 bytes"),
     (b"G91\n" + b"(" + b"x" * 5000 + b")\nM30\n", "a.nc:2: the line has more than 4096 bytes"),
+    ("O1\nG91 G1 F5\nG4 P1\nM30\n", "a.nc:1: O 1 moves nothing"),
     ("%\nO1\nG91 G1 F5 X1\nX", "a.nc:4: 'X': the letter X has no number"),
     ("%\nO1\nG91 G1 F5 X1\nX2\n", "a.nc:4: the % on line 1 opens the program and none closes it"),
     ("G91 G1 F5 X1\nX2\n", "a.nc:2: the program, begun on line 1, has no end: the file may be tr"),

@@ -70,7 +70,9 @@ def programs(draw: st.DrawFn) -> str:
 
 
 @pytest.mark.parametrize("subroutines", [False, True])
-@settings(max_examples=30, phases=[Phase.explicit, Phase.generate])  # shrinking a program takes minutes
+@settings(
+    max_examples=30, phases=[Phase.explicit, Phase.generate]
+)  # shrinking a program takes minutes
 @given(text=programs())
 def test_read_write_read_is_the_identity(
     tmp_path_factory: pytest.TempPathFactory, text: str, subroutines: bool

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from threadline.errors import BudgetError, MachineError
+from threadline.errors import BudgetError, JobError, MachineError
 from threadline.jobs.blocks import Dialect
 from threadline.jobs.feeds import check_feed_mode, normal_feed_m_s
 from threadline.jobs.interpreter import PartProgram
@@ -61,6 +61,12 @@ def read_part_program(
     dialect = Dialect(str(path), machine.name, {n: i for i, n in enumerate(machine.axis_names)})
     scanner = Scanner(file, dialect)
     structure = scanner.run()
+    if structure.totals[structure.main.label].moves == 0:
+        raise JobError(
+            f"{structure.main.name} moves nothing",
+            place=file.place(structure.main.line),
+            remedy="Name a file with a program that moves an axis.",
+        )
     _check_budget(structure, file, machine)
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     program = PartProgram(file, dialect, structure, linear, mode, tuple(base_axes))

@@ -1,0 +1,43 @@
+"""A small share of the long fuzz run, so that it stays runnable and its readers quiet."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import warnings
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz.py"
+
+
+@pytest.fixture(scope="module")
+def fuzz() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("fuzz", TOOL)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["fuzz"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_no_reader_answers_with_a_traceback(fuzz: ModuleType) -> None:
+    """Every reader refuses or accepts; some of each, or the cases would prove nothing."""
+    for name in fuzz.READERS:
+        with warnings.catch_warnings():
+            tally = fuzz.run(7, name, 0, 60 if name == "machine" else 400)
+        assert tally.failures == []
+        assert 0 < tally.accepted[name] < tally.cases[name]
+
+
+def test_a_traceback_is_counted(fuzz: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that divides by zero is a failure, with the command that repeats it."""
+    bad = fuzz.Reader("x", lambda rng: b"", lambda path: 1 / 0, 1)
+    monkeypatch.setitem(fuzz.READERS, "bad", bad)
+    with warnings.catch_warnings():
+        tally = fuzz.run(7, "bad", 3, 2)
+    assert len(tally.failures) == 2
+    assert "--seed 7 --reader bad --first 3 --cases 1" in tally.failures[0]
+    assert "ZeroDivisionError" in tally.failures[0]

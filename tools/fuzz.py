@@ -1,0 +1,353 @@
+"""Hostile input for every reader: mutated files, and programs that are grammatical but odd.
+
+    python tools/fuzz.py --cases 1000000 --processes 2
+
+A reader may refuse anything, but only with a ``ThreadlineError`` in one line. Everything else, a
+warning, a second line in the message, or more than ten seconds, is a failure; it is printed with
+what repeats it, and the exit status is 1. Cases depend on seed, reader and number only, so that
+``--reader part-program --first 4711 --cases 1`` runs one of them again.
+
+A new reader is one more entry of ``READERS``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from types import FrameType
+
+from threadline.errors import ThreadlineError
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.machine.par import read_parameters
+from threadline.machine.quantity import parse_machine_quantity
+from threadline.units import parse_exact_time_s, parse_quantity
+
+ROOT = Path(__file__).resolve().parent.parent
+LIBRARY = ROOT / "src" / "threadline" / "machine" / "library"
+MAX_OPERATIONS = 2000
+HANG_S = 10
+_SHOWN = 5
+WINDER = load_machine("lathe-winder")
+
+# --- cases ---
+
+TOKENS = """
+G0 G1 G01 G4 G20 G21 G28 G64 G90 G91 G93 G94 G2 G61.1 G-1 G1e2 M0 M00 M2 M5 M30 M98 M99 M6
+P1 P999 P0.5 P-1 P L1 L0 L3 L1000000000 L1e9 O1 O999 O998 O O-1 N10 N N1.5 F100 F0 F-1 F
+F12000 F1e400 X1 X-1 X+.5 X. X X1.2.3 X--1 Xnan Xinf X1e400 X1,5 A10.13 A Y5 Y5 Z1 B1 C1 S500
+T1 E5 U1 #1=2 X#1 X[1+2] [ ] / /X1 % ; ;; ; X1 ( ) (a) (a (b (a)) ((a)) (% ;a=1 ;a=b ;a=1e9
+""".split()  # noqa: SIM905 - a table of words
+NUMBERS = """
+0 1 -1 0.1 1e400 -1e400 nan inf -inf 1e-400 9999999999999999999999 0.00000000000000000001
+1/0 1,5 --1 +-1 0x10 1_000 ١٢٣ ² ½ 1e 1e+ .e1 . 1.2.3 NaN Infinity 007 1e309 2**99
+""".split()  # noqa: SIM905 - a table of words
+UNITS = """
+mm m in ft s ms us min h Hz kHz MHz deg rad rev count count/mm count/deg count/tick tick dac
+dac/count kg kg*m^2 kg m^2 N N*m N/m V A ohm H % percent rpm m/s mm/s mm/min m/s^2 m/s^3 bar
+/ // ^ ** *** m^ m^^2 m^1e9 m^999999 ( ) (m (m/s)/s () m/0 0 1/s kilo mega mm/mm/mm m·s m² e
+pi delta_degC dimensionless [length] a_b __class__ import lambda 1e9m m1e9 µs μs µ µµs
+""".split()  # noqa: SIM905 - a table of words
+BYTES = [0, 9, 10, 13, 26, 27, 32, 34, 37, 40, 41, 44, 46, 59, 61, 91, 92, 127, 128, 0xC3, 0xFF]
+
+
+def mutate(rng: random.Random, data: bytes) -> bytes:
+    """Cut, repeat, swap, overwrite and insert; now and then another encoding."""
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 3, 8))):
+        at = rng.randrange(len(out) + 1)
+        span = rng.choice((1, 1, 2, 5, 40))
+        kind = rng.randrange(8)
+        if kind == 0:
+            out[at : at + span] = b""
+        elif kind == 1:
+            out[at:at] = out[at : at + span]
+        elif kind == 2:
+            out[at:at] = bytes(rng.choices(BYTES, k=rng.choice((1, 1, 3))))
+        elif kind == 3:
+            out[at:at] = rng.choice(TOKENS).encode()
+        elif kind == 4:
+            out[at : at + span] = rng.choice(NUMBERS).encode()
+        elif kind == 5:
+            out[at : at + 1] = bytes([rng.randrange(256)])
+        elif kind == 6:
+            other = rng.randrange(len(out) + 1)
+            out[at:at] = out[other : other + 3 * span]
+        else:
+            del out[at:]
+    text = bytes(out)
+    wild = rng.randrange(200)
+    if wild == 0:
+        return text.decode("latin-1").encode("utf-16")
+    if wild == 1:
+        return text + text[:200] * rng.choice((10, 300))
+    if wild == 2:
+        return rng.randbytes(rng.randrange(300))
+    return text
+
+
+def odd_program(rng: random.Random) -> bytes:
+    """Lines of words that are mostly right, in programs that mostly fit together."""
+    lines = []
+    if rng.random() < 0.5:
+        lines.append("%")
+    labels = rng.sample(range(1, 6), rng.randint(1, 3))
+    for k, label in enumerate(labels):
+        lines.append(rng.choice((f"O{label}", f"O {label};", f"O{label} G91")))
+        if rng.random() < 0.9:
+            lines.append("G91 G1 F100")
+        for _ in range(rng.randrange(6)):
+            if rng.random() < 0.2:
+                lines.append(
+                    f"M98 P{rng.choice(labels)} L{rng.choice((1, 2, 3, 99, 10**6, 10**9))}"
+                )
+            elif rng.random() < 0.1:
+                lines.append(" ".join(rng.choices(TOKENS, k=rng.randint(1, 4))))
+            else:
+                words = [f"{n}{rng.uniform(-50, 50):.{rng.randrange(12)}f}" for n in "AXY"]
+                lines.append(" ".join(words[: rng.randint(1, 3)]))
+        lines.append("M30" if k == len(labels) - 1 else rng.choice(("M99", "M99", "M99", "M2", "")))
+    if lines[0] == "%" and rng.random() < 0.9:
+        lines.append("%")
+    return rng.choice(("\n", "\n", "\r\n")).join(lines).encode()
+
+
+def part_program(rng: random.Random) -> bytes:
+    kind = rng.randrange(4)
+    if kind == 0:
+        return odd_program(rng)
+    if kind == 1:
+        return mutate(rng, odd_program(rng))
+    return mutate(rng, rng.choice(SEEDS["part-program"]))
+
+
+def parameter_file(rng: random.Random) -> bytes:
+    return mutate(rng, rng.choice(SEEDS["par"]))
+
+
+def machine_file(rng: random.Random) -> bytes:
+    """A file of the library with one value or one line changed, or mutated anywhere."""
+    data = rng.choice(SEEDS["machine"])
+    kind = rng.randrange(4)
+    if kind == 0:
+        return mutate(rng, data)
+    lines = data.decode().split("\n")
+    at = rng.randrange(len(lines))
+    if kind == 1:
+        key, equals, _ = lines[at].partition("=")
+        value = rng.choice(
+            ('"', "", "[", "{}", "{ x = 1 }", "true", "1e999", "nan", "-0", '"none"')
+        )
+        text = f'"{rng.choice(NUMBERS)} {rng.choice(UNITS)} exact, assumed"'
+        lines[at] = f"{key}{equals or '='}{rng.choice((value, text, text))}"
+    elif kind == 2:
+        lines[at] = mutate(rng, lines[at].encode()).decode("utf-8", "surrogateescape")
+    else:
+        lines.insert(rng.randrange(len(lines)), lines.pop(at))
+    return "\n".join(lines).encode("utf-8", "surrogateescape")
+
+
+def quantity(rng: random.Random) -> bytes:
+    text = f"{rng.choice(NUMBERS)}{rng.choice((' ', '', '  '))}{rng.choice(UNITS)}"
+    kind = rng.randrange(4)
+    if kind == 0:
+        text += rng.choice(("/", "*", " ", "^")) + rng.choice(UNITS)
+    elif kind == 1:
+        text += rng.choice(
+            (" exact, printed", " +- 5 %, assumed: x", " +- 1 mm, checked", ", exact")
+        )
+    data = text.encode()
+    return mutate(rng, data) if rng.random() < 0.5 else data
+
+
+# --- readers ---
+
+
+def read_program(path: Path) -> None:
+    for _ in islice(read_job(path, WINDER), MAX_OPERATIONS):
+        pass
+
+
+def read_quantity(path: Path) -> None:
+    """Read a quantity as each kind; refused when it is none of them."""
+    text = path.read_bytes().decode("utf-8", "replace")
+    refused: list[ThreadlineError] = []
+    readers: tuple[Callable[[], object], ...] = (
+        lambda: parse_quantity(text, "mm"),
+        lambda: parse_quantity(text, "count/tick"),
+        lambda: parse_exact_time_s(text),
+        lambda: parse_machine_quantity(text, ("kg", "m/s^2", "")),
+    )
+    for read in readers:
+        try:
+            read()
+        except ThreadlineError as error:
+            refused.append(error)
+    if len(refused) == len(readers):
+        raise refused[0]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader to be fuzzed.
+
+    Attributes
+    ----------
+    file
+        Name of the file that a case is written to.
+    weight
+        Share of the cases; slow readers have a small one.
+    """
+
+    file: str
+    make: Callable[[random.Random], bytes]
+    read: Callable[[Path], object]
+    weight: int
+
+
+READERS: dict[str, Reader] = {
+    "part-program": Reader("a.nc", part_program, read_program, 60),
+    "par": Reader("fw-cnc.par", parameter_file, lambda p: read_parameters(p, WINDER), 12),
+    "units": Reader("unit.txt", quantity, read_quantity, 24),
+    "machine": Reader("a.toml", machine_file, load_machine, 4),
+}
+
+_PAR = b"""FW-CNC.PAR
+comment
+comment
+20  ; Initial feed rate for manual control
+10  ; Normal feed rate
+30  ; Feed rate limit
+20  ; Number of interrupts after which actual positions are recorded
+4   ; Number of knot points to be interpolated between two points
+"""
+SEEDS: dict[str, list[bytes]] = {
+    "part-program": [p.read_bytes() for p in sorted((ROOT / "examples").glob("*.prg"))]
+    + [
+        b"N1 G21\nN2 G90\nN3 G94\nN4 G1 A0.5 X50.0 F500.0 ; tension_N=25.0\nG28 X1\nG4 P.5\nM5\nM30"
+    ],
+    "par": [_PAR, _PAR + b"3 ; axes\n2 ; Kp\n4 ; Kd\n"],
+    "machine": [p.read_bytes() for p in sorted(LIBRARY.glob("*.toml")) if ".spec." not in p.name],
+}
+
+# --- running ---
+
+
+@dataclass
+class Tally:
+    """What came of a share of the cases."""
+
+    cases: Counter[str] = field(default_factory=Counter)
+    accepted: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    slowest_s: float = 0.0
+    slowest: str = ""
+
+    def add(self, other: Tally) -> None:
+        self.cases += other.cases
+        self.accepted += other.accepted
+        self.failures += other.failures
+        if other.slowest_s > self.slowest_s:
+            self.slowest_s, self.slowest = other.slowest_s, other.slowest
+
+
+class HangError(Exception):
+    """A case took too long."""
+
+
+def _on_alarm(_signal: int, _frame: FrameType | None) -> None:
+    raise HangError(f"more than {HANG_S} s")
+
+
+def run(seed: int, name: str, first: int, count: int) -> Tally:
+    """Run the cases ``first`` to ``first + count`` of a reader."""
+    reader, tally = READERS[name], Tally()
+    signal.signal(signal.SIGALRM, _on_alarm)
+    warnings.simplefilter("error")
+    with tempfile.TemporaryDirectory(dir=_fast_folder()) as folder:
+        path = Path(folder) / reader.file
+        for index in range(first, first + count):
+            path.write_bytes(reader.make(random.Random(f"{seed}/{name}/{index}")))
+            began = time.perf_counter()
+            signal.alarm(HANG_S)
+            problem = ""
+            try:
+                reader.read(path)
+                tally.accepted[name] += 1
+            except ThreadlineError as error:
+                if "\n" in str(error):
+                    problem = f"a message of several lines: {str(error)!r}"
+            except Exception:
+                problem = traceback.format_exc(limit=-3)
+            finally:
+                signal.alarm(0)
+            took_s = time.perf_counter() - began
+            if took_s > tally.slowest_s:
+                tally.slowest_s, tally.slowest = took_s, f"--reader {name} --first {index}"
+            if problem:
+                repeat = f"--seed {seed} --reader {name} --first {index} --cases 1"
+                tally.failures.append(f"{repeat}\n{problem}")
+        tally.cases[name] += count
+    return tally
+
+
+def _fast_folder() -> str | None:
+    memory = Path("/dev/shm")
+    return str(memory) if memory.is_dir() else None
+
+
+def shares(cases: int, only: str | None) -> dict[str, int]:
+    """Split the cases among the readers by weight."""
+    if only is not None:
+        return {only: cases}
+    total = sum(reader.weight for reader in READERS.values())
+    parts = {name: cases * reader.weight // total for name, reader in READERS.items()}
+    parts["part-program"] += cases - sum(parts.values())
+    return parts
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=20_000, help="cases in all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--reader", choices=sorted(READERS), help="only this one")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--processes", type=int, default=1)
+    options = parser.parse_args()
+    began, tally, chunk = time.perf_counter(), Tally(), 500
+    tasks = [
+        (options.seed, name, options.first + at, min(chunk, count - at))
+        for name, count in shares(options.cases, options.reader).items()
+        for at in range(0, count, chunk)
+    ]
+    if options.processes == 1:
+        for task in tasks:
+            tally.add(run(*task))
+    else:
+        with ProcessPoolExecutor(options.processes) as pool:
+            for part in pool.map(run, *zip(*tasks, strict=True)):
+                tally.add(part)
+    for failure in tally.failures[:_SHOWN]:
+        print(failure, file=sys.stderr)
+    took_s = time.perf_counter() - began
+    for name, count in sorted(tally.cases.items()):
+        print(f"{name}: {count} cases, {tally.accepted[name]} of them accepted")
+    print(f"slowest: {tally.slowest_s:.3f} s, {tally.slowest}")
+    print(f"{tally.cases.total()} cases in {took_s:.0f} s, {len(tally.failures)} tracebacks")
+    return 1 if tally.failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
