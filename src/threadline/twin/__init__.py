@@ -1,5 +1,6 @@
-"""Tick-exact simulation: commands and machine in, recording out."""
+"""Tick-exact simulation: commands and machine in, recording out; batches of variants."""
 
+from threadline.twin.batch import BatchResult, simulate_batch
 from threadline.twin.simulate import simulate
 
-__all__ = ["simulate"]
+__all__ = ["BatchResult", "simulate", "simulate_batch"]

@@ -1,13 +1,9 @@
-"""Kernels: the modes of a piecewise linear system, their propagators, and events between them.
+"""Modes of a piecewise linear system as tables: generator, guards, transitions, propagators.
 
-Advance by matrix exponentials, computed once per mode: ``E(cell) = exp(A cell)`` by its series
-(the spectral radius times the cell is at most 1/4, 16 terms), then squared for every power of
-two. A guard is watched over an advance through the four Bezier points of its cubic Hermite
-interpolant; only an advance with all of them inside is taken. Otherwise shorter ones are tried,
-and within a single cell the guards are polynomials (12 terms of the Taylor series, remainder
-below 1e-16 of the state) whose first exit is found to rounding. A guard that is left and entered
-again within one watched interval h escapes only when it goes beyond its bound by less than the
-error of the interpolant, ``h^4 max|g''''| / 384``; h times the fastest rate is at most 1.
+Every combination of the elements' modes is one mode of the whole, numbered in mixed radix; its
+tables are filled when it is met for the first time. Propagators are matrix exponentials:
+``E(cell) = exp(Z cell)`` by its series (the spectral radius times the cell is at most 1/4,
+16 terms), then squared for every power of two.
 """
 
 from __future__ import annotations
@@ -18,403 +14,223 @@ import numpy as np
 from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.twin.compiled import stays_apart
 from threadline.twin.tables import PlantTables
 
-TERMS = 12
 _SERIES = 16
-_MAX_EVENTS = 500
-_SECTIONS = 4
 
 
-class ModeCache(NamedTuple):
-    """Modes already met: S slots, n states, N columns, W guards, J powers of two, L lengths.
+class Modes(NamedTuple):
+    """Tables of the modes met so far; Q = V * S rows, S slots for each of V variants.
 
-    ``fast`` has, per slot and length, the n rows of the state's propagator, then for every guard
-    its value at the start and, per watched interval, the two inner Bezier points and the end.
+    n states, N columns, W guards, J powers of two, D drives, T distinct lengths of advance.
     """
 
-    code: IntArray  # (S, E) mode of each element
-    used: IntArray  # (2,) slots filled, slot to be reused next
-    generator: FloatArray  # (S, n, N)
-    guard: FloatArray  # (S, W, N)
-    guard_rate: FloatArray  # (S, W, N)
-    low: FloatArray  # (S, W)
-    high: FloatArray  # (S, W)
-    owner: IntArray  # (S, W, 2) element and guard
-    step: FloatArray  # (S, J, n, N) advance by cell * 2**j
-    fast: FloatArray  # (S, L, rows, N)
-    lengths: IntArray  # (L,) in cells
-    intervals: IntArray  # (L,) watched intervals per length
+    slot_of: IntArray  # (V, modes) row of a mode, -1 while it hasn't been met
+    used: IntArray  # (V, 2) slots filled, slot to be reused next
+    mode_of: IntArray  # (Q,)
+    generator: FloatArray  # (Q, n, N)
+    guard: FloatArray  # (Q, W, N)
+    rate: FloatArray  # (Q, W, N) the guard's derivative
+    low: FloatArray  # (Q, W)
+    high: FloatArray  # (Q, W)
+    next_mode: IntArray  # (Q, W, 2) the mode below and above
+    hold_state: (
+        IntArray  # (Q, W, 2) the state that this transition holds still, -1 for none
+    )
+    hold_value: FloatArray  # (Q, W, 2)
+    latch: IntArray  # (Q, W) the limit switch that this guard is, -1 for none
+    step: FloatArray  # (Q, J, n, N) advance by cell * 2**j
+    current: FloatArray  # (Q, D, N) current of each drive
+    fast: FloatArray  # (Q, T, n + W * (1 + 3 * intervals), N), see ``_fill_fast``
+    lengths: IntArray  # (T,) in cells
+    intervals: IntArray  # (1,) watched intervals per length
     watched: IntArray  # (1,) powers of two that a slow advance may use
     cell_s: FloatArray  # (1,)
 
 
-@njit(cache=True)
-def compose(plant: PlantTables, v: int, cache: ModeCache, slot: int) -> None:
-    """Fill generator and guards of the slot from its code."""
-    code = cache.code[slot]
-    Z = cache.generator[slot]
-    n, size = Z.shape
-    Z[:, :] = plant.base[v]
-    for e in range(len(code)):
+@njit
+def _after(t, row, level, source, x, target, y):  # type: ignore[no-untyped-def]
+    """target[y] = advance by cell * 2**level after source[x], rows (n, N), identity below."""
+    stays_apart()
+    n = t.generator.shape[1]
+    size = t.generator.shape[2]
+    for i in range(n):
+        for j in range(size):
+            total = t.step[row, level, i, j] if j >= n else 0.0
+            for k in range(n):
+                total += t.step[row, level, i, k] * source[x, k, j]
+            target[y, i, j] = total
+
+
+@njit
+def _compose(plant, v, t, row, mode):  # type: ignore[no-untyped-def]
+    """Fill generator, guards, transitions and currents of the row."""
+    stays_apart()
+    n = t.generator.shape[1]
+    size = t.generator.shape[2]
+    elements = len(plant.modes)
+    for i in range(n):
+        for j in range(size):
+            t.generator[row, i, j] = plant.base[v, i, j]
+    radix = 1
+    for e in range(elements):
+        m = mode // radix % plant.modes[e]
         for i in range(n):
-            d = plant.direction[v, e, i]
-            if d != 0.0:
-                for j in range(size):
-                    Z[i, j] += d * plant.law[v, e, code[e], j]
-    at = 0
-    for e in range(len(code)):
-        m = code[e]
-        for g in range(plant.guards[e]):
-            cache.owner[slot, at, 0] = e
-            cache.owner[slot, at, 1] = g
-            cache.low[slot, at] = -np.inf
-            cache.high[slot, at] = np.inf
-            cache.guard[slot, at, :] = 0.0
-            kind = plant.guard_kind[e, m, g]
-            if kind != 0:
-                cache.low[slot, at] = plant.guard_low[v, e, m, g]
-                cache.high[slot, at] = plant.guard_high[v, e, m, g]
             for j in range(size):
+                t.generator[row, i, j] += (
+                    plant.direction[v, e, i] * plant.law[v, e, m, j]
+                )
+        for d in range(t.current.shape[1]):
+            if plant.drive_element[d] == e:
+                for j in range(size):
+                    t.current[row, d, j] = plant.law[v, e, m, j]
+        radix *= plant.modes[e]
+    at = 0
+    radix = 1
+    for e in range(elements):
+        m = mode // radix % plant.modes[e]
+        for g in range(plant.guards[e]):
+            kind = plant.guard_kind[e, m, g]
+            t.low[row, at] = plant.guard_low[v, e, m, g] if kind != 0 else -np.inf
+            t.high[row, at] = plant.guard_high[v, e, m, g] if kind != 0 else np.inf
+            t.latch[row, at] = plant.guard_switch[e, m, g]
+            for side in range(2):
+                to = plant.guard_to[e, m, g, side]
+                t.next_mode[row, at, side] = (
+                    mode + (to - m) * radix if to >= 0 else mode
+                )
+                held = plant.holds[e, to] if to >= 0 else -1
+                t.hold_state[row, at, side] = held
+                t.hold_value[row, at, side] = (
+                    plant.held_at[v, e, to] if held >= 0 else 0.0
+                )
+            for j in range(size):
+                value = 0.0
                 if kind == 1:
-                    cache.guard[slot, at, j] = plant.guard_row[v, e, m, g, j]
+                    value = plant.guard_row[v, e, m, g, j]
                 elif kind == 2:
-                    cache.guard[slot, at, j] = plant.net_scale[v, e, m] * Z[plant.holds[e, m], j]
+                    # The force on a held state, whatever else is held, before it is taken out.
+                    value = (
+                        plant.net_scale[v, e, m]
+                        * t.generator[row, plant.holds[e, m], j]
+                    )
+                t.guard[row, at, j] = value
             at += 1
-    for e in range(len(code)):
-        held = plant.holds[e, code[e]]
-        if held >= 0:
-            Z[held, :] = 0.0
-    for w in range(at):
+        radix *= plant.modes[e]
+    while at < t.guard.shape[1]:
+        t.low[row, at] = -np.inf
+        t.high[row, at] = np.inf
+        at += 1
+    radix = 1
+    for e in range(elements):
+        m = mode // radix % plant.modes[e]
+        if plant.holds[e, m] >= 0:
+            for j in range(size):
+                t.generator[row, plant.holds[e, m], j] = 0.0
+        radix *= plant.modes[e]
+    for w in range(t.guard.shape[1]):
         for j in range(size):
             total = 0.0
             for i in range(n):
-                total += cache.guard[slot, w, i] * Z[i, j]
-            cache.guard_rate[slot, w, j] = total
+                total += t.guard[row, w, i] * t.generator[row, i, j]
+            t.rate[row, w, j] = total
 
 
-@njit(cache=True)
-def _multiply(P, Q, out):  # type: ignore[no-untyped-def]
-    """Out = P after Q, both (n, N) with the identity below."""
-    n, size = P.shape
+@njit
+def _fill_fast(t, row, index, P):  # type: ignore[no-untyped-def]
+    """Fill what one whole advance needs; P is space for three matrices.
+
+    The n rows of the state's propagator, then per guard its value at the start and, per watched
+    interval, the two inner Bezier points of its cubic Hermite interpolant and its end.
+    """
+    stays_apart()
+    n = t.generator.shape[1]
+    size = t.generator.shape[2]
+    length = t.lengths[index]
+    parts = t.intervals[0]
+    per = 1 + 3 * parts
+    now, then, spare = np.int64(0), np.int64(1), np.int64(2)
     for i in range(n):
         for j in range(size):
-            total = P[i, j] if j >= n else 0.0
-            for k in range(n):
-                total += P[i, k] * Q[k, j]
-            out[i, j] = total
-
-
-@njit(cache=True)
-def build(plant: PlantTables, v: int, cache: ModeCache, slot: int) -> None:
-    """Fill every table of the slot from its code."""
-    compose(plant, v, cache, slot)
-    Z = cache.generator[slot]
-    n, size = Z.shape
-    cell = cache.cell_s[0]
-    first = cache.step[slot, 0]
-    term = np.zeros((n, size))
-    other = np.zeros((n, size))
-    for i in range(n):
-        for j in range(size):
-            term[i, j] = Z[i, j] * cell
-            first[i, j] = term[i, j] + (1.0 if i == j else 0.0)
-    for k in range(2, _SERIES + 1):
-        for i in range(n):
-            for j in range(size):
-                total = 0.0
-                for m in range(n):
-                    total += Z[i, m] * term[m, j]
-                other[i, j] = total * cell / k
-        term[:, :] = other
-        for i in range(n):
-            for j in range(size):
-                first[i, j] += term[i, j]
-    for level in range(1, cache.step.shape[1]):
-        _multiply(cache.step[slot, level - 1], cache.step[slot, level - 1], cache.step[slot, level])
-    for index in range(len(cache.lengths)):
-        _fill_fast(cache, slot, index)
-
-
-@njit(cache=True)
-def _power(cache: ModeCache, slot: int, cells: int, out, spare):  # type: ignore[no-untyped-def]
-    """Out = advance by ``cells`` cells."""
-    n, _ = out.shape
-    out[:, :] = 0.0
-    for i in range(n):
-        out[i, i] = 1.0
-    level = 0
-    while cells:
-        if cells & 1:
-            _multiply(cache.step[slot, level], out, spare)
-            out[:, :] = spare
-        cells >>= 1
-        level += 1
-
-
-@njit(cache=True)
-def _fill_fast(cache: ModeCache, slot: int, index: int) -> None:
-    n, size = cache.generator.shape[1:]
-    length = cache.lengths[index]
-    parts = cache.intervals[index]
-    fast = cache.fast[slot, index]
-    before = np.zeros((n, size))
-    after = np.zeros((n, size))
-    spare = np.zeros((n, size))
-    _power(cache, slot, length, after, spare)
-    fast[:n] = after
-    guards = cache.guard.shape[1]
-    per = (fast.shape[0] - n) // max(1, guards)
+            P[now, i, j] = 1.0 if i == j else 0.0
+    before = 0
     for part in range(parts):
-        a = length * part // parts
-        b = length * (part + 1) // parts
-        third = cache.cell_s[0] * (b - a) / 3.0
-        _power(cache, slot, a, before, spare)
-        _power(cache, slot, b, after, spare)
-        for w in range(guards):
-            at = n + w * per
-            G = cache.guard[slot, w]
-            D = cache.guard_rate[slot, w]
+        after = length * (part + 1) // parts
+        third = t.cell_s[0] * (after - before) / 3.0
+        for i in range(n):
             for j in range(size):
-                start = G[j] if j >= n else 0.0
-                end = start
-                rise = D[j] if j >= n else 0.0
-                fall = rise
+                P[then, i, j] = P[now, i, j]
+        for level in range(t.step.shape[1]):
+            if (after - before) >> level & 1:
+                _after(t, row, level, P, then, P, spare)
+                then, spare = spare, then
+        for w in range(t.guard.shape[1]):
+            at = n + w * per
+            for j in range(size):
+                start = t.guard[row, w, j] if j >= n else 0.0
+                rise = t.rate[row, w, j] if j >= n else 0.0
+                end, fall = start, rise
                 for i in range(n):
-                    start += G[i] * before[i, j]
-                    rise += D[i] * before[i, j]
-                    end += G[i] * after[i, j]
-                    fall += D[i] * after[i, j]
+                    start += t.guard[row, w, i] * P[now, i, j]
+                    rise += t.rate[row, w, i] * P[now, i, j]
+                    end += t.guard[row, w, i] * P[then, i, j]
+                    fall += t.rate[row, w, i] * P[then, i, j]
                 if part == 0:
-                    fast[at, j] = start
-                fast[at + 1 + 3 * part, j] = start + rise * third
-                fast[at + 2 + 3 * part, j] = end - fall * third
-                fast[at + 3 + 3 * part, j] = end
+                    t.fast[row, index, at, j] = start
+                t.fast[row, index, at + 1 + 3 * part, j] = start + rise * third
+                t.fast[row, index, at + 2 + 3 * part, j] = end - fall * third
+                t.fast[row, index, at + 3 + 3 * part, j] = end
+        now, then = then, now
+        before = after
+    for i in range(n):
+        for j in range(size):
+            t.fast[row, index, i, j] = P[now, i, j]
 
 
-@njit(cache=True)
-def find_slot(plant: PlantTables, v: int, cache: ModeCache, code) -> int:  # type: ignore[no-untyped-def]
-    """Return the slot of a mode; build it when it is met for the first time."""
-    count = len(code)
-    for slot in range(cache.used[0]):
-        same = True
-        for e in range(count):
-            if cache.code[slot, e] != code[e]:
-                same = False
-                break
-        if same:
-            return int(slot)
-    slots = len(cache.code)
-    if cache.used[0] < slots:
-        slot = cache.used[0]
-        cache.used[0] += 1
+@njit
+def meet(plant: PlantTables, v: int, t: Modes, mode: int) -> None:
+    """Fill the tables of a mode of variant v that is met for the first time."""
+    stays_apart()
+    slots = len(t.mode_of) // len(t.slot_of)
+    row = v * slots + t.used[v, 0]
+    if t.used[v, 0] < slots:
+        t.used[v, 0] += 1
     else:
-        # Full: the oldest goes.
-        slot = cache.used[1]
-        cache.used[1] = (slot + 1) % slots
-    for e in range(count):
-        cache.code[slot, e] = code[e]
-    build(plant, v, cache, slot)
-    return int(slot)
-
-
-@njit(cache=True)
-def _dot(row, z):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for j in range(len(z)):
-        total += row[j] * z[j]
-    return total
-
-
-@njit(cache=True)
-def _switch(plant, v, cache, slot, w, above, code, z, tripped):  # type: ignore[no-untyped-def]
-    """Take the transition of guard w of the slot; return the new slot."""
-    e = cache.owner[slot, w, 0]
-    g = cache.owner[slot, w, 1]
-    m = code[e]
-    switch = plant.guard_switch[e, m, g]
-    if switch >= 0:
-        tripped[switch] = 1
-    code[e] = plant.guard_to[e, m, g, 1 if above else 0]
-    held = plant.holds[e, code[e]]
-    if held >= 0:
-        z[held] = plant.held_at[v, e, code[e]]
-    return find_slot(plant, v, cache, code)
-
-
-@njit(cache=True)
-def settle(plant, v, cache, slot, code, z, tripped, counts):  # type: ignore[no-untyped-def]
-    """Leave modes whose guards don't hold at z; return the slot that holds."""
-    guards = cache.guard.shape[1]
-    for _ in range(8 * len(code) + 8):
-        left = False
-        for w in range(guards):
-            low = cache.low[slot, w]
-            high = cache.high[slot, w]
-            if low == -np.inf and high == np.inf:
-                continue
-            value = _dot(cache.guard[slot, w], z)
-            if value > high or value < low:
-                slot = _switch(plant, v, cache, slot, w, value > high, code, z, tripped)
-                counts[1] += 1
-                left = True
-                break
-        if not left:
-            return slot
-    counts[2] += 1
-    return slot
-
-
-@njit(cache=True)
-def _watched(cache, slot, z, y, third):  # type: ignore[no-untyped-def]
-    """Whether every guard's Bezier points stay inside over an advance from z to y."""
-    for w in range(cache.guard.shape[1]):
-        low = cache.low[slot, w]
-        high = cache.high[slot, w]
-        if low == -np.inf and high == np.inf:
-            continue
-        start = _dot(cache.guard[slot, w], z)
-        end = _dot(cache.guard[slot, w], y)
-        second = start + _dot(cache.guard_rate[slot, w], z) * third
-        other = end - _dot(cache.guard_rate[slot, w], y) * third
-        if end > high or end < low or second > high or second < low or other > high or other < low:
-            return False
-    return True
-
-
-@njit(cache=True)
-def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
-    """Return the first s in (0, until] at which the polynomial leaves, and on which side.
-
-    The side is 0 when it stays. Sections of the interval are looked at in order, then Newton's
-    method, kept in a bracket, finds the crossing.
-    """
-    order = len(q) - 1
-    for section in range(_SECTIONS):
-        a = section / _SECTIONS
-        if a >= until:
-            break
-        b = min((section + 1) / _SECTIONS, until)
-        value = q[order]
-        for k in range(order - 1, -1, -1):
-            value = value * b + q[k]
-        if value > high:
-            side, bound = 1, high
-        elif value < low:
-            side, bound = -1, low
-        else:
-            continue
-        left, right = a, b
-        s = 0.5 * (a + b)
-        for _ in range(80):
-            value, slope = q[order], 0.0
-            for k in range(order - 1, -1, -1):
-                slope = slope * s + value
-                value = value * s + q[k]
-            value = (value - bound) * side
-            slope *= side
-            if value > 0.0:
-                right = s
-            else:
-                left = s
-            better = s - value / slope if slope != 0.0 else 0.5 * (left + right)
-            if not (left < better < right):
-                better = 0.5 * (left + right)
-            done = abs(better - s) < 1e-15 or right - left < 1e-15
-            s = better
-            if done:
-                break
-        return s, side
-    return until, 0
-
-
-@njit(cache=True)
-def _cross_cell(plant, v, cache, slot, code, z, tripped, counts, D, q):  # type: ignore[no-untyped-def]
-    """Advance z by one cell with every event in it located; return the slot at its end."""
-    n, size = cache.generator.shape[1:]
-    guards = cache.guard.shape[1]
-    left = 1.0
-    for _ in range(_MAX_EVENTS):
-        slot = settle(plant, v, cache, slot, code, z, tripped, counts)
-        span = cache.cell_s[0] * left
-        Z = cache.generator[slot]
+        # All slots are taken: the one that was filled first goes.
+        row = v * slots + t.used[v, 1]
+        t.used[v, 1] = (t.used[v, 1] + 1) % slots
+        t.slot_of[v, t.mode_of[row]] = -1
+    t.mode_of[row] = mode
+    t.slot_of[v, mode] = row
+    _compose(plant, v, t, row, mode)
+    n = t.generator.shape[1]
+    size = t.generator.shape[2]
+    P = np.zeros((3, n, size))
+    first, second = np.int64(0), np.int64(1)
+    for i in range(n):
+        for j in range(size):
+            P[0, i, j] = 1.0 if i == j else 0.0
+            t.step[row, 0, i, j] = P[0, i, j]
+    for k in range(1, _SERIES + 1):
+        # Column by column: P[1] = Z P[0] cell / k; the columns of inputs start from Z itself.
         for i in range(n):
-            D[0, i] = z[i]
-            D[1, i] = _dot(Z[i], z) * span
-        for k in range(2, TERMS + 1):
-            for i in range(n):
-                total = 0.0
-                for j in range(n):
-                    total += Z[i, j] * D[k - 1, j]
-                D[k, i] = total * span / k
-        until, first, above = 1.0, -1, False
-        for w in range(guards):
-            low = cache.low[slot, w]
-            high = cache.high[slot, w]
-            if low == -np.inf and high == np.inf:
-                continue
-            for k in range(TERMS + 1):
-                total = 0.0
-                for i in range(n):
-                    total += cache.guard[slot, w, i] * D[k, i]
-                q[k] = total
-            for j in range(n, size):
-                q[0] += cache.guard[slot, w, j] * z[j]
-            s, side = _first_exit(q, low, high, until)
-            if side != 0:
-                until, first, above = s, w, side > 0
+            for j in range(size):
+                total = t.generator[row, i, j] if k == 1 and j >= n else 0.0
+                for m in range(n):
+                    total += t.generator[row, i, m] * P[0, m, j]
+                P[1, i, j] = total * t.cell_s[0] / k
         for i in range(n):
-            value = D[TERMS, i]
-            for k in range(TERMS - 1, -1, -1):
-                value = value * until + D[k, i]
-            z[i] = value
-        if first < 0:
-            return slot
-        counts[1] += 1
-        slot = _switch(plant, v, cache, slot, first, above, code, z, tripped)
-        left *= 1.0 - until
-        if left <= 1e-14:
-            return slot
-    counts[2] += 1
-    return slot
-
-
-@njit(cache=True)
-def advance_watched(plant, v, cache, slot, code, z, y, cells, tripped, counts, D, q):  # type: ignore[no-untyped-def]
-    """Advance z by ``cells`` cells through whatever events there are; return the slot.
-
-    ``counts`` gathers slow advances, events, and places where modes changed without end.
-    """
-    n = cache.generator.shape[1]
-    levels = cache.watched[0]
-    counts[0] += 1
-    done = 0
-    level = levels - 1
-    while done < cells:
-        slot = settle(plant, v, cache, slot, code, z, tripped, counts)
-        while level > 0 and (1 << level) > cells - done:
-            level -= 1
-        taken = False
-        while True:
-            P = cache.step[slot, level]
-            for i in range(n):
-                y[i] = _dot(P[i], z)
-            for j in range(n, len(z)):
-                y[j] = z[j]
-            if _watched(cache, slot, z, y, cache.cell_s[0] * (1 << level) / 3.0):
-                taken = True
-                break
-            if level == 0:
-                break
-            level -= 1
-        if taken:
-            for i in range(n):
-                z[i] = y[i]
-            done += 1 << level
-            level = min(level + 1, levels - 1)
-        else:
-            slot = _cross_cell(plant, v, cache, slot, code, z, tripped, counts, D, q)
-            done += 1
-            level = min(level + 1, levels - 1)
-    # What was entered at the very end must hold too.
-    return settle(plant, v, cache, slot, code, z, tripped, counts)
+            for j in range(size):
+                P[0, i, j] = P[1, i, j]
+                t.step[row, 0, i, j] += P[1, i, j]
+    for level in range(1, t.step.shape[1]):
+        for i in range(n):
+            for j in range(size):
+                P[0, i, j] = t.step[row, level - 1, i, j]
+        _after(t, row, level - 1, P, first, P, second)
+        for i in range(n):
+            for j in range(size):
+                t.step[row, level, i, j] = P[1, i, j]
+    for index in range(len(t.lengths)):
+        _fill_fast(t, row, index, P)

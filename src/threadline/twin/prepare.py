@@ -2,57 +2,86 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.errors import MachineError, OptionError
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
-from threadline.twin.kernel import Grid, Loop
-from threadline.twin.modes import ModeCache
+from threadline.twin import lanes as k
+from threadline.twin.modes import Modes
 from threadline.twin.schedule import Schedule, make_schedule
 from threadline.twin.tables import (
     ControlTables,
-    OutputTables,
     PlantTables,
     control_tables,
-    output_tables,
     plant_tables,
 )
 
 _CELL_PER_RATE = 0.25
 _WATCH_PER_RATE = 1.0
 _MOST_SLOTS = 64
-_MOST_CELLS = 1 << 24
+_MOST_CELLS = 1 << 20
+_MOST_MODES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepared:
-    """A connected piece ready to be run."""
+    """A connected piece ready to be run.
+
+    Parameters
+    ----------
+    piece, schedule, plant, control
+        Equations, instants and tables; every array has the variants first.
+    cell_s
+        The shortest advance that is tabulated; a power of two of them make a grid period.
+    halvings
+        That power.
+    intervals
+        Pieces of an advance in which guards are watched.
+    watched
+        Powers of two of a cell that a slow advance may use.
+    """
 
     piece: PiecewiseLinear
     schedule: Schedule
     plant: PlantTables
     control: ControlTables
-    outputs: OutputTables
-    grid: Grid
+    axis_controller: IntArray
     cell_s: float
     halvings: int
+    intervals: int
     watched: int
-    intervals: tuple[int, ...]
 
     @property
     def columns(self) -> int:
-        """Columns of a record of the kernel."""
+        """Columns of a sample of the kernel."""
         group = self.piece.group
-        return (
-            2 * len(group.controllers)
-            + 2 * len(group.axes)
-            + 2 * len(group.drives)
-            + len(group.inputs)
+        pairs = len(group.controllers) + len(group.axes) + len(group.drives)
+        return 2 * pairs + len(group.inputs)
+
+    def shape(self, lanes: int, guards: int, *, peak: bool, quantised: bool) -> k.Shape:
+        """Return the shape of the kernel that runs this piece."""
+        return k.Shape(
+            states=len(self.piece.states),
+            drives=len(self.piece.group.drives),
+            controllers=len(self.piece.group.controllers),
+            axes=len(self.piece.group.axes),
+            guards=guards,
+            checks=1 + 3 * self.intervals,
+            lengths=len(self.schedule.lengths),
+            lanes=lanes,
+            feedback=bool(self.control.denominator[:, :, 0].any()),
+            second=bool(
+                self.control.numerator[:, :, 2].any()
+                or self.control.denominator[:, :, 1].any()
+            ),
+            peak=peak,
+            quantised=quantised,
         )
 
 
@@ -62,40 +91,41 @@ def prepare(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prepare
     Raises
     ------
     MachineError
-        If its clocks do not fit together, or it has a rate too fast for its ticks.
+        If its clocks do not fit together, it has a rate too fast for its ticks, or too many modes.
     """
     schedule = make_schedule(machine, piece.group)
-    grid_s = float(schedule.grid_s)
+    grid_s, longest = float(schedule.grid_s), int(schedule.lengths.max())
     rate = _fastest_rate(piece)
     halvings = max(0, int(np.ceil(np.log2(max(grid_s * rate / _CELL_PER_RATE, 1.0)))))
-    longest = int(schedule.lengths.max()) << halvings
-    if longest > _MOST_CELLS:
+    if longest << halvings > _MOST_CELLS:
         raise MachineError(
             f"a part of the machine responds at {rate:.4g} 1/s, too fast for ticks of "
-            f"{grid_s * int(schedule.lengths.max()):.4g} s",
-            remedy="Join bodies whose link is that stiff, or give the parts that are so light "
-            "or damped their true numbers.",
+            f"{grid_s * longest:.4g} s",
+            remedy="Join bodies whose link is that stiff, or correct parts that are too light.",
+        )
+    plant = plant_tables(piece)
+    if np.prod(plant.modes, dtype=np.float64) > _MOST_MODES:
+        raise MachineError(
+            f"limits, belts, play and friction combine to {np.prod(plant.modes)} modes, "
+            f"limit {_MOST_MODES}",
+            remedy="Leave out those that do not matter.",
         )
     cell_s = grid_s / 2**halvings
-    intervals = []
-    for length in schedule.lengths:
-        wanted = int(np.ceil(grid_s * length * rate / _WATCH_PER_RATE))
-        intervals.append(max(1, min(wanted, int(length) << halvings)))
-    watched = 1 + max(0, int(np.floor(np.log2(max(_WATCH_PER_RATE / (rate * cell_s), 1.0)))))
-    watched = min(watched, longest.bit_length())
+    group, axes = piece.group, machine.axes
     return Prepared(
         piece=piece,
         schedule=schedule,
-        plant=plant_tables(piece),
+        plant=plant,
         control=control_tables(machine, piece, values),
-        outputs=output_tables(piece),
-        grid=Grid(
-            np.array(schedule.first_action), np.array(schedule.actions), np.array(schedule.length)
+        axis_controller=np.array(
+            [group.controllers.index(axes[a].controller) for a in group.axes],
+            dtype=np.int64,
         ),
         cell_s=cell_s,
         halvings=halvings,
-        watched=watched,
-        intervals=tuple(intervals),
+        intervals=max(1, int(np.ceil(grid_s * longest * rate / _WATCH_PER_RATE))),
+        watched=1
+        + max(0, int(np.floor(np.log2(max(_WATCH_PER_RATE / (rate * cell_s), 1.0))))),
     )
 
 
@@ -105,91 +135,217 @@ def _fastest_rate(piece: PiecewiseLinear) -> float:
     start = piece.base.copy()
     for element in piece.elements:
         start += element.direction[:, :, None] * element.modes[0].law[:, None, :]
+    laws = [
+        (element.direction, mode.law - element.modes[0].law)
+        for element in piece.elements
+        for mode in element.modes
+    ]
     fastest = 1e-3
-    for element in piece.elements:
-        for mode in element.modes:
-            law = (mode.law - element.modes[0].law)[:, None, :]
-            generator = (start + element.direction[:, :, None] * law)[:, :, :n]
-            fastest = max(fastest, float(np.abs(np.linalg.eigvals(generator)).max()))
-    if not piece.elements:
-        fastest = max(fastest, float(np.abs(np.linalg.eigvals(start[:, :, :n])).max()))
+    for direction, law in laws or [(np.zeros((1, n)), np.zeros((1, start.shape[2])))]:
+        generator = (start + direction[:, :, None] * law[:, None, :])[:, :, :n]
+        fastest = max(fastest, float(np.abs(np.linalg.eigvals(generator)).max()))
     return fastest
 
 
-def new_cache(prepared: Prepared, slots: int | None = None) -> ModeCache:
-    """Return an empty cache of modes for one variant of ``prepared``."""
-    plant = prepared.plant
-    n, size = plant.base.shape[1:]
-    count = len(plant.modes)
-    guards = int(plant.guards.sum())
-    if slots is None:
-        slots = min(int(np.prod(plant.modes)), _MOST_SLOTS)
-    lengths = prepared.schedule.lengths << prepared.halvings
-    levels = int(lengths.max()).bit_length()
-    rows = n + guards * (1 + 3 * max(prepared.intervals))
-    return ModeCache(
-        code=np.zeros((slots, count), dtype=np.int64),
-        used=np.zeros(2, dtype=np.int64),
-        generator=np.zeros((slots, n, size)),
-        guard=np.zeros((slots, guards, size)),
-        guard_rate=np.zeros((slots, guards, size)),
-        low=np.zeros((slots, guards)),
-        high=np.zeros((slots, guards)),
-        owner=np.zeros((slots, guards, 2), dtype=np.int64),
-        step=np.zeros((slots, levels, n, size)),
-        fast=np.zeros((slots, len(lengths), rows, size)),
-        lengths=np.array(lengths),
-        intervals=np.array(prepared.intervals, dtype=np.int64),
-        watched=np.array([prepared.watched], dtype=np.int64),
-        cell_s=np.array([prepared.cell_s]),
-    )
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class State:
+    """Everything that a kernel changes, for all variants; V is padded to whole blocks of lanes."""
+
+    shape: k.Shape
+    prepared: Prepared
+    plant: PlantTables
+    frame: FloatArray
+    kernel: Callable[..., None]
+    modes: Modes
+    work: FloatArray
+    ring: FloatArray
+    mode: IntArray
+    clock: IntArray
+    tripped: IntArray
+    counts: IntArray
+
+    def run(
+        self, begin: int, end: int, references: FloatArray, every: int, window: int,
+        records: FloatArray,
+    ) -> None:  # fmt: skip
+        """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references."""
+        schedule = self.prepared.schedule
+        self.kernel(
+            begin, end, self.work, self.ring, self.mode, self.clock,
+            schedule.first_action, schedule.actions, schedule.length, references, every, window,
+            self.plant, self.modes, self.frame, self.prepared.control.drive,
+            self.prepared.axis_controller, records, self.tripped, self.counts,
+        )  # fmt: skip
+
+    def measures(self) -> FloatArray:
+        """Return (V, axes, 5): see the rows of an axis in ``lanes``."""
+        at, lanes = self.shape.layout()["measure"], self.shape.lanes
+        part = self.work.reshape(len(self.work), -1, lanes)[
+            :, at : at + 5 * self.shape.axes
+        ]
+        parted = part.reshape(len(self.work), self.shape.axes, 5, lanes)
+        return np.ascontiguousarray(
+            parted.transpose(0, 3, 1, 2).reshape(-1, self.shape.axes, 5)
+        )
+
+    def peaks(self) -> FloatArray:
+        """Return (V, drives): the current of largest magnitude."""
+        at, lanes = self.shape.layout()["peak"], self.shape.lanes
+        part = self.work.reshape(len(self.work), -1, lanes)[
+            :, at : at + self.shape.drives
+        ]
+        return np.ascontiguousarray(
+            part.transpose(0, 2, 1).reshape(-1, self.shape.drives)
+        )
 
 
-def new_loop(prepared: Prepared, phase: FloatArray) -> Loop:
+def common_guards(pieces: tuple[Prepared, ...]) -> int:
+    """Return how many guards the kernels of all pieces have: pieces of one size share a kernel."""
+    most = max(int(piece.plant.guards.sum()) for piece in pieces)
+    return most if most < 2 else 2 * -(-most // 2)
+
+
+def new_state(
+    machine: Machine,
+    prepared: Prepared,
+    phases: FloatArray,
+    lanes: int,
+    guards: int,
+    *,
+    peak: bool = True,
+    quantised: bool = True,
+    slots: int = _MOST_SLOTS,
+) -> State:
     """Return the state at the start: at rest, nothing commanded.
 
     Parameters
     ----------
-    phase
-        (controllers,) of the encoder, in [0, 1).
+    phases
+        (variants, controllers) of the encoders, in [0, 1).
+    lanes
+        Variants side by side in one block.
+    guards
+        Guards that the kernel has room for, see ``common_guards``.
+    slots
+        Modes remembered per variant.
     """
-    plant, group = prepared.plant, prepared.piece.group
-    size = plant.base.shape[2]
-    controllers, in_flight = len(group.controllers), prepared.schedule.in_flight
-    z = np.zeros(size)
-    z[-1] = 1.0
-    ring = int(in_flight.max(initial=0)) + 2
-    head = np.zeros((controllers, 2), dtype=np.int64)
-    head[:, 0] = in_flight
-    return Loop(
-        z=z,
-        code=np.zeros(len(plant.modes), dtype=np.int64),
-        where=np.zeros(3, dtype=np.int64),
-        error=np.zeros((controllers, 2)),
-        output=np.zeros((controllers, 2)),
-        level=np.zeros(controllers),
-        under_way=np.zeros((controllers, ring)),
-        head=head,
-        phase=np.array(phase, dtype=np.float64),
-        reference=np.zeros(controllers),
-        tripped=np.zeros(len(group.inputs), dtype=np.int64),
-        counts=np.zeros(3, dtype=np.int64),
-        peak=np.zeros(len(group.drives)),
+    shape = prepared.shape(lanes, guards, peak=peak, quantised=quantised)
+    variants = prepared.piece.variants
+    blocks = -(-variants // lanes)
+    which = np.minimum(np.arange(blocks * lanes), variants - 1)
+    plant = _padded(prepared.plant, which)
+    schedule = prepared.schedule
+    modes = _new_modes(
+        prepared, shape, len(which), min(slots, int(np.prod(plant.modes)))
+    )
+    layout = shape.layout()
+    work = np.zeros((blocks, layout["rows"], lanes))
+
+    def put(row: int, values: FloatArray) -> None:
+        work[:, row] = np.broadcast_to(values, (variants,))[which].reshape(
+            blocks, lanes
+        )
+
+    put(layout["z"] + plant.base.shape[2] - 1, np.ones(1))
+    control = prepared.control
+    for c in range(shape.controllers):
+        o = layout["control"] + 18 * c
+        for row, values in (
+            (k.B0, control.numerator[:, c, 0]),
+            (k.B1, control.numerator[:, c, 1]),
+            (k.B2, control.numerator[:, c, 2]),
+            (k.A1, control.denominator[:, c, 0]),
+            (k.A2, control.denominator[:, c, 1]),
+            (k.LOW, control.level_low[:, c]),
+            (k.HIGH, control.level_high[:, c]),
+            (k.VOLT, control.volt_per_level[:, c]),
+            (k.GAIN, control.volt_per_level[:, c] * control.gain[:, c]),
+            (k.LIMIT, control.limit[:, c]),
+            (k.PHASE, phases[:, c]),
+            (k.ZERO, np.full(1, float(control.zero_on_reversal[c]))),
+        ):
+            put(o + row, values)
+        for i in range(shape.states):
+            put(layout["sensor"] + c * shape.states + i, control.sensor_row[:, c, i])
+    for x, axis in enumerate(prepared.piece.group.axes):
+        o = layout["measure"] + 5 * x
+        put(o + k.LOWEST, np.full(1, np.inf))
+        put(o + k.HIGHEST, np.full(1, -np.inf))
+        put(o + k.SCALE, np.full(1, 1.0 / machine.axes[axis].counts.si))
+        for i in range(shape.states):
+            put(
+                layout["load"] + x * shape.states + i, prepared.piece.load_rows[:, x, i]
+            )
+    clock = np.zeros((blocks, k.HEADS + 2 * shape.controllers), dtype=np.int64)
+    clock[:, k.HEADS :: 2] = schedule.in_flight
+    return State(
+        shape=shape,
+        prepared=prepared,
+        plant=plant,
+        frame=np.ascontiguousarray(prepared.piece.frame_rows[which]),
+        kernel=k.lanes_kernel(shape),
+        modes=modes,
+        work=work.reshape(blocks, -1),
+        ring=np.zeros(
+            (
+                blocks,
+                shape.controllers,
+                int(schedule.in_flight.max(initial=0)) + 2,
+                lanes,
+            )
+        ),
+        mode=np.full((blocks, lanes), -1, dtype=np.int64),
+        clock=clock,
+        tripped=np.zeros(
+            (len(which), len(prepared.piece.group.inputs)), dtype=np.int64
+        ),
+        counts=np.zeros((blocks, 5), dtype=np.int64),
     )
 
 
-def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
-    """Return the (axes,) encoder phases: where between two counts each encoder stands at rest.
+def _padded(plant: PlantTables, which: IntArray) -> PlantTables:
+    shared = {
+        "modes",
+        "holds",
+        "guard_kind",
+        "guard_to",
+        "guard_switch",
+        "guards",
+        "drive_element",
+    }
+    return PlantTables(
+        **{
+            name: part if name in shared else np.ascontiguousarray(part[which])
+            for name, part in plant._asdict().items()
+        }
+    )
 
-    Raises
-    ------
-    OptionError
-        If a phase is outside [0, 1), or their number is not that of the axes.
-    """
-    count = len(machine.axes)
-    phases = np.full(count, 0.5) if phase is None else np.asarray(phase, dtype=np.float64)
-    if phases.shape != (count,):
-        raise OptionError(f"encoder_phase has shape {phases.shape}, expected {(count,)}")
-    if not ((phases >= 0.0) & (phases < 1.0)).all():
-        raise OptionError(f"encoder_phase must lie in [0, 1), got {phases.tolist()}")
-    return phases
+
+def _new_modes(prepared: Prepared, shape: k.Shape, variants: int, slots: int) -> Modes:
+    rows, n = variants * slots, shape.states
+    size = n + shape.drives + 1
+    lengths = np.array(prepared.schedule.lengths << prepared.halvings)
+    per_length = n + shape.guards * shape.checks
+    return Modes(
+        slot_of=np.full(
+            (variants, int(np.prod(prepared.plant.modes))), -1, dtype=np.int64
+        ),
+        used=np.zeros((variants, 2), dtype=np.int64),
+        mode_of=np.zeros(rows, dtype=np.int64),
+        generator=np.zeros((rows, n, size)),
+        guard=np.zeros((rows, shape.guards, size)),
+        rate=np.zeros((rows, shape.guards, size)),
+        low=np.zeros((rows, shape.guards)),
+        high=np.zeros((rows, shape.guards)),
+        next_mode=np.zeros((rows, shape.guards, 2), dtype=np.int64),
+        hold_state=np.full((rows, shape.guards, 2), -1, dtype=np.int64),
+        hold_value=np.zeros((rows, shape.guards, 2)),
+        latch=np.full((rows, shape.guards), -1, dtype=np.int64),
+        step=np.zeros((rows, int(lengths.max()).bit_length(), n, size)),
+        current=np.zeros((rows, shape.drives, size)),
+        fast=np.zeros((rows, len(lengths), per_length, size)),
+        lengths=lengths,
+        intervals=np.array([prepared.intervals], dtype=np.int64),
+        watched=np.array([prepared.watched], dtype=np.int64),
+        cell_s=np.array([prepared.cell_s]),
+    )

@@ -21,9 +21,8 @@ from threadline.signals import (
     Stream,
     TickTable,
 )
-from threadline.twin.kernel import Loop, run_block
-from threadline.twin.modes import ModeCache
-from threadline.twin.prepare import Prepared, encoder_phases, new_cache, new_loop, prepare
+from threadline.twin.events import ENDLESS
+from threadline.twin.prepare import Prepared, State, common_guards, new_state, prepare
 
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
@@ -69,12 +68,13 @@ def simulate(
     OptionError
         If the commands are not for this machine, or an option is out of range.
     """
-    _check(commands, machine, record_every, settle_s)
+    check_commands(commands, machine, record_every, settle_s)
     phases = encoder_phases(machine, encoder_phase)
     values = Values.of(machine)
     start_si = commands.start_counts / commands.counts_per_unit
     pieces = tuple(
-        prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
+        prepare(machine, piece, values)
+        for piece in piecewise_linear(machine, values, start_si)
     )
     run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised)
     return Recording(
@@ -86,7 +86,9 @@ def simulate(
     )
 
 
-def _check(commands: TickTable, machine: Machine, record_every: int, settle_s: float) -> None:
+def check_commands(
+    commands: TickTable, machine: Machine, record_every: int, settle_s: float
+) -> None:
     if commands.axes != machine.axis_names:
         raise OptionError(
             f"the commands are for axes {', '.join(commands.axes)}, "
@@ -97,7 +99,9 @@ def _check(commands: TickTable, machine: Machine, record_every: int, settle_s: f
             f"the commands have a tick of {float(commands.clock.period_s)} s, "
             f"the machine one of {float(machine.tick_clock.period_s)} s"
         )
-    if not np.allclose(commands.counts_per_unit, machine.counts_per_unit, rtol=1e-12, atol=0):
+    if not np.allclose(
+        commands.counts_per_unit, machine.counts_per_unit, rtol=1e-12, atol=0
+    ):
         raise OptionError("the commands have other counts per unit than the machine")
     if record_every < 1:
         raise OptionError(f"record_every must be at least 1, got {record_every}")
@@ -129,7 +133,14 @@ class _Run:
 
         def add(name: str, kind: ChannelKind, unit: str, axis: str = "") -> None:
             found.append(
-                Channel(name=name, kind=kind, unit=unit, clock=clock, axis=axis, stride=self.every)
+                Channel(
+                    name=name,
+                    kind=kind,
+                    unit=unit,
+                    clock=clock,
+                    axis=axis,
+                    stride=self.every,
+                )
             )
 
         for name, axis in self.machine.axes.items():
@@ -148,15 +159,20 @@ class _Run:
         return tuple(found)
 
     def blocks(self) -> Iterator[RecordingBlock]:
-        caches = [new_cache(piece) for piece in self.pieces]
-        loops = [new_loop(piece, self._phases(piece)) for piece in self.pieces]
+        guards = common_guards(self.pieces)
+        states = [
+            new_state(
+                self.machine, p, self._phases(p), 1, guards, quantised=self.quantised
+            )
+            for p in self.pieces
+        ]
         start = self.commands.start_counts
         for tick, position, operation, events in self._rows():
             columns = []
             first = -(-tick // self.every)
             count = -(-(tick + len(position)) // self.every) - first
-            for piece, cache, loop in zip(self.pieces, caches, loops, strict=True):
-                columns.append(self._advance(piece, cache, loop, position - start, count))
+            for state in states:
+                columns.append(self._advance(state, position - start, count))
             if not count:
                 continue
             kept = slice(first * self.every - tick, None, self.every)
@@ -193,53 +209,77 @@ class _Run:
     def _phases(self, piece: Prepared) -> FloatArray:
         owner = {axis.controller: name for name, axis in self.machine.axes.items()}
         names = [owner.get(c) for c in piece.piece.group.controllers]
-        return np.array([0.5 if n is None else self.phases[n] for n in names])
+        return np.array([[0.5 if n is None else self.phases[n] for n in names]])
 
-    def _advance(
-        self, piece: Prepared, cache: ModeCache, loop: Loop, travelled: IntArray, count: int
-    ) -> FloatArray:
-        group = piece.piece.group
+    def _advance(self, state: State, travelled: IntArray, count: int) -> FloatArray:
+        group = state.prepared.piece.group
         names = self.machine.axis_names
         references = np.zeros((len(travelled), len(group.controllers)))
-        for axis in group.axes:
-            controller = self.machine.axes[axis].controller
-            references[:, group.controllers.index(controller)] = travelled[:, names.index(axis)]
-        records = np.zeros((count, piece.columns))
-        run_block(
-            piece.plant, piece.control, piece.outputs, piece.grid, cache, loop,
-            0, references, self.every, self.quantised, records,
-        )  # fmt: skip
-        if loop.counts[2] or not np.isfinite(loop.z).all():
-            why = "modes change without end" if loop.counts[2] else "the motion grows without bound"
+        for axis, controller in zip(
+            group.axes, state.prepared.axis_controller, strict=True
+        ):
+            references[:, controller] = travelled[:, names.index(axis)]
+        records = np.zeros((1, count, state.prepared.columns, 1))
+        state.run(0, 1, references, self.every, 0, records)
+        endless = bool(state.counts[:, ENDLESS].any())
+        if endless or not np.isfinite(state.work[0, : state.shape.states]).all():
+            why = (
+                "modes change without end"
+                if endless
+                else "the motion grows without bound"
+            )
             raise MachineError(
                 f"axes {', '.join(group.axes)}: the simulation has no answer, {why}",
                 remedy="Check stiffness, friction and gains in the machine file.",
             )
-        return records
+        return records[0, :, :, 0]
 
-    def _samples(self, columns: list[FloatArray], commanded: IntArray) -> dict[str, FloatArray]:
+    def _samples(
+        self, columns: list[FloatArray], commanded: IntArray
+    ) -> dict[str, FloatArray]:
         samples: dict[str, FloatArray] = {}
         names = self.machine.axis_names
         for piece, records in zip(self.pieces, columns, strict=True):
             group = piece.piece.group
-            controllers, axes = len(group.controllers), len(group.axes)
-            drives = len(group.drives)
+            loads = 2 * len(group.controllers)
+            currents = loads + 2 * len(group.axes)
             for index, name in enumerate(group.axes):
                 axis, at = self.machine.axes[name], names.index(name)
                 scale = axis.counts.si
                 start = int(self.commands.start_counts[at])
-                controller = group.controllers.index(axis.controller)
+                controller = int(piece.axis_controller[index])
                 drive = int(piece.control.drive[controller])
                 samples[f"{name}.commanded"] = commanded[:, at] / scale
-                samples[f"{name}.measured"] = (start + records[:, controller]) / scale
-                samples[f"{name}.load"] = start / scale + records[:, controllers + index]
+                samples[f"{name}.measured"] = (
+                    start + records[:, 2 * controller]
+                ) / scale
+                samples[f"{name}.load"] = start / scale + records[:, loads + 2 * index]
                 if axis.frame is not None:
-                    samples[f"{name}.frame"] = records[:, controllers + axes + index]
-                volts = controllers + 2 * axes
-                samples[f"{name}.voltage"] = records[:, volts + controller]
-                current = volts + controllers
-                samples[f"{name}.current"] = records[:, current + drive]
-                samples[f"{name}.current_peak"] = records[:, current + drives + drive]
+                    samples[f"{name}.frame"] = records[:, loads + 2 * index + 1]
+                samples[f"{name}.voltage"] = records[:, 2 * controller + 1]
+                samples[f"{name}.current"] = records[:, currents + 2 * drive]
+                samples[f"{name}.current_peak"] = records[:, currents + 2 * drive + 1]
             for index, name in enumerate(group.inputs):
-                samples[name] = records[:, records.shape[1] - len(group.inputs) + index]
+                samples[name] = records[:, currents + 2 * len(group.drives) + index]
         return samples
+
+
+def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
+    """Return the (axes,) encoder phases: where between two counts each encoder stands at rest.
+
+    Raises
+    ------
+    OptionError
+        If a phase is outside [0, 1), or their number is not that of the axes.
+    """
+    count = len(machine.axes)
+    phases = (
+        np.full(count, 0.5) if phase is None else np.asarray(phase, dtype=np.float64)
+    )
+    if phases.shape != (count,):
+        raise OptionError(
+            f"encoder_phase has shape {phases.shape}, expected {(count,)}"
+        )
+    if not ((phases >= 0.0) & (phases < 1.0)).all():
+        raise OptionError(f"encoder_phase must lie in [0, 1), got {phases.tolist()}")
+    return phases

@@ -38,6 +38,7 @@ class PlantTables(NamedTuple):
     guard_to: IntArray  # (E, M, G, 2): next mode below, above
     guard_switch: IntArray  # (E, M, G)
     guards: IntArray  # (E,) most guards of any mode
+    drive_element: IntArray  # (drives,) the element whose law is the drive's current
 
 
 class ControlTables(NamedTuple):
@@ -56,14 +57,6 @@ class ControlTables(NamedTuple):
     limit: FloatArray  # (V, K) of the drive's input
     drive: IntArray  # (K,) index of the input
     zero_on_reversal: IntArray  # (K,)
-
-
-class OutputTables(NamedTuple):
-    """What is recorded of a connected piece, besides counts and volts."""
-
-    load: FloatArray  # (V, axes, N)
-    frame: FloatArray  # (V, axes, N)
-    drive_element: IntArray  # (drives,) the element whose law is the drive's current
 
 
 def plant_tables(piece: PiecewiseLinear) -> PlantTables:
@@ -90,6 +83,13 @@ def plant_tables(piece: PiecewiseLinear) -> PlantTables:
         guard_to=np.full((*shape[1:], 2), -1, dtype=np.int64),
         guard_switch=np.full(shape[1:], -1, dtype=np.int64),
         guards=np.array(guards, dtype=np.int64),
+        drive_element=np.array(
+            [
+                [e.name for e in elements].index(f"drives.{d}")
+                for d in piece.group.drives
+            ],
+            dtype=np.int64,
+        ),
     )
     for e, element in enumerate(elements):
         tables.direction[:, e] = element.direction
@@ -102,7 +102,9 @@ def plant_tables(piece: PiecewiseLinear) -> PlantTables:
                 at = (slice(None), e, m, g)
                 tables.guard_low[at] = _widened(guard.low, -1.0)
                 tables.guard_high[at] = _widened(guard.high, 1.0)
-                tables.guard_kind[e, m, g] = NET_GUARD if guard.row is None else ROW_GUARD
+                tables.guard_kind[e, m, g] = (
+                    NET_GUARD if guard.row is None else ROW_GUARD
+                )
                 if guard.row is not None:
                     tables.guard_row[at] = guard.row
                 tables.guard_to[e, m, g] = (guard.low_to, guard.high_to)
@@ -115,7 +117,9 @@ def _widened(bound: FloatArray | float, sign: float) -> FloatArray:
     return value + sign * _RELATIVE_SLACK * np.maximum(1.0, np.abs(value))
 
 
-def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> ControlTables:
+def control_tables(
+    machine: Machine, piece: PiecewiseLinear, values: Values
+) -> ControlTables:
     """Return the arrays of the controllers of ``piece``."""
     group = piece.group
     variants, count = piece.variants, len(group.controllers)
@@ -141,7 +145,9 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
         tables.numerator[:, k], tables.denominator[:, k] = difference_equation(
             machine, name, values
         )
-        tables.sensor_row[:, k] = piece.sensor_rows[:, group.sensors.index(controller.sensor)]
+        tables.sensor_row[:, k] = piece.sensor_rows[
+            :, group.sensors.index(controller.sensor)
+        ]
         tables.volt_per_level[:, k] = volts / half
         tables.level_low[:, k] = -half
         tables.level_high[:, k] = half - 1.0
@@ -150,15 +156,3 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
         tables.drive[k] = drive
         tables.zero_on_reversal[k] = controller.dac.zero_on_reversal
     return tables
-
-
-def output_tables(piece: PiecewiseLinear) -> OutputTables:
-    """Return the rows that turn the state of ``piece`` into recorded channels."""
-    names = [e.name for e in piece.elements]
-    return OutputTables(
-        load=np.ascontiguousarray(piece.load_rows),
-        frame=np.ascontiguousarray(piece.frame_rows),
-        drive_element=np.array(
-            [names.index(f"drives.{d}") for d in piece.group.drives], dtype=np.int64
-        ),
-    )

@@ -1,0 +1,428 @@
+"""Kernel: one connected piece under its controllers, tick by tick, L variants side by side.
+
+All that a tick touches lies in one workspace with the variants ("lanes") innermost, so that the
+common tick - control, one product with a matrix, one comparison of guards - is straight vector
+code with sizes known to the compiler. A tick in which a guard may be left goes through
+``advance_watched`` for that lane alone. With L = 1 it is the kernel of a single machine: scalar
+and batch run the same arithmetic in the same order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from threadline.twin.compiled import stays_apart
+from threadline.twin.events import (
+    DONE,
+    ENDLESS,
+    EVENTS,
+    MODE,
+    SLOW,
+    TERMS,
+    advance_watched,
+)
+from threadline.twin.modes import meet
+
+
+class Shape(NamedTuple):
+    """What a kernel is compiled for."""
+
+    states: int
+    drives: int
+    controllers: int
+    axes: int
+    guards: int
+    checks: int  # rows per guard
+    lengths: int
+    lanes: int
+    feedback: bool  # controllers use their earlier outputs
+    second: bool  # controllers look two ticks back
+    peak: bool  # currents are watched
+    quantised: bool
+
+    def layout(self) -> dict[str, int]:
+        """Return where each part of the workspace begins, in rows of ``lanes`` floats."""
+        n, size = self.states, self.states + self.drives + 1
+        k, a, d = self.controllers, self.axes, self.drives
+        parts = {
+            "z": size,
+            "next": n,
+            "control": 18 * k,
+            "sensor": n * k,
+            "measure": 5 * a,
+            "load": n * a,
+            "peak": d,
+            "current": d * size,
+            "low": self.guards,
+            "high": self.guards,
+            "matrix": self.lengths * n * size,
+            "watch": self.lengths * self.guards * self.checks * size,
+        }
+        offsets, at = {}, 0
+        for name, rows in parts.items():
+            offsets[name] = at
+            at += rows
+        offsets["rows"] = at
+        return offsets
+
+
+# Rows of a controller in the workspace.
+(
+    E1,
+    E2,
+    O1,
+    O2,
+    LEVEL,
+    B0,
+    B1,
+    B2,
+    A1,
+    A2,
+    LOW,
+    HIGH,
+    VOLT,
+    GAIN,
+    LIMIT,
+    PHASE,
+    ZERO,
+    REF,
+) = range(18)
+# Rows of an axis: largest |commanded - load|, lowest and highest load in the window, its last, scale.
+WORST, LOWEST, HIGHEST, LAST, SCALE = range(5)
+# Entries of ``clock``, before the heads of the dead times (written, read).
+STEP, UNTIL_SAMPLE, TICK, HEADS = 0, 1, 2, 3
+
+
+@njit
+def _leave(w, u, L, v, offsets, cells, plant, t, modes, where, z, y, D, q, tripped):  # type: ignore[no-untyped-def]
+    """Advance lane u, modes changing, from z of the workspace to its next state."""
+    stays_apart()
+    before = modes[u]
+    where[MODE] = max(before, 0)
+    where[DONE] = 0
+    q[-1] = 1.0
+    n = t.generator.shape[1]
+    size = len(z)
+    for j in range(size):
+        z[j] = w[j * L + u]
+    while not advance_watched(t, v, where, z, y, D, q, cells, tripped):
+        meet(plant, v, t, where[MODE])  # type: ignore[call-arg]
+    for i in range(n):
+        w[(size + i) * L + u] = z[i]
+    if where[MODE] == before:
+        return
+    modes[u] = where[MODE]
+    row = t.slot_of[v, where[MODE]]
+    for g in range(t.low.shape[1]):
+        w[(offsets[0] + g) * L + u] = t.low[row, g]
+        w[(offsets[1] + g) * L + u] = t.high[row, g]
+    for d in range(t.current.shape[1]):
+        for j in range(size):
+            w[(offsets[2] + d * size + j) * L + u] = t.current[row, d, j]
+    checks = t.fast.shape[2] - n
+    for x in range(t.fast.shape[1]):
+        for j in range(size):
+            for i in range(n):
+                w[(offsets[3] + (x * n + i) * size + j) * L + u] = t.fast[row, x, i, j]
+            for i in range(checks):
+                w[(offsets[4] + (x * checks + i) * size + j) * L + u] = t.fast[
+                    row, x, n + i, j
+                ]
+
+
+@njit
+def _sample(w, L, first, offsets, K, quantised, frame, tripped, peak, out):  # type: ignore[no-untyped-def]
+    """Fill a sample of every lane.
+
+    Columns: counts and volts of each controller, load and frame of each axis, current and its
+    peak of each drive, every switch.
+    """
+    stays_apart()
+    axes = frame.shape[1]
+    size = frame.shape[2]
+    drives = peak
+    n = size - 1 - drives
+    C, S, M, CU, PK = offsets[5], offsets[6], offsets[7], offsets[2], offsets[8]
+    for u in range(L):
+        at = 0
+        for c in range(K):
+            now = 0.0
+            for i in range(n):
+                now += w[(S + c * n + i) * L + u] * w[i * L + u]
+            o = C + 18 * c
+            if quantised:
+                now = np.floor(now + w[(o + PHASE) * L + u])
+            out[at, u] = now
+            out[at + 1, u] = w[(o + LEVEL) * L + u] * w[(o + VOLT) * L + u]
+            at += 2
+        for x in range(axes):
+            now = 0.0
+            for j in range(size):
+                now += frame[first + u, x, j] * w[j * L + u]
+            out[at, u] = w[(M + 5 * x + LAST) * L + u]
+            out[at + 1, u] = now
+            at += 2
+        for d in range(drives):
+            now = 0.0
+            for j in range(size):
+                now += w[(CU + d * size + j) * L + u] * w[j * L + u]
+            kept = w[(PK + d) * L + u]
+            out[at, u] = now
+            out[at + 1, u] = now if abs(now) > abs(kept) else kept
+            w[(PK + d) * L + u] = 0.0
+            at += 2
+        for s in range(tripped.shape[1]):
+            out[at + s, u] = tripped[first + u, s]
+
+
+@cache
+def _sources() -> str:
+    """Return a digest of the kernels' sources: numba must not reuse code of older ones."""
+    digest = hashlib.sha256()
+    for name in ("lanes.py", "events.py", "modes.py", "tables.py", "compiled.py"):
+        digest.update((Path(__file__).parent / name).read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def lanes_kernel(shape: Shape) -> Callable[..., None]:
+    """Return the kernel for one shape; compiled code is kept on disk.
+
+    Its arguments: first and last block of lanes; work (blocks, rows * L); ring (blocks, K, R, L)
+    levels in the dead times; modes (blocks, L); clock (blocks, 3 + 2K); first_action, actions,
+    length of the schedule; references (ticks, K) counts; every; window: first tick of which
+    lowest and highest load are kept; plant and tables; frame (V, axes, N); drive (K,) and
+    axis_controller (A,) indices; records (blocks, samples, columns, L), with no samples when none
+    are wanted; tripped (V, inputs); counts (blocks, 5), see ``events``.
+    """
+    n, nu, K, A, W = (
+        shape.states,
+        shape.drives,
+        shape.controllers,
+        shape.axes,
+        shape.guards,
+    )
+    P, T, L = shape.checks, shape.lengths, shape.lanes
+    feedback, second, peak, quantised = (
+        shape.feedback,
+        shape.second,
+        shape.peak,
+        shape.quantised,
+    )
+    N = n + nu + 1
+    at = shape.layout()
+    Y, C, S, M, F = at["next"], at["control"], at["sensor"], at["measure"], at["load"]
+    PK, CU, LO, HI, MX, WX = (
+        at["peak"],
+        at["current"],
+        at["low"],
+        at["high"],
+        at["matrix"],
+        at["watch"],
+    )
+    sources = _sources()
+
+    @njit(cache=True, nogil=True)
+    def run(  # type: ignore[no-untyped-def]
+        begin, end, work, ring, mode, clock, first_action, actions, length, references, every,
+        window, plant, t, frame, drive, axis_controller, records, tripped, counts,
+    ):  # fmt: skip
+        _ = sources
+        z = np.zeros(N)
+        y = np.zeros(N)
+        D = np.zeros((TERMS + 1, n))
+        q = np.zeros(TERMS + 2)
+        offsets = np.array([LO, HI, CU, MX, WX, C, S, M, PK])
+        steps = len(length)
+        nothing = np.int64(0)
+        for b in range(begin, end):
+            w = work[b]
+            where = counts[b]
+            step = clock[b, STEP]
+            row = 0
+            taken = 0
+            running = True
+            if mode[b, 0] < 0:
+                for u in range(L):
+                    _leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b], where, z, y,
+                           D, q, tripped[b * L + u])  # fmt: skip
+            while running:
+                for a in range(first_action[step], first_action[step + 1]):
+                    what = actions[a, 0]
+                    k = actions[a, 1]
+                    if what == 0:
+                        if row == len(references):
+                            running = False
+                            break
+                        keep = clock[b, TICK] >= window
+                        for x in range(A):
+                            ref = references[row, axis_controller[x]]
+                            for u in range(L):
+                                load = 0.0
+                                for i in range(n):
+                                    load += w[(F + x * n + i) * L + u] * w[i * L + u]
+                                worst = abs(ref * w[(M + 5 * x + SCALE) * L + u] - load)
+                                kept = w[(M + 5 * x + WORST) * L + u]
+                                w[(M + 5 * x + WORST) * L + u] = max(kept, worst)
+                                w[(M + 5 * x + LAST) * L + u] = load
+                                if keep:
+                                    kept = w[(M + 5 * x + LOWEST) * L + u]
+                                    w[(M + 5 * x + LOWEST) * L + u] = min(kept, load)
+                                    kept = w[(M + 5 * x + HIGHEST) * L + u]
+                                    w[(M + 5 * x + HIGHEST) * L + u] = max(kept, load)
+                        clock[b, TICK] += 1
+                        for c in range(K):
+                            for u in range(L):
+                                w[(C + 18 * c + REF) * L + u] = references[row, c]
+                        row += 1
+                        if records.shape[1] > 0:
+                            if clock[b, UNTIL_SAMPLE] == 0:
+                                _sample(w, L, b * L, offsets, K, quantised, frame, tripped, nu,
+                                        records[b, taken])  # fmt: skip
+                                taken += 1
+                                clock[b, UNTIL_SAMPLE] = every
+                            clock[b, UNTIL_SAMPLE] -= 1
+                    elif what == 1:
+                        o = C + 18 * k
+                        for u in range(L):
+                            read = w[(S + k * n) * L + u] * w[u]
+                            for i in range(1, n):
+                                read += w[(S + k * n + i) * L + u] * w[i * L + u]
+                            if quantised:
+                                read = np.floor(read + w[(o + PHASE) * L + u])
+                            e = w[(o + REF) * L + u] - read
+                            value = w[(o + B0) * L + u] * e
+                            value += w[(o + B1) * L + u] * w[(o + E1) * L + u]
+                            if feedback:
+                                value -= w[(o + A1) * L + u] * w[(o + O1) * L + u]
+                            if second:
+                                value += w[(o + B2) * L + u] * w[(o + E2) * L + u]
+                                value -= w[(o + A2) * L + u] * w[(o + O2) * L + u]
+                                w[(o + E2) * L + u] = w[(o + E1) * L + u]
+                                w[(o + O2) * L + u] = w[(o + O1) * L + u]
+                            w[(o + E1) * L + u] = e
+                            low = w[(o + LOW) * L + u]
+                            high = w[(o + HIGH) * L + u]
+                            level = np.rint(value) if quantised else value
+                            level = min(level, high)
+                            level = max(level, low)
+                            if feedback or second:
+                                value = min(value, high)
+                                value = max(value, low)
+                                w[(o + O1) * L + u] = value
+                            turned = (
+                                w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
+                            )
+                            level = 0.0 if turned < 0.0 else level
+                            w[(o + LEVEL) * L + u] = level
+                        head = clock[b, HEADS + 2 * k]
+                        for u in range(L):
+                            ring[b, k, head, u] = w[(o + LEVEL) * L + u]
+                        clock[b, HEADS + 2 * k] = (head + 1) % ring.shape[2]
+                    else:
+                        o = C + 18 * k
+                        head = clock[b, HEADS + 2 * k + 1]
+                        for u in range(L):
+                            held = ring[b, k, head, u] * w[(o + GAIN) * L + u]
+                            limit = w[(o + LIMIT) * L + u]
+                            held = min(held, limit)
+                            held = max(held, -limit)
+                            w[(n + drive[k]) * L + u] = held
+                        clock[b, HEADS + 2 * k + 1] = (head + 1) % ring.shape[2]
+                if not running:
+                    break
+                x = length[step]
+                if T == 1:
+                    x = 0
+                if peak:
+                    if W > 0:
+                        # Inputs may have jumped: the current belongs to the mode then in force.
+                        jumped = np.int64(0)
+                        for g in range(W):
+                            for u in range(L):
+                                now = w[(WX + (x * W + g) * P * N) * L + u] * w[u]
+                                for j in range(1, N):
+                                    now += (
+                                        w[(WX + (x * W + g) * P * N + j) * L + u]
+                                        * w[j * L + u]
+                                    )
+                                jumped += np.int64(now > w[(HI + g) * L + u])
+                                jumped += np.int64(now < w[(LO + g) * L + u])
+                        if jumped > 0:
+                            for u in range(L):
+                                _leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b], where, z, y,
+                                       D, q, tripped[b * L + u])  # fmt: skip
+                                for i in range(n):
+                                    w[i * L + u] = w[(Y + i) * L + u]
+                    for d in range(nu):
+                        for u in range(L):
+                            now = w[(CU + d * N) * L + u] * w[u]
+                            for j in range(1, N):
+                                now += w[(CU + d * N + j) * L + u] * w[j * L + u]
+                            kept = w[(PK + d) * L + u]
+                            w[(PK + d) * L + u] = now if abs(now) > abs(kept) else kept
+                for u in range(L):
+                    for i in range(n):
+                        o = MX + (x * n + i) * N
+                        total = w[o * L + u] * w[u]
+                        for j in range(1, N):
+                            total += w[(o + j) * L + u] * w[j * L + u]
+                        w[(Y + i) * L + u] = total
+                if W > 0:
+                    outside = np.int64(0)
+                    for g in range(W):
+                        for p in range(P):
+                            o = WX + ((x * W + g) * P + p) * N
+                            for u in range(L):
+                                total = w[o * L + u] * w[u]
+                                for j in range(1, N):
+                                    total += w[(o + j) * L + u] * w[j * L + u]
+                                outside += np.int64(total > w[(HI + g) * L + u])
+                                outside += np.int64(total < w[(LO + g) * L + u])
+                    if outside > 0:
+                        for u in range(L):
+                            leaves = False
+                            for g in range(W):
+                                for p in range(P):
+                                    o = WX + ((x * W + g) * P + p) * N
+                                    total = w[o * L + u] * w[u]
+                                    for j in range(1, N):
+                                        total += w[(o + j) * L + u] * w[j * L + u]
+                                    if (
+                                        total > w[(HI + g) * L + u]
+                                        or total < w[(LO + g) * L + u]
+                                    ):
+                                        leaves = True
+                                        break
+                                if leaves:
+                                    break
+                            if leaves:
+                                where[SLOW] += 1
+                                _leave(w, u, L, b * L + u, offsets, t.lengths[x], plant, t, mode[b],
+                                       where, z, y, D, q, tripped[b * L + u])  # fmt: skip
+                for i in range(n * L):
+                    w[i] = w[Y * L + i]
+                if peak:
+                    for d in range(nu):
+                        for u in range(L):
+                            now = w[(CU + d * N) * L + u] * w[u]
+                            for j in range(1, N):
+                                now += w[(CU + d * N + j) * L + u] * w[j * L + u]
+                            kept = w[(PK + d) * L + u]
+                            w[(PK + d) * L + u] = now if abs(now) > abs(kept) else kept
+                step += 1
+                if step == steps:
+                    step = 0
+            clock[b, STEP] = step
+
+    return run
+
+
+__all__ = ["ENDLESS", "EVENTS", "Shape", "lanes_kernel"]
