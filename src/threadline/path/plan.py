@@ -10,13 +10,11 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.path import bspline, linear
 from threadline.path.auto import auto_pieces
+from threadline.path.smoothing import smoothing_for, smoothing_share
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import Stream
 
 DEFAULT_TOLERANCE_M = 1e-4
-# At a corner, a time constant s of the smoothing and a spacing l of the spline allow the speed
-# jump dv with l |dt| / 6 + s^2 dv^2 / (2 l |dt|) within the tolerance: most where both are equal.
-SMOOTHING_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,8 +118,9 @@ def _bspline(name: str, refine: bspline.Refine) -> Planner:
 
 
 def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
-    del machine
-    smoothing_m = SMOOTHING_SHARE * options.tolerance_m
+    smoothing = smoothing_for(machine, programmed.axes)
+    share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
+    smoothing_m = share * options.tolerance_m
     cut_m = options.tolerance_m - smoothing_m
     return PlannedPath(
         axes=programmed.axes,

@@ -9,53 +9,11 @@ and the jerk, which is the change of the acceleration over the width of the aver
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.machine import Machine
 from threadline.path.bspline import bspline_coefficients
-
-STEPS_PER_WIDTH = 4
-LEAST_STEP = 8  # parts of a tick
-
-
-@dataclass(frozen=True, slots=True)
-class Smoothing:
-    """Step of the samples, and how many are averaged."""
-
-    step_s: float
-    count: int
-
-    @property
-    def variance_s2(self) -> float:
-        """Variance of the weights of average and spline: a curve is cut by half of it times a."""
-        return self.step_s**2 * ((self.count**2 - 1) / 12.0 + 1.0 / 3.0)
-
-    @property
-    def reach_s(self) -> float:
-        """How far before and after an instant the motion counts."""
-        return self.step_s * ((self.count - 1) / 2.0 + 2.0)
-
-
-def smoothing_for(machine: Machine, axes: tuple[str, ...]) -> Smoothing:
-    """Return the narrowest smoothing that keeps every axis within its jerk limit.
-
-    The step is a whole part or a whole multiple of the tick.
-    """
-    column = [machine.axis_names.index(axis) for axis in axes]
-    width = float((2.0 * machine.acceleration_limit[column] / machine.jerk_limit[column]).max())
-    tick = float(machine.tick_clock.period_s)
-    if width == 0.0:
-        return Smoothing(tick / 2.0, 1)
-    wanted = width / STEPS_PER_WIDTH
-    if wanted >= tick:
-        step = tick * math.floor(wanted / tick * (1 + 1e-12))
-    else:
-        step = tick / min(math.ceil(tick / wanted * (1 - 1e-12)), LEAST_STEP)
-    return Smoothing(step, max(1, math.ceil(width / step * (1 - 1e-12))))
+from threadline.path.smoothing import Smoothing
 
 
 class Smoother:

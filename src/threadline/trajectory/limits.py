@@ -1,0 +1,269 @@
+"""The exact extremes of a trajectory, held against the limits of the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import comb, inf
+from typing import Literal
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import LimitError
+from threadline.machine import Machine
+from threadline.trajectory.types import Trajectory, TrajectoryBlock
+
+Quantity = Literal["travel", "velocity", "acceleration", "jerk"]
+ALLOWED = 1.001  # of a limit, anywhere
+_ORDER: tuple[Quantity, ...] = ("travel", "velocity", "acceleration", "jerk")
+_UNIT = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
+# Joints: a larger step of the velocity or acceleration, in parts of the limit, is a jump.
+_STEP = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peak:
+    """The largest demand on one limit of one axis.
+
+    Parameters
+    ----------
+    value_si, limit_si
+        m, m/s ... or rad, rad/s ...; for travel the position nearest to or farthest beyond an
+        end and that end. A step of the velocity counts as infinite acceleration and jerk, one of
+        the acceleration as infinite jerk.
+    ratio
+        How much of the limit is used; for travel 1 at the end and 0 in the middle.
+    time_s, operation
+        Where.
+    """
+
+    axis: str
+    quantity: Quantity
+    value_si: float
+    limit_si: float
+    ratio: float
+    time_s: float
+    operation: int
+
+
+def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
+    """Return the peak of every axis and limit, in the order of the axes.
+
+    Extremes within the pieces count: each piece whose Bernstein coefficients could exceed the
+    peak so far is searched for the roots of its next derivative.
+    """
+    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    low, high = machine.travel[column].T
+    limits = {
+        "velocity": machine.velocity_limit[column],
+        "acceleration": machine.acceleration_limit[column],
+        "jerk": machine.jerk_limit[column],
+    }
+    found: dict[tuple[int, Quantity], Peak] = {}
+    before: tuple[FloatArray, FloatArray] | None = None
+    last: TrajectoryBlock | None = None
+    for block in trajectory:
+        for j, axis in enumerate(trajectory.axes):
+            for order, quantity in enumerate(_ORDER):
+                if quantity == "travel":
+                    if not (np.isfinite(low[j]) and np.isfinite(high[j])):
+                        continue
+                    centre, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
+                else:
+                    centre, half = 0.0, float(limits[quantity][j])
+                _search(found, block, j, axis, order, quantity, float(centre), float(half))
+        before = _joints(found, block, before, trajectory.axes, limits)
+        last = block
+    if last is not None:
+        _end(found, last, trajectory.axes, limits)
+    return tuple(
+        found[j, quantity]
+        for j in range(len(trajectory.axes))
+        for quantity in _ORDER
+        if (j, quantity) in found
+    )
+
+
+def check_limits(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
+    """Return the peaks; refuse a trajectory that breaks a limit, unless it is historical.
+
+    Raises
+    ------
+    LimitError
+        If a peak is above 1.001 of its limit.
+    """
+    peaks = limit_peaks(trajectory, machine)
+    if trajectory.historical:
+        return peaks
+    for peak in peaks:
+        if peak.ratio > ALLOWED:
+            length = "m" if machine.axes[peak.axis].kind == "linear" else "rad"
+            unit = length + _UNIT[peak.quantity]
+            raise LimitError(
+                f"axis {peak.axis}: {peak.quantity} reaches {peak.value_si:.6g} {unit} at "
+                f"{peak.time_s:.4f} s (operation {peak.operation}); the limit is "
+                f"{peak.limit_si:.6g} {unit}",
+                axis=peak.axis,
+                quantity=peak.quantity,
+                value_si=peak.value_si,
+                limit_si=peak.limit_si,
+                remedy="Plan with another interpolation, or with a lower feed.",
+            )
+    return peaks
+
+
+def _search(
+    found: dict[tuple[int, Quantity], Peak],
+    block: TrajectoryBlock,
+    j: int,
+    axis: str,
+    order: int,
+    quantity: Quantity,
+    centre: float,
+    half: float,
+) -> None:
+    """Take the largest |derivative - centre| of one axis in one block into ``found``."""
+    poly = _derivative(block.coefficients[:, :, j], order)
+    poly = poly / block.duration_s[:, None] ** order
+    poly[:, 0] -= centre
+    size = np.abs(_bernstein(poly)).max(axis=1)
+    key = (j, quantity)
+    peak = found[key].ratio * half if key in found and half < inf else -1.0
+    if key in found and half == inf:
+        peak = abs(found[key].value_si)
+    ends = np.maximum(np.abs(poly[:, 0]), np.abs(poly.sum(axis=1)))
+    first = int(np.argmax(ends))
+    threshold = max(peak, float(ends[first]))
+    best: tuple[float, int, float] | None = None
+    if ends[first] > peak:
+        at_end = abs(poly[first].sum()) >= abs(poly[first, 0])
+        best = (float(ends[first]), first, 1.0 if at_end else 0.0)
+    candidates = np.flatnonzero(size > threshold * (1.0 + 1e-9))
+    for i in candidates[np.argsort(-size[candidates])]:
+        if size[i] <= threshold:
+            break
+        u, value = _inner_extreme(poly[i])
+        if value > threshold:
+            threshold, best = value, (value, int(i), u)
+    if best is None:
+        return
+    _, i, u = best
+    value = float(np.polyval(poly[i][::-1], u))
+    limit = centre + half if (quantity != "travel" or value > 0) else centre - half
+    found[key] = Peak(
+        axis=axis,
+        quantity=quantity,
+        value_si=value + centre,
+        limit_si=limit,
+        ratio=abs(value) / half,
+        time_s=float(block.start_s[i] + u * block.duration_s[i]),
+        operation=int(block.operation[i]),
+    )
+
+
+def _derivative(poly: FloatArray, order: int) -> FloatArray:
+    out = np.array(poly)
+    for _ in range(order):
+        out = out[:, 1:] * np.arange(1, out.shape[1]) if out.shape[1] > 1 else np.zeros_like(out)
+    return out
+
+
+def _bernstein(poly: FloatArray) -> FloatArray:
+    """Return the (n, order) Bernstein coefficients, whose hull holds the polynomial."""
+    degree = poly.shape[1] - 1
+    change = np.array(
+        [
+            [comb(i, k) / comb(degree, k) if k <= i else 0.0 for k in range(degree + 1)]
+            for i in range(degree + 1)
+        ]
+    )
+    return np.asarray(poly @ change.T)
+
+
+def _inner_extreme(poly: FloatArray) -> tuple[float, float]:
+    """Return where in [0, 1] the absolute value is largest, and the value."""
+    slope = (poly[1:] * np.arange(1, len(poly)))[::-1]
+    roots = np.roots(slope) if np.any(slope) else np.zeros(0)
+    inside = [float(r.real) for r in np.atleast_1d(roots) if abs(r.imag) < 1e-9]
+    where = [0.0, 1.0] + [u for u in inside if 0.0 < u < 1.0]
+    values = [abs(float(np.polyval(poly[::-1], u))) for u in where]
+    at = int(np.argmax(values))
+    return where[at], values[at]
+
+
+def _joints(
+    found: dict[tuple[int, Quantity], Peak],
+    block: TrajectoryBlock,
+    before: tuple[FloatArray, FloatArray] | None,
+    axes: tuple[str, ...],
+    limits: dict[str, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Take steps of velocity and acceleration at the starts of the pieces into ``found``."""
+    begin, end = [], []
+    for order in (1, 2):
+        scale = block.duration_s[:, None] ** order
+        columns = [_derivative(block.coefficients[:, :, j], order) for j in range(len(axes))]
+        begin.append(np.stack([c[:, 0] for c in columns], axis=1) / scale)
+        end.append(np.stack([c.sum(axis=1) for c in columns], axis=1) / scale)
+    rest = np.zeros((1, len(axes)))
+    for k, (name, broken) in enumerate(
+        (("velocity", ("acceleration", "jerk")), ("acceleration", ("jerk",)))
+    ):
+        first = rest if before is None else before[k][None]
+        step = np.abs(begin[k] - np.concatenate([first, end[k][:-1]]))
+        # Where the values themselves are huge, so are their roundings.
+        coarse = _STEP * np.maximum(limits[name], np.abs(begin[k]).max(axis=0))
+        for i, j in _first_steps(step > coarse):
+            where = (float(block.start_s[i]), int(block.operation[i]))
+            _jump(found, j, axes[j], broken, limits, where)
+    return end[0][-1], end[1][-1]
+
+
+def _end(
+    found: dict[tuple[int, Quantity], Peak],
+    block: TrajectoryBlock,
+    axes: tuple[str, ...],
+    limits: dict[str, FloatArray],
+) -> None:
+    """Take the step to rest at the end into ``found``."""
+    where = (block.end_s, int(block.operation[-1]))
+    for order, name, broken in (
+        (1, "velocity", ("acceleration", "jerk")),
+        (2, "acceleration", ("jerk",)),
+    ):
+        last = block.evaluate(np.array([block.end_s]), order)[0]
+        for j in np.flatnonzero(np.abs(last) > _STEP * limits[name]):
+            _jump(found, int(j), axes[j], broken, limits, where)
+
+
+def _first_steps(
+    stepped: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+) -> Iterator[tuple[int, int]]:
+    for j in np.flatnonzero(stepped.any(axis=0)):
+        yield int(np.argmax(stepped[:, j])), int(j)
+
+
+def _jump(
+    found: dict[tuple[int, Quantity], Peak],
+    j: int,
+    axis: str,
+    broken: tuple[str, ...],
+    limits: dict[str, FloatArray],
+    where: tuple[float, int],
+) -> None:
+    for quantity in _ORDER:
+        limit = float(limits[quantity][j]) if quantity in broken else 0.0
+        if quantity not in broken or limit == inf:
+            continue
+        if (j, quantity) in found and found[j, quantity].ratio == inf:
+            continue
+        found[j, quantity] = Peak(
+            axis=axis,
+            quantity=quantity,
+            value_si=inf,
+            limit_si=limit,
+            ratio=inf,
+            time_s=where[0],
+            operation=where[1],
+        )
