@@ -36,7 +36,7 @@ def measure_repeatability(
     """
     wanted = max(int(options["recordings"]), 2)
     if len(recordings) < wanted:
-        return [Finding(value=None, note=f"takes {wanted} recordings, there are {len(recordings)}")]
+        return [Finding(value=None, note=f"needs {wanted} recordings, has {len(recordings)}")]
     path: ProgrammedPath = plan.programmed
     streams = [judged_blocks(recording, path.axes, 0, None) for recording in recordings]
     worst = Finding(value=None, note="the recordings are empty")
