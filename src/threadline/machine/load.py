@@ -7,6 +7,7 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import os
 import re
 import tomllib
 from importlib import resources
@@ -19,6 +20,10 @@ from threadline.errors import MachineError, Place
 from threadline.machine.model import Machine
 
 _MAX_BYTES = 1_000_000
+_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
+_OURS = ("sha256", "file", "reference")
+"""Fields of the model that no file may hold."""
+
 _ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
 
 
@@ -45,20 +50,18 @@ def load_machine(reference: str | Path) -> Machine:
     MachineError
         If there is no such machine, or the file does not describe one.
     """
-    name, *overlays = str(reference).split("+")
-    content, text, file = _resolve(name, ())
-    available = content.pop("overlays", {})
-    for overlay in overlays:
-        if overlay not in available:
-            raise MachineError(
-                f"machine {name!r} has no overlay {overlay!r}",
-                place=Place(file),
-                remedy=f"It has: {', '.join(available) or 'none'}.",
-            )
-        content = _merge(content, available[overlay])
-    if overlays:
-        content["name"] = "+".join([str(content.get("name", name)), *overlays])
-    canonical = json.dumps(content, sort_keys=True, default=str).encode()
+    name, overlays = _split(str(reference))
+    try:
+        content, text, file = _resolve(name, ())
+        content = _overlaid(content, overlays, name, file)
+        content.pop("overlays", None)
+        if overlays:
+            content["name"] = "+".join([str(content.get("name", name)), *overlays])
+        canonical = json.dumps(content, sort_keys=True, default=str).encode()
+    except RecursionError as error:
+        raise MachineError(
+            "the file is nested too deeply", place=Place(name), remedy="Use fewer levels."
+        ) from error
     content["sha256"] = hashlib.sha256(canonical).hexdigest()
     content["file"] = file
     content["reference"] = str(reference)
@@ -66,6 +69,35 @@ def load_machine(reference: str | Path) -> Machine:
         return _ADAPTER.validate_python(content)
     except ValidationError as error:
         _refuse(error, text, file)
+
+
+def _split(reference: str) -> tuple[str, list[str]]:
+    """Return the machine and the overlays of a reference; paths may hold plus signs."""
+    end = reference.rfind(".toml") + len(".toml")
+    if end < len(".toml") or reference[end : end + 1] not in {"", "+"}:
+        end = 0
+    head, *overlays = reference[end:].split("+")
+    return reference[:end] + head, overlays
+
+
+def _overlaid(content: dict[str, Any], overlays: list[str], name: str, file: str) -> dict[str, Any]:
+    """Return ``content`` with some of its overlays merged into it, in their order."""
+    available = content.get("overlays", {})
+    if not isinstance(available, dict) or not all(isinstance(o, dict) for o in available.values()):
+        raise MachineError(
+            "overlays must be tables like [overlays.heavy.bodies.x]", place=Place(file)
+        )
+    for overlay in overlays:
+        if overlay not in available:
+            close = difflib.get_close_matches(overlay, available, n=1)
+            hint = f"Did you mean {close[0]!r}? " if close else ""
+            raise MachineError(
+                f"machine {name!r} has no overlay {overlay!r}",
+                place=Place(file),
+                remedy=f"{hint}It has: {', '.join(available) or 'none'}.",
+            )
+        content = _merge(content, available[overlay])
+    return content
 
 
 def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str]:
@@ -83,6 +115,13 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
             place=Place(file, int(at[1]) if at else 0),
             remedy="Correct that line.",
         ) from error
+    for key in _OURS:
+        if key in content:
+            raise MachineError(
+                f"unknown key {key!r}",
+                place=Place(file, _line_of(text, (key,))),
+                remedy="Take it out: it is found out from the file itself.",
+            )
     base = content.pop("base", None)
     if base is None:
         return content, text, file
@@ -91,15 +130,11 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
             'base must be the name of a machine, like base = "lathe-winder"',
             place=Place(file, _line_of(text, ("base",))),
         )
-    base_name, *base_overlays = base.split("+")
-    if base_name.endswith(".toml") and not Path(base_name).is_absolute():
-        base_name = str(Path(file).parent / base_name)
-    below, _, _ = _resolve(base_name, (*seen, name))
-    overlays = below.get("overlays", {})
-    for overlay in base_overlays:
-        if overlay not in overlays:
-            raise MachineError(f"base {base_name!r} has no overlay {overlay!r}", place=Place(file))
-        below = _merge(below, overlays[overlay])
+    base_name, base_overlays = _split(base)
+    if base_name.endswith(".toml"):
+        base_name = os.path.normpath(Path(file).parent / base_name)
+    below, _, base_file = _resolve(base_name, (*seen, name))
+    below = _overlaid(below, base_overlays, base_name, base_file)
     return _merge(below, content), text, file
 
 
@@ -115,9 +150,10 @@ def _read(name: str) -> tuple[str, str]:
             return path.read_bytes().decode("utf-8"), name
         except UnicodeDecodeError as error:
             raise MachineError("the file is not UTF-8 text", place=Place(name)) from error
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a null in a name is a ValueError
+            why = error.strerror if isinstance(error, OSError) else error
             raise MachineError(
-                f"cannot read {name!r}: {error.strerror}", remedy="Give a machine file or a name."
+                f"cannot read {name[:200]!r}: {why}", remedy="Give a machine file or a name."
             ) from error
     known = library_names()
     if name not in known:
@@ -167,6 +203,10 @@ def _refuse(error: ValidationError, text: str, file: str) -> NoReturn:
             f"{where!r} is missing", place=place, remedy="Add it to the file."
         ) from error
     message = str(first["msg"]).removeprefix("Value error, ")
+    named = _REFERENCE.match(message)
+    if not location and named:
+        # What checks references sees the whole machine; its message begins with the key.
+        place = Place(file, _line_of(text, tuple(named[1].split("."))))
     raise MachineError(f"{where}: {message}" if where else message, place=place) from error
 
 

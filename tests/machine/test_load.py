@@ -1,0 +1,349 @@
+"""Machine files: what is read, and what every mistake is told, with its line."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from dataclasses import FrozenInstanceError
+from fractions import Fraction
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.errors import MachineError
+from threadline.machine import library_names, load_machine
+from threadline.machine.load import replace_operator
+from threadline.machine.quantity import Provenance
+
+LIBRARY = resources.files("threadline.machine") / "library"
+WINDER = (LIBRARY / "lathe-winder.toml").read_text(encoding="utf-8")
+
+
+def line_of(text: str, part: str) -> int:
+    """Number of the only line of ``text`` that holds ``part``."""
+    (found,) = [n for n, line in enumerate(text.splitlines(), start=1) if part in line]
+    return found
+
+
+def edit(old: str, new: str, count: int = 1) -> str:
+    assert old in WINDER
+    return WINDER.replace(old, new, count)
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """Return what a machine file of this text is refused with."""
+
+    def refuse(text: str | bytes) -> str:
+        path = tmp_path / "mine.toml"
+        if isinstance(text, str):
+            path.write_text(text, encoding="utf-8")
+        else:
+            path.write_bytes(text)
+        with pytest.raises(MachineError) as caught:
+            load_machine(path)
+        message = str(caught.value)
+        assert message.startswith("[MACHINE] ")
+        assert "\n" not in message
+        return message
+
+    return refuse
+
+
+def test_the_printed_winder() -> None:
+    """The numbers of the facts, turned into SI by hand."""
+    machine = load_machine("lathe-winder")
+    assert machine.axis_names == ("A", "X", "Y")
+    assert machine.tick_clock.period_s == Fraction(1, 200)
+    assert machine.counts_per_unit == pytest.approx([35.18159 * 180 / math.pi, 55_358.0, 62_294.0])
+    assert machine.velocity_limit == pytest.approx([math.radians(2842), 1.0, 1.0])
+    assert machine.acceleration_limit == pytest.approx([576.8, 10.5, 4.65])
+    assert machine.jerk_limit == pytest.approx([115_360, 2100, 930])
+    assert machine.travel.tolist() == [[-np.inf, np.inf], [-0.5, 0.5], [-0.05, 0.25]]
+    assert machine.radius_m.tolist() == [0.1, 1.0, 1.0]
+    assert machine.operator.record_every.si == 20
+    motor = machine.drives["x"]
+    # Kt / (R J) = 570 and Kt Ke / (R J) = 46.7, as printed for the X plant
+    inertia = machine.bodies["x"].inertia.si
+    gain = motor.torque_constant.si / (motor.resistance.si * inertia)
+    assert gain == pytest.approx(570, rel=0.003)
+    assert gain * motor.back_emf.si == pytest.approx(46.7, rel=0.003)
+    # 20 V in 4096 levels
+    assert machine.controllers["x"].dac.volt_per_level == 20 / 4096
+    assert motor.torque_constant.provenance is Provenance.PRINTED
+
+
+def test_every_machine_of_the_library_is_read_with_every_overlay() -> None:
+    assert "lathe-winder" in library_names()
+    for name in library_names():
+        machine = load_machine(name)
+        assert machine.sha256
+        text = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8")
+        overlays = tomllib.loads(text).get("overlays", {})
+        for overlay in (o for o, content in overlays.items() if content != "none"):
+            over = load_machine(f"{name}+{overlay}")
+            assert over.sha256 != machine.sha256
+            assert over.name == f"{machine.name}+{overlay}"
+
+
+def test_overlays_change_what_they_name_and_nothing_else() -> None:
+    printed, physical = load_machine("lathe-winder"), load_machine("lathe-winder+physical")
+    assert physical.bodies["x"].inertia.si == pytest.approx(6.49e-4)
+    assert physical.drives == printed.drives
+    both = load_machine("lathe-winder+current+8A")
+    assert both.drives["x"].amplifier.mode == "current"
+    assert both.drives["x"].amplifier.current_limit.si == 8.0
+    assert both.drives["x"].amplifier.gain.unit == "A/V"
+    # an overlay merges: the current limit of the base stays where none is given
+    assert load_machine("lathe-winder+current").drives["x"].amplifier.current_limit.si == 4.0
+
+
+def test_the_hash_is_of_the_content_and_not_of_its_layout(tmp_path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(WINDER, encoding="utf-8")
+    one = load_machine(path).sha256
+    assert one == load_machine("lathe-winder").sha256
+    path.write_text("# a comment\n" + WINDER, encoding="utf-8")
+    assert load_machine(path).sha256 == one
+    path.write_text(edit("4 A +- 10 %", "5 A +- 10 %"), encoding="utf-8")
+    assert load_machine(path).sha256 != one
+
+
+def test_a_machine_based_on_another(tmp_path) -> None:
+    (tmp_path / "mine.toml").write_text(
+        'base = "lathe-winder+physical"\nname = "mine"\n'
+        '[tool]\nradius = "50 mm exact, assumed"\n[inputs]\nx_low = "none"\n'
+    )
+    (tmp_path / "yours.toml").write_text('base = "mine.toml"\nname = "yours"\n')
+    machine = load_machine(tmp_path / "yours.toml")
+    assert machine.name == "yours"
+    assert machine.tool.radius.si == 0.05
+    assert machine.bodies["x"].inertia.si == pytest.approx(6.49e-4)
+    assert "x_low" not in machine.inputs
+    assert "x_high" in machine.inputs
+
+
+def test_machines_are_frozen() -> None:
+    machine = load_machine("lathe-winder")
+    with pytest.raises(FrozenInstanceError):
+        machine.name = "other"
+
+
+def test_six_axes_and_no_seventh(tmp_path, refused) -> None:
+    def axes(names: str) -> str:
+        axis = WINDER[WINDER.index("[axes.X]") : WINDER.index("[axes.Y]")]
+        return WINDER + "".join(axis.replace("axes.X", f"axes.{n}") for n in names)
+
+    (tmp_path / "six.toml").write_text(axes("ZBC"), encoding="utf-8")
+    assert load_machine(tmp_path / "six.toml").axis_names == tuple("AXYZBC")
+    assert "at most 6" in refused(axes("ZBCU"))
+
+
+def test_operator_settings_can_be_replaced() -> None:
+    machine = load_machine("lathe-winder")
+    feed = machine.operator.limit_feed
+    other = replace_operator(machine, normal_feed=feed)
+    assert other.operator.normal_feed == feed
+    assert other.operator.manual_feed == machine.operator.manual_feed
+    assert other.sha256 != machine.sha256
+    assert other.sha256 == replace_operator(machine, normal_feed=feed).sha256
+
+
+def test_a_body_may_have_no_jerk_limit(tmp_path) -> None:
+    jerk = 'jerk = "2100 m/s^3 +- 15 %, assumed: the acceleration in one tick"\n'
+    (tmp_path / "mine.toml").write_text(edit(jerk, ""), encoding="utf-8")
+    assert load_machine(tmp_path / "mine.toml").jerk_limit[1] == np.inf
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("lathe-windr", "no machine 'lathe-windr' in the library. Did you mean 'lathe-winder'?"),
+        ("zzz", "The library has: "),
+        (
+            "lathe-winder+physicl",
+            "no overlay 'physicl'. Did you mean 'physical'? It has: phys",
+        ),
+        ("nowhere/mine.toml", "cannot read 'nowhere/mine.toml'"),
+        ("", "no machine '' in the library"),
+        ("a\0.toml", "cannot read 'a\\x00.toml': embedded null byte"),
+        ("../secrets", "no machine '../secrets' in the library"),
+    ],
+)
+def test_unknown_machines(reference, message) -> None:
+    with pytest.raises(MachineError) as caught:
+        load_machine(reference)
+    assert message in str(caught.value)
+
+
+MISTAKES = {
+    "top key": ("tick_budget =", "tick_bugdet =", "tick_bugdet", "'tick_budget'"),
+    "table": ("[tool]", "[toool]", "toool", "'tool'"),
+    "key": ('inertia = "3.606e-4', 'inertai = "3.606e-4', "bodies.x.inertai", "'inertia'"),
+    "deep key": ("bits = ", "bitts = ", "bitts", "'bits'"),
+    "axis key": ('velocity = "1 m/s', 'velocty = "1 m/s', "axes.X.velocty", "'velocity'"),
+    "operator": ("normal_feed =", "normal_fed =", "operator.normal_fed", "'normal_feed'"),
+    "motor key": ("back_emf =", "back_enf =", "drives.x.back_enf", "'back_emf'"),
+    "amplifier key": ("current_limit = ", "curent_limit = ", "amplifier.curent_limit", "'current_"),
+    "switch key": ("beyond =", "beyound =", "inputs.x_low.beyound", "'beyond'"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_unknown_keys_name_the_nearest_and_their_line(refused, name) -> None:
+    """Though the right key is missing then, the misspelt one is what is told."""
+    old, new, key, near = MISTAKES[name]
+    text = edit(old, new)
+    message = refused(text)
+    assert re.search(rf"unknown key '[\w.]*{key}'", message)
+    assert f"Did you mean {near}" in message
+    first = next(n for n, line in enumerate(text.splitlines(), 1) if new in line)
+    assert f"mine.toml:{first}: " in message
+
+
+VALUES = {
+    "no unit": ('"4 A +- 10 %, printed', '"4 +- 10 %, printed', "'4' is not in 'A'"),
+    "wrong unit": ('"3.606e-4 kg m^2', '"3.606e-4 kg', "inertia of a rotary body is in kg*m^2"),
+    "other dimension": ('"3.606e-4 kg m^2', '"3.606e-4 s', "is not in 'kg' or 'kg*m^2'"),
+    "no tolerance": ('radius = "100 mm exact', 'radius = "100 mm', "no tolerance or no provenance"),
+    "plain number": (
+        'radius = "100 mm exact, assumed: half the largest mandrel"',
+        "radius = 100",
+        "100 has no unit, tolerance and provenance",
+    ),
+    "negative count": ('"55.358 count/mm', '"-55.358 count/mm', "must be greater than zero"),
+    "zero tick": ('servo = "5 ms', 'servo = "0 ms', "must be greater than zero"),
+    "negative gain": ('kp = "2 dac', 'kp = "-2 dac', "must not be negative"),
+    "infinite": ('"0.4 ohm', '"1e999 ohm', "not a finite number"),
+    "travel backwards": ('["-500 mm exact', '["600 mm exact', "nothing left"),
+    "travel of an endless axis": ("endless = true", "endless = false", "either travel"),
+    "angle for a linear axis": (
+        'counts = "55.358 count/mm',
+        'counts = "55.358 count/deg',
+        "count/m",
+    ),
+    "gain of the other mode": (
+        'gain = "0.45 exact, printed',
+        'gain = "0.45 A/V exact, printed',
+        "V/V",
+    ),
+    "kind": ('kind = "encoder"', 'kind = "encodr"', "encoder"),
+    "amplifier mode": ('mode = "voltage"', 'mode = "volts"', "'voltage' or 'current'"),
+    "axis name": ("[axes.A]", "[axes.mandrel]", "axes.mandrel"),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_wrong_values_say_what_and_where(refused, name) -> None:
+    old, new, message = VALUES[name]
+    found = refused(edit(old, new))
+    assert message in found
+    assert "mine.toml:" in found
+
+
+REFERENCES = {
+    "body of a drive": ("acts_on = { x =", "acts_on = { xx =", "drives.x.acts_on", "'xx'"),
+    "body of a sensor": ("reads = { x =", "reads = { q =", "sensors.x.reads", "'q'"),
+    "clock": ('clock = "servo"', 'clock = "sevro"', "controllers.x.clock", "'sevro'"),
+    "sensor": ('sensor = "x"', 'sensor = "z"', "controllers.x.sensor", "'z'"),
+    "drive": ('drive = "x"', 'drive = "z"', "controllers.x.drive", "'z'"),
+    "controller": ('controller = "a"', 'controller = "b"', "axes.A.controller", "'b'"),
+    "axis": ('axis = "X"', 'axis = "Z"', "inputs.x_low.axis", "'Z'"),
+    "drive to cut": ('cuts = "x"', 'cuts = "xy"', "inputs.x_low.cuts", "'xy'"),
+}
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_links_to_nothing_are_told_with_their_line(refused, name) -> None:
+    old, new, where, what = REFERENCES[name]
+    text = edit(old, new)
+    message = refused(text)
+    assert f"{where} names the " in message
+    assert f"{what}, which does not exist" in message
+    first = next(n for n, line in enumerate(text.splitlines(), 1) if new in line)
+    assert f"mine.toml:{first}: " in message
+    if name == "clock":
+        assert "did you mean 'servo'?" in message
+
+
+def test_a_link_to_no_body(refused) -> None:
+    text = WINDER + (
+        "\n[links.belt]\n"
+        'stretch = { x = "1 exact, assumed", yy = "-1 exact, assumed" }\n'
+        'stiffness = "1 N m/rad exact, assumed"\n'
+    )
+    message = refused(text)
+    assert "links.belt.stretch names the body 'yy', which does not exist" in message
+    assert f"mine.toml:{line_of(text, 'stretch')}: " in message
+
+
+def test_what_is_missing_is_told(refused) -> None:
+    text = edit('resistance = "0.4 ohm +- 10 %, printed: motor S19-1A"\n', "")
+    message = refused(text)
+    assert "'drives.x.resistance' is missing" in message
+    assert f"mine.toml:{line_of(text, '[drives.x]')}: " in message
+    begin, end = WINDER.index("[tool]"), WINDER.index("[operator]")
+    assert "'tool' is missing" in refused(WINDER[:begin] + WINDER[end:])
+
+
+def test_stiction_needs_a_friction(refused) -> None:
+    text = edit("[bodies.x]\n", '[bodies.x]\nstiction = "1 N m exact, assumed"\n')
+    assert "stiction must come with a friction that is not larger" in refused(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is missing"),
+        ("name = ", "not valid TOML"),
+        ("a = 1\na = 2\n", "not valid TOML"),
+        ("\0\0", "not valid TOML"),
+        (b"\xff\xfe", "not UTF-8"),
+        ("x" * 1_000_001, "1000001 bytes, limit 1000000"),
+        ("base = 5\n", "mine.toml:1: base must be the name of a machine"),
+        ('base = "mine.toml"\n', "in a circle"),
+        (
+            'base = "lathe-winder+phys"\n',
+            "'lathe-winder' has no overlay 'phys'. Did you mean",
+        ),
+        ('base = "nothing.toml"\n', "cannot read"),
+        ('base = "lathe-winder"\noverlays = 3\n', "overlays must be tables"),
+        ("[overlays]\nheavy = 3\n", "overlays must be tables"),
+        ('base = "lathe-winder"\n\nsha256 = "00"\n', "mine.toml:3: unknown key 'sha256'"),
+        ('base = "lathe-winder"\nfile = "a"\n', "mine.toml:2: unknown key 'file'"),
+        ("a = " + "[" * 5000, "nested too deeply"),
+        ("a" + ".a" * 5000 + " = 1", "nested too deeply"),
+        ("[bodies]\nx = 3\n" + WINDER.replace("[bodies.x]", "[bodies.w]"), "bodies"),
+    ],
+)
+def test_files_that_are_none(refused, text, message) -> None:
+    assert message in refused(text)
+
+
+def test_lines_of_toml_errors(refused) -> None:
+    assert "mine.toml:2: not valid TOML" in refused('name = "a"\nb = = 3\n')
+
+
+def test_a_folder_is_no_machine(tmp_path) -> None:
+    (tmp_path / "a.toml").mkdir()
+    with pytest.raises(MachineError, match="cannot read"):
+        load_machine(tmp_path / "a.toml")
+
+
+def test_a_name_with_a_plus_in_its_path_is_read(tmp_path) -> None:
+    folder = tmp_path / "c++"
+    folder.mkdir()
+    path = Path(folder / "mine.toml")
+    path.write_text(WINDER, encoding="utf-8")
+    assert load_machine(path).name == "lathe-winder"
+    assert load_machine(f"{path}+physical").name == "lathe-winder+physical"
+
+
+def test_a_circle_through_folders_is_noticed(tmp_path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "m.toml").write_text('base = "../a/m.toml"\n')
+    with pytest.raises(MachineError, match="in a circle"):
+        load_machine(tmp_path / "a" / "m.toml")

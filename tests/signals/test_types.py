@@ -1,0 +1,132 @@
+"""Clocks, tables, schedules and recordings as values: exact times, and refusals."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from threadline.errors import RecordingError
+from threadline.signals import (
+    ChannelKind,
+    Clock,
+    Stream,
+    SwitchSchedule,
+    TickBlock,
+    TickTable,
+    common_period_s,
+)
+
+from .makers import SERVO, recording_of, table_of
+
+PERIODS = st.fractions(Fraction(1, 10**9), 10, max_denominator=10**9).filter(bool)
+
+
+@given(period=PERIODS, tick=st.integers(0, 10**12))
+def test_instants_are_correctly_rounded(period: Fraction, tick: int) -> None:
+    clock = Clock("c", period)
+    assert clock.time_s(tick) == float(period * tick)
+    assert clock.ticks_at(period * tick) == tick
+    assert clock.ticks_at(period * tick + period / 2) == tick
+
+
+@given(
+    period=st.sampled_from([Fraction(1, 200), Fraction(17, 125_000), Fraction(1, 16_000_000)]),
+    first=st.integers(0, 10**9),
+    stride=st.integers(1, 50),
+)
+def test_runs_of_instants_do_not_drift(period: Fraction, first: int, stride: int) -> None:
+    """Each is the exact fraction, rounded once, even after 10**9 ticks."""
+    times = Clock("c", period).times_s(first, 20, stride)
+    assert times.tolist() == [float(period * (first + stride * k)) for k in range(20)]
+
+
+@given(periods=st.lists(PERIODS, min_size=1, max_size=4))
+def test_the_common_period_divides_all_and_is_the_longest(periods: list[Fraction]) -> None:
+    common = common_period_s(periods)
+    multiples = [p / common for p in periods]
+    assert all(m.denominator == 1 for m in multiples)
+    assert np.gcd.reduce(np.array([int(m) for m in multiples], dtype=object)) == 1
+
+
+def test_bad_clocks_are_refused() -> None:
+    with pytest.raises(ValueError, match="period must be greater than 0"):
+        Clock("c", Fraction(0))
+    with pytest.raises(ValueError, match="no periods"):
+        common_period_s([])
+
+
+def test_a_table_ends_where_its_rows_sum_to() -> None:
+    table = table_of([[1, 2], [3, -4], [5, 6]], rows=2)
+    assert table.tick_count() == 3
+    assert table.end_counts().tolist() == [-7 + 9, -6 + 4]
+    assert table.start_counts.tolist() == [-7, -6]  # reading does not move the start
+
+
+def test_tables_refuse_what_does_not_fit() -> None:
+    with pytest.raises(ValueError, match="counts has 2 rows, operation has 1"):
+        TickBlock(first_tick=0, counts=np.zeros((2, 1), int), operation=np.zeros(1, int))
+    with pytest.raises(ValueError, match="whole numbers"):
+        TickBlock(first_tick=0, counts=np.zeros((1, 1)), operation=np.zeros(1, int))
+    with pytest.raises(ValueError, match="1 axes, 2 scales and 1 start"):
+        TickTable(
+            clock=SERVO,
+            axes=("X",),
+            counts_per_unit=np.ones(2),
+            start_counts=np.zeros(1, int),
+            blocks=Stream.of([]),
+            job_sha256="",
+            machine_sha256="",
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({}, None),
+        ({"ticks": [3, 3]}, "strictly increasing"),
+        ({"levels": [[1], [0]]}, "levels has shape"),
+        ({"operation": [0]}, "ticks has 2 rows, operation has 1"),
+        ({"duration_ticks": 4}, "duration_ticks 4 lies before the last row 5"),
+    ],
+)
+def test_schedules_refuse_what_does_not_fit(changes, message) -> None:
+    values = {
+        "ticks": [0, 5],
+        "levels": [[1, 0], [0, 1]],
+        "operation": [0, 1],
+        "duration_ticks": 9,
+        **changes,
+    }
+
+    def make() -> SwitchSchedule:
+        return SwitchSchedule(
+            clock=SERVO, outputs=("a", "b"), job_sha256="", machine_sha256="", **values
+        )
+
+    if message is None:
+        assert make().levels.tolist() == [[1, 0], [0, 1]]
+    else:
+        with pytest.raises(ValueError, match=message):
+            make()
+
+
+def test_a_recording_finds_its_channels_and_names_them() -> None:
+    recording = recording_of({"X.load": [0.0, 1.0, 2.0], "A.load": [5.0, 6.0, 7.0]}, rows=2)
+    assert recording.find(ChannelKind.LOAD, "A").name == "A.load"
+    assert recording.find(ChannelKind.FRAME, "A") is None
+    times, values = recording.samples("A.load")
+    assert times.tolist() == [0.0, 0.005, 0.01]
+    assert values.tolist() == [5.0, 6.0, 7.0]
+    with pytest.raises(RecordingError, match=r"no channel 'Y.load'. It has X.load, A.load"):
+        recording.samples("Y.load")
+
+
+def test_streams_begin_anew() -> None:
+    calls = []
+    stream = Stream(lambda: iter(calls.append(1) or [1, 2]))
+    assert (list(stream), list(stream)) == ([1, 2], [1, 2])
+    assert len(calls) == 2
