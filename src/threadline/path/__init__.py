@@ -1,16 +1,19 @@
 """Paths in axis space: what is programmed, what is planned, how far the two are apart."""
 
+from threadline.path.deviation import PathDeviation, path_deviation
 from threadline.path.plan import interpolation_names, plan_path
 from threadline.path.programmed import programmed_path
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing, VertexBlock
 
 __all__ = [
+    "PathDeviation",
     "PieceBlock",
     "PlannedPath",
     "ProgrammedPath",
     "Timing",
     "VertexBlock",
     "interpolation_names",
+    "path_deviation",
     "plan_path",
     "programmed_path",
 ]

@@ -1,0 +1,152 @@
+"""Distances between polynomial pieces and a polyline, both in order (compiled)."""
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+SAMPLES = 8  # per curved piece, before refining
+REFINE = 24  # golden-section steps: 1e-5 of a sample interval
+_GOLDEN = 0.6180339887498949
+
+
+@njit(cache=True)
+def _at(c, u, out):
+    for j in range(c.shape[1]):
+        value = 0.0
+        for k in range(c.shape[0] - 1, -1, -1):
+            value = value * u + c[k, j]
+        out[j] = value
+
+
+@njit(cache=True)
+def _to_chords(point, vertices, first, last, difference):
+    """Return the squared distance to the chords between vertices ``first`` and ``last``."""
+    best = np.inf
+    axes = len(point)
+    for v in range(first, max(last, first + 1)):
+        w = min(v + 1, len(vertices) - 1)
+        dot = 0.0
+        square = 0.0
+        for j in range(axes):
+            d = vertices[w, j] - vertices[v, j]
+            dot += d * (point[j] - vertices[v, j])
+            square += d * d
+        t = min(max(dot / square, 0.0), 1.0) if square > 0.0 else 0.0
+        gap = 0.0
+        for j in range(axes):
+            e = point[j] - vertices[v, j] - t * (vertices[w, j] - vertices[v, j])
+            gap += e * e
+        if gap < best:
+            best = gap
+            for j in range(axes):
+                difference[j] = point[j] - vertices[v, j] - t * (vertices[w, j] - vertices[v, j])
+    return best
+
+
+@njit(cache=True)
+def _gap(c, u, target, point):
+    _at(c, u, point)
+    gap = 0.0
+    for j in range(len(point)):
+        gap += (point[j] - target[j]) ** 2
+    return gap
+
+
+@njit(cache=True)
+def _nearest_on_piece(c, target, limit, point):
+    """Return u and the squared distance of the place of a piece that is nearest to ``target``.
+
+    Places farther than ``limit`` (squared) are found roughly.
+    """
+    best, at = np.inf, 0
+    for k in range(SAMPLES + 1):
+        gap = _gap(c, k / SAMPLES, target, point)
+        if gap < best:
+            best, at = gap, k
+    # No place between two samples is nearer than the samples by more than the way between them.
+    way = 0.0
+    for j in range(c.shape[1]):
+        rate = 0.0
+        for k in range(1, c.shape[0]):
+            rate += k * abs(c[k, j])
+        way += rate * rate
+    if np.sqrt(best) - np.sqrt(way) / SAMPLES > np.sqrt(limit):
+        return at / SAMPLES, best
+    low, high = max(at - 1, 0) / SAMPLES, min(at + 1, SAMPLES) / SAMPLES
+    for _ in range(REFINE):
+        a = high - _GOLDEN * (high - low)
+        b = low + _GOLDEN * (high - low)
+        if _gap(c, a, target, point) < _gap(c, b, target, point):
+            high = b
+        else:
+            low = a
+    u = 0.5 * (low + high)
+    gap = _gap(c, u, target, point)
+    if gap < best:
+        return u, gap
+    return at / SAMPLES, best
+
+
+@njit(cache=True)
+def compare(c, vertex, vertices, window, best, offset):
+    """Hold pieces against the vertices around vertex ``vertex[i]`` of each.
+
+    ``best`` and ``offset``, the squared distance and the difference of every vertex to the path,
+    are brought up to date. Returns the largest squared distance of the path to the chords, its
+    piece and u, and the largest difference per axis.
+    """
+    axes = c.shape[2]
+    point = np.empty(axes)
+    difference = np.empty(axes)
+    largest = np.zeros(axes)
+    worst, worst_piece, worst_u = -1.0, 0, 0.0
+    for i in range(len(c)):
+        first = max(vertex[i] - window, 0)
+        last = min(vertex[i] + window, len(vertices) - 1)
+        top, at = -1.0, 0
+        # The distance of a straight piece from a chord is largest at one of its ends.
+        straight = True
+        for k in range(2, c.shape[1]):
+            for j in range(axes):
+                straight = straight and c[i, k, j] == 0.0
+        for k in range(0, SAMPLES + 1, SAMPLES if straight else 1):
+            _at(c[i], k / SAMPLES, point)
+            gap = _to_chords(point, vertices, first, last, difference)
+            for j in range(axes):
+                largest[j] = max(largest[j], abs(difference[j]))
+            if gap > top:
+                top, at = gap, k
+        if top > 0.8 * worst and not straight:
+            low, high = max(at - 1, 0) / SAMPLES, min(at + 1, SAMPLES) / SAMPLES
+            for _ in range(REFINE):
+                a = high - _GOLDEN * (high - low)
+                b = low + _GOLDEN * (high - low)
+                _at(c[i], a, point)
+                here = _to_chords(point, vertices, first, last, difference)
+                _at(c[i], b, point)
+                if here > _to_chords(point, vertices, first, last, difference):
+                    high = b
+                else:
+                    low = a
+            u = 0.5 * (low + high)
+            _at(c[i], u, point)
+            gap = _to_chords(point, vertices, first, last, difference)
+            for j in range(axes):
+                largest[j] = max(largest[j], abs(difference[j]))
+            if gap < top:
+                gap, u = top, at / SAMPLES
+            top = gap
+        else:
+            u = at / SAMPLES
+        if top > worst:
+            worst, worst_piece, worst_u = top, i, u
+        for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
+            u, gap = _nearest_on_piece(c[i], vertices[v], best[v], point)
+            if gap < best[v]:
+                best[v] = gap
+                _at(c[i], u, point)
+                for j in range(axes):
+                    offset[v, j] = point[j] - vertices[v, j]
+    return worst, worst_piece, worst_u, largest
