@@ -144,9 +144,7 @@ def simulate_batch(
 def _phases(
     machine: Machine, values: Values, encoder_phase: FloatArray | None
 ) -> tuple[int, FloatArray]:
-    given = (
-        None if encoder_phase is None else np.asarray(encoder_phase, dtype=np.float64)
-    )
+    given = None if encoder_phase is None else np.asarray(encoder_phase, dtype=np.float64)
     if given is None or given.ndim == 1:
         one = encoder_phases(machine, given)
         return values.count, np.broadcast_to(one, (values.count, len(one)))
@@ -180,8 +178,7 @@ class _Batch:
         machine = self.machine
         start_si = self.commands.start_counts / self.commands.counts_per_unit
         pieces = tuple(
-            prepare(machine, piece, values)
-            for piece in piecewise_linear(machine, values, start_si)
+            prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
         )
         wanted = self._columns(pieces)
         owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
@@ -204,9 +201,7 @@ class _Batch:
         kept: dict[str, list[FloatArray]] = {name: [] for name in self.channels}
         ticks = 0
         for position in self._positions():
-            count = self._run_rows(
-                states, position, ticks, window, pool, workers, wanted, kept
-            )
+            count = self._run_rows(states, position, ticks, window, pool, workers, wanted, kept)
             ticks += count
         return self._result(states, values.count, ticks, kept)
 
@@ -234,7 +229,9 @@ class _Batch:
             records = np.zeros(shape)
             cuts = np.linspace(0, blocks, workers + 1).astype(int)
             jobs = [
-                pool.submit(state.run, a, b, references, self.every, window, records)
+                pool.submit(
+                    state.run, a, b, references, self.every * bool(columns), window, records
+                )
                 for a, b in pairwise(cuts)
                 if a < b
             ]
@@ -259,9 +256,7 @@ class _Batch:
             yield np.broadcast_to(position, (count, len(position)))
             left -= count
 
-    def _columns(
-        self, pieces: tuple[Prepared, ...]
-    ) -> list[list[tuple[str, int, float, float]]]:
+    def _columns(self, pieces: tuple[Prepared, ...]) -> list[list[tuple[str, int, float, float]]]:
         """Return, per piece, the channels asked for: name, column of the kernel, scale, offset."""
         found, known = [], []
         for piece in pieces:
@@ -271,10 +266,7 @@ class _Batch:
             offers = {}
             for index, name in enumerate(group.axes):
                 scale = self.machine.axes[name].counts.si
-                start = (
-                    self.commands.start_counts[self.machine.axis_names.index(name)]
-                    / scale
-                )
+                start = self.commands.start_counts[self.machine.axis_names.index(name)] / scale
                 controller = int(piece.axis_controller[index])
                 drive = int(piece.control.drive[controller])
                 offers[f"{name}.measured"] = (2 * controller, 1.0 / scale, start)
@@ -304,10 +296,7 @@ class _Batch:
         for state in states:
             group = state.prepared.piece.group
             measures, peaks = state.measures()[:count], state.peaks()[:count]
-            if (
-                state.counts[:, ENDLESS].any()
-                or not np.isfinite(measures[:, :, k.WORST]).all()
-            ):
+            if state.counts[:, ENDLESS].any() or not np.isfinite(measures[:, :, k.WORST]).all():
                 raise MachineError(
                     f"axes {', '.join(group.axes)}: a variant has no answer: its motion grows "
                     "without bound, or its modes change without end",
@@ -315,14 +304,10 @@ class _Batch:
                 )
             for index, name in enumerate(group.axes):
                 at = names.index(name)
-                start = (
-                    self.commands.start_counts[at] / self.commands.counts_per_unit[at]
-                )
+                start = self.commands.start_counts[at] / self.commands.counts_per_unit[at]
                 table[:, at] = measures[:, index]
                 table[:, at, [k.LOWEST, k.HIGHEST, k.LAST]] += start
-                drive = int(
-                    state.prepared.control.drive[state.prepared.axis_controller[index]]
-                )
+                drive = int(state.prepared.control.drive[state.prepared.axis_controller[index]])
                 peak[:, at] = peaks[:, drive]
         return BatchResult(
             axes=names,
@@ -334,9 +319,7 @@ class _Batch:
             ticks=ticks,
             slow_ticks=sum(int(s.counts[:, SLOW].sum()) for s in states),
             events=sum(int(s.counts[:, EVENTS].sum()) for s in states),
-            samples={
-                name: np.concatenate(parts)[:, :count] for name, parts in kept.items()
-            },
+            samples={name: np.concatenate(parts)[:, :count] for name, parts in kept.items()},
         )
 
 

@@ -54,9 +54,7 @@ def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
                 right = s
             else:
                 left = s
-            better = (
-                s - value / (slope * side) if slope != 0.0 else 0.5 * (left + right)
-            )
+            better = s - value / (slope * side) if slope != 0.0 else 0.5 * (left + right)
             if not (left < better < right):
                 better = 0.5 * (left + right)
             done = abs(better - s) < 1e-15 or right - left < 1e-15
@@ -118,9 +116,7 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
                             last += t.guard[row, w, j] * y[j]
                         most = max(start, end, last)
                         least = min(start, end, last)
-                        inside = (
-                            inside and most <= t.high[row, w] and least >= t.low[row, w]
-                        )
+                        inside = inside and most <= t.high[row, w] and least >= t.low[row, w]
                 if inside:
                     break
                 level -= 1

@@ -132,9 +132,7 @@ def _leave(w, u, L, v, offsets, cells, plant, t, modes, where, z, y, D, q, tripp
             for i in range(n):
                 w[(offsets[3] + (x * n + i) * size + j) * L + u] = t.fast[row, x, i, j]
             for i in range(checks):
-                w[(offsets[4] + (x * checks + i) * size + j) * L + u] = t.fast[
-                    row, x, n + i, j
-                ]
+                w[(offsets[4] + (x * checks + i) * size + j) * L + u] = t.fast[row, x, n + i, j]
 
 
 @njit
@@ -199,8 +197,8 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
     levels in the dead times; modes (blocks, L); clock (blocks, 3 + 2K); first_action, actions,
     length of the schedule; references (ticks, K) counts; every; window: first tick of which
     lowest and highest load are kept; plant and tables; frame (V, axes, N); drive (K,) and
-    axis_controller (A,) indices; records (blocks, samples, columns, L), with no samples when none
-    are wanted; tripped (V, inputs); counts (blocks, 5), see ``events``.
+    axis_controller (A,) indices; records (blocks, samples, columns, L), none are
+    taken when ``every`` is 0; tripped (V, inputs); counts (blocks, 5), see ``events``.
     """
     n, nu, K, A, W = (
         shape.states,
@@ -282,7 +280,7 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
                             for u in range(L):
                                 w[(C + 18 * c + REF) * L + u] = references[row, c]
                         row += 1
-                        if records.shape[1] > 0:
+                        if every > 0:
                             if clock[b, UNTIL_SAMPLE] == 0:
                                 _sample(w, L, b * L, offsets, K, quantised, frame, tripped, nu,
                                         records[b, taken])  # fmt: skip
@@ -317,9 +315,7 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
                                 value = min(value, high)
                                 value = max(value, low)
                                 w[(o + O1) * L + u] = value
-                            turned = (
-                                w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
-                            )
+                            turned = w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
                             level = 0.0 if turned < 0.0 else level
                             w[(o + LEVEL) * L + u] = level
                         head = clock[b, HEADS + 2 * k]
@@ -349,10 +345,7 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
                             for u in range(L):
                                 now = w[(WX + (x * W + g) * P * N) * L + u] * w[u]
                                 for j in range(1, N):
-                                    now += (
-                                        w[(WX + (x * W + g) * P * N + j) * L + u]
-                                        * w[j * L + u]
-                                    )
+                                    now += w[(WX + (x * W + g) * P * N + j) * L + u] * w[j * L + u]
                                 jumped += np.int64(now > w[(HI + g) * L + u])
                                 jumped += np.int64(now < w[(LO + g) * L + u])
                         if jumped > 0:
@@ -395,10 +388,7 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
                                     total = w[o * L + u] * w[u]
                                     for j in range(1, N):
                                         total += w[(o + j) * L + u] * w[j * L + u]
-                                    if (
-                                        total > w[(HI + g) * L + u]
-                                        or total < w[(LO + g) * L + u]
-                                    ):
+                                    if total > w[(HI + g) * L + u] or total < w[(LO + g) * L + u]:
                                         leaves = True
                                         break
                                 if leaves:

@@ -35,9 +35,7 @@ class Modes(NamedTuple):
     low: FloatArray  # (Q, W)
     high: FloatArray  # (Q, W)
     next_mode: IntArray  # (Q, W, 2) the mode below and above
-    hold_state: (
-        IntArray  # (Q, W, 2) the state that this transition holds still, -1 for none
-    )
+    hold_state: IntArray  # (Q, W, 2) the state that this transition holds still, -1 for none
     hold_value: FloatArray  # (Q, W, 2)
     latch: IntArray  # (Q, W) the limit switch that this guard is, -1 for none
     step: FloatArray  # (Q, J, n, N) advance by cell * 2**j
@@ -78,9 +76,7 @@ def _compose(plant, v, t, row, mode):  # type: ignore[no-untyped-def]
         m = mode // radix % plant.modes[e]
         for i in range(n):
             for j in range(size):
-                t.generator[row, i, j] += (
-                    plant.direction[v, e, i] * plant.law[v, e, m, j]
-                )
+                t.generator[row, i, j] += plant.direction[v, e, i] * plant.law[v, e, m, j]
         for d in range(t.current.shape[1]):
             if plant.drive_element[d] == e:
                 for j in range(size):
@@ -97,24 +93,17 @@ def _compose(plant, v, t, row, mode):  # type: ignore[no-untyped-def]
             t.latch[row, at] = plant.guard_switch[e, m, g]
             for side in range(2):
                 to = plant.guard_to[e, m, g, side]
-                t.next_mode[row, at, side] = (
-                    mode + (to - m) * radix if to >= 0 else mode
-                )
+                t.next_mode[row, at, side] = mode + (to - m) * radix if to >= 0 else mode
                 held = plant.holds[e, to] if to >= 0 else -1
                 t.hold_state[row, at, side] = held
-                t.hold_value[row, at, side] = (
-                    plant.held_at[v, e, to] if held >= 0 else 0.0
-                )
+                t.hold_value[row, at, side] = plant.held_at[v, e, to] if held >= 0 else 0.0
             for j in range(size):
                 value = 0.0
                 if kind == 1:
                     value = plant.guard_row[v, e, m, g, j]
                 elif kind == 2:
                     # The force on a held state, whatever else is held, before it is taken out.
-                    value = (
-                        plant.net_scale[v, e, m]
-                        * t.generator[row, plant.holds[e, m], j]
-                    )
+                    value = plant.net_scale[v, e, m] * t.generator[row, plant.holds[e, m], j]
                 t.guard[row, at, j] = value
             at += 1
         radix *= plant.modes[e]

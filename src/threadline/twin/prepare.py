@@ -77,8 +77,7 @@ class Prepared:
             lanes=lanes,
             feedback=bool(self.control.denominator[:, :, 0].any()),
             second=bool(
-                self.control.numerator[:, :, 2].any()
-                or self.control.denominator[:, :, 1].any()
+                self.control.numerator[:, :, 2].any() or self.control.denominator[:, :, 1].any()
             ),
             peak=peak,
             quantised=quantised,
@@ -124,8 +123,7 @@ def prepare(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prepare
         cell_s=cell_s,
         halvings=halvings,
         intervals=max(1, int(np.ceil(grid_s * longest * rate / _WATCH_PER_RATE))),
-        watched=1
-        + max(0, int(np.floor(np.log2(max(_WATCH_PER_RATE / (rate * cell_s), 1.0))))),
+        watched=1 + max(0, int(np.floor(np.log2(max(_WATCH_PER_RATE / (rate * cell_s), 1.0))))),
     )
 
 
@@ -180,23 +178,15 @@ class State:
     def measures(self) -> FloatArray:
         """Return (V, axes, 5): see the rows of an axis in ``lanes``."""
         at, lanes = self.shape.layout()["measure"], self.shape.lanes
-        part = self.work.reshape(len(self.work), -1, lanes)[
-            :, at : at + 5 * self.shape.axes
-        ]
+        part = self.work.reshape(len(self.work), -1, lanes)[:, at : at + 5 * self.shape.axes]
         parted = part.reshape(len(self.work), self.shape.axes, 5, lanes)
-        return np.ascontiguousarray(
-            parted.transpose(0, 3, 1, 2).reshape(-1, self.shape.axes, 5)
-        )
+        return np.ascontiguousarray(parted.transpose(0, 3, 1, 2).reshape(-1, self.shape.axes, 5))
 
     def peaks(self) -> FloatArray:
         """Return (V, drives): the current of largest magnitude."""
         at, lanes = self.shape.layout()["peak"], self.shape.lanes
-        part = self.work.reshape(len(self.work), -1, lanes)[
-            :, at : at + self.shape.drives
-        ]
-        return np.ascontiguousarray(
-            part.transpose(0, 2, 1).reshape(-1, self.shape.drives)
-        )
+        part = self.work.reshape(len(self.work), -1, lanes)[:, at : at + self.shape.drives]
+        return np.ascontiguousarray(part.transpose(0, 2, 1).reshape(-1, self.shape.drives))
 
 
 def common_guards(pieces: tuple[Prepared, ...]) -> int:
@@ -235,16 +225,12 @@ def new_state(
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
     plant = _padded(prepared.plant, which)
     schedule = prepared.schedule
-    modes = _new_modes(
-        prepared, shape, len(which), min(slots, int(np.prod(plant.modes)))
-    )
+    modes = _new_modes(prepared, shape, len(which), min(slots, int(np.prod(plant.modes))))
     layout = shape.layout()
     work = np.zeros((blocks, layout["rows"], lanes))
 
     def put(row: int, values: FloatArray) -> None:
-        work[:, row] = np.broadcast_to(values, (variants,))[which].reshape(
-            blocks, lanes
-        )
+        work[:, row] = np.broadcast_to(values, (variants,))[which].reshape(blocks, lanes)
 
     put(layout["z"] + plant.base.shape[2] - 1, np.ones(1))
     control = prepared.control
@@ -273,9 +259,7 @@ def new_state(
         put(o + k.HIGHEST, np.full(1, -np.inf))
         put(o + k.SCALE, np.full(1, 1.0 / machine.axes[axis].counts.si))
         for i in range(shape.states):
-            put(
-                layout["load"] + x * shape.states + i, prepared.piece.load_rows[:, x, i]
-            )
+            put(layout["load"] + x * shape.states + i, prepared.piece.load_rows[:, x, i])
     clock = np.zeros((blocks, k.HEADS + 2 * shape.controllers), dtype=np.int64)
     clock[:, k.HEADS :: 2] = schedule.in_flight
     return State(
@@ -296,9 +280,7 @@ def new_state(
         ),
         mode=np.full((blocks, lanes), -1, dtype=np.int64),
         clock=clock,
-        tripped=np.zeros(
-            (len(which), len(prepared.piece.group.inputs)), dtype=np.int64
-        ),
+        tripped=np.zeros((len(which), len(prepared.piece.group.inputs)), dtype=np.int64),
         counts=np.zeros((blocks, 5), dtype=np.int64),
     )
 
@@ -327,9 +309,7 @@ def _new_modes(prepared: Prepared, shape: k.Shape, variants: int, slots: int) ->
     lengths = np.array(prepared.schedule.lengths << prepared.halvings)
     per_length = n + shape.guards * shape.checks
     return Modes(
-        slot_of=np.full(
-            (variants, int(np.prod(prepared.plant.modes))), -1, dtype=np.int64
-        ),
+        slot_of=np.full((variants, int(np.prod(prepared.plant.modes))), -1, dtype=np.int64),
         used=np.zeros((variants, 2), dtype=np.int64),
         mode_of=np.zeros(rows, dtype=np.int64),
         generator=np.zeros((rows, n, size)),

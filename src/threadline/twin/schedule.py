@@ -60,9 +60,7 @@ class Schedule:
             ("lengths", 1),
             ("in_flight", 1),
         ):
-            object.__setattr__(
-                self, name, read_only_int(getattr(self, name), name, ndim=ndim)
-            )
+            object.__setattr__(self, name, read_only_int(getattr(self, name), name, ndim=ndim))
 
 
 def make_schedule(machine: Machine, group: Group) -> Schedule:

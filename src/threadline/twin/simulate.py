@@ -73,8 +73,7 @@ def simulate(
     values = Values.of(machine)
     start_si = commands.start_counts / commands.counts_per_unit
     pieces = tuple(
-        prepare(machine, piece, values)
-        for piece in piecewise_linear(machine, values, start_si)
+        prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
     )
     run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised)
     return Recording(
@@ -99,9 +98,7 @@ def check_commands(
             f"the commands have a tick of {float(commands.clock.period_s)} s, "
             f"the machine one of {float(machine.tick_clock.period_s)} s"
         )
-    if not np.allclose(
-        commands.counts_per_unit, machine.counts_per_unit, rtol=1e-12, atol=0
-    ):
+    if not np.allclose(commands.counts_per_unit, machine.counts_per_unit, rtol=1e-12, atol=0):
         raise OptionError("the commands have other counts per unit than the machine")
     if record_every < 1:
         raise OptionError(f"record_every must be at least 1, got {record_every}")
@@ -161,9 +158,7 @@ class _Run:
     def blocks(self) -> Iterator[RecordingBlock]:
         guards = common_guards(self.pieces)
         states = [
-            new_state(
-                self.machine, p, self._phases(p), 1, guards, quantised=self.quantised
-            )
+            new_state(self.machine, p, self._phases(p), 1, guards, quantised=self.quantised)
             for p in self.pieces
         ]
         start = self.commands.start_counts
@@ -215,28 +210,20 @@ class _Run:
         group = state.prepared.piece.group
         names = self.machine.axis_names
         references = np.zeros((len(travelled), len(group.controllers)))
-        for axis, controller in zip(
-            group.axes, state.prepared.axis_controller, strict=True
-        ):
+        for axis, controller in zip(group.axes, state.prepared.axis_controller, strict=True):
             references[:, controller] = travelled[:, names.index(axis)]
         records = np.zeros((1, count, state.prepared.columns, 1))
         state.run(0, 1, references, self.every, 0, records)
         endless = bool(state.counts[:, ENDLESS].any())
         if endless or not np.isfinite(state.work[0, : state.shape.states]).all():
-            why = (
-                "modes change without end"
-                if endless
-                else "the motion grows without bound"
-            )
+            why = "modes change without end" if endless else "the motion grows without bound"
             raise MachineError(
                 f"axes {', '.join(group.axes)}: the simulation has no answer, {why}",
                 remedy="Check stiffness, friction and gains in the machine file.",
             )
         return records[0, :, :, 0]
 
-    def _samples(
-        self, columns: list[FloatArray], commanded: IntArray
-    ) -> dict[str, FloatArray]:
+    def _samples(self, columns: list[FloatArray], commanded: IntArray) -> dict[str, FloatArray]:
         samples: dict[str, FloatArray] = {}
         names = self.machine.axis_names
         for piece, records in zip(self.pieces, columns, strict=True):
@@ -250,9 +237,7 @@ class _Run:
                 controller = int(piece.axis_controller[index])
                 drive = int(piece.control.drive[controller])
                 samples[f"{name}.commanded"] = commanded[:, at] / scale
-                samples[f"{name}.measured"] = (
-                    start + records[:, 2 * controller]
-                ) / scale
+                samples[f"{name}.measured"] = (start + records[:, 2 * controller]) / scale
                 samples[f"{name}.load"] = start / scale + records[:, loads + 2 * index]
                 if axis.frame is not None:
                     samples[f"{name}.frame"] = records[:, loads + 2 * index + 1]
@@ -273,13 +258,9 @@ def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
         If a phase is outside [0, 1), or their number is not that of the axes.
     """
     count = len(machine.axes)
-    phases = (
-        np.full(count, 0.5) if phase is None else np.asarray(phase, dtype=np.float64)
-    )
+    phases = np.full(count, 0.5) if phase is None else np.asarray(phase, dtype=np.float64)
     if phases.shape != (count,):
-        raise OptionError(
-            f"encoder_phase has shape {phases.shape}, expected {(count,)}"
-        )
+        raise OptionError(f"encoder_phase has shape {phases.shape}, expected {(count,)}")
     if not ((phases >= 0.0) & (phases < 1.0)).all():
         raise OptionError(f"encoder_phase must lie in [0, 1), got {phases.tolist()}")
     return phases

@@ -84,10 +84,7 @@ def plant_tables(piece: PiecewiseLinear) -> PlantTables:
         guard_switch=np.full(shape[1:], -1, dtype=np.int64),
         guards=np.array(guards, dtype=np.int64),
         drive_element=np.array(
-            [
-                [e.name for e in elements].index(f"drives.{d}")
-                for d in piece.group.drives
-            ],
+            [[e.name for e in elements].index(f"drives.{d}") for d in piece.group.drives],
             dtype=np.int64,
         ),
     )
@@ -102,9 +99,7 @@ def plant_tables(piece: PiecewiseLinear) -> PlantTables:
                 at = (slice(None), e, m, g)
                 tables.guard_low[at] = _widened(guard.low, -1.0)
                 tables.guard_high[at] = _widened(guard.high, 1.0)
-                tables.guard_kind[e, m, g] = (
-                    NET_GUARD if guard.row is None else ROW_GUARD
-                )
+                tables.guard_kind[e, m, g] = NET_GUARD if guard.row is None else ROW_GUARD
                 if guard.row is not None:
                     tables.guard_row[at] = guard.row
                 tables.guard_to[e, m, g] = (guard.low_to, guard.high_to)
@@ -117,9 +112,7 @@ def _widened(bound: FloatArray | float, sign: float) -> FloatArray:
     return value + sign * _RELATIVE_SLACK * np.maximum(1.0, np.abs(value))
 
 
-def control_tables(
-    machine: Machine, piece: PiecewiseLinear, values: Values
-) -> ControlTables:
+def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> ControlTables:
     """Return the arrays of the controllers of ``piece``."""
     group = piece.group
     variants, count = piece.variants, len(group.controllers)
@@ -145,9 +138,7 @@ def control_tables(
         tables.numerator[:, k], tables.denominator[:, k] = difference_equation(
             machine, name, values
         )
-        tables.sensor_row[:, k] = piece.sensor_rows[
-            :, group.sensors.index(controller.sensor)
-        ]
+        tables.sensor_row[:, k] = piece.sensor_rows[:, group.sensors.index(controller.sensor)]
         tables.volt_per_level[:, k] = volts / half
         tables.level_low[:, k] = -half
         tables.level_high[:, k] = half - 1.0
