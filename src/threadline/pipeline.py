@@ -6,10 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from threadline.errors import OptionError, PlanError, UnitError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
+from threadline.machine.vary import vary
 from threadline.path import plan_path, programmed_path
 from threadline.plan import Plan
 from threadline.signals import Recording, RecordingBlock, Stream, TickTable
@@ -21,6 +24,8 @@ from threadline.verdict import Spec, Verdict, judge
 
 DEFAULT_INTERPOLATION = "auto"
 DEFAULT_TOLERANCE_M = 1e-4
+
+REPEAT_SEED = 1994
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
@@ -168,20 +173,35 @@ def prove(
     spec: Spec,
     options: Options,
     progress: Progress | None = None,
+    repeats: int = 1,
 ) -> Proof:
     """Plan, simulate and judge a job: the whole question, answered once."""
     plan = plan_job(read_job(job_file, machine), machine, options)
-    return prove_plan(plan, spec, progress)
+    return prove_plan(plan, spec, progress, repeats)
 
 
-def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None) -> Proof:
-    """Simulate and judge a plan."""
+def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None, repeats: int = 1) -> Proof:
+    """Simulate and judge a plan.
+
+    Parameters
+    ----------
+    repeats
+        Runs in all. Beyond the first, which is the machine as its file says, the encoders' phase
+        is drawn anew, friction within +-30 % and supply within +-5 %, from a fixed seed: the
+        spread of these runs is the repeatability.
+    """
     if not isinstance(plan.commands, TickTable):
         raise PlanError(f"{plan.job.name}: only tick tables can be simulated on axes")
-    recording = simulate(plan.commands, plan.machine)
-    recording = replace(recording, origin=dict(plan.options))
-    watched = recording if progress is None else _watched(recording, plan, progress)
-    return Proof(plan=plan, recording=recording, verdict=judge([watched], plan, spec))
+    random = np.random.default_rng(REPEAT_SEED)
+    first = replace(simulate(plan.commands, plan.machine), origin=dict(plan.options))
+    recordings = [first if progress is None else _watched(first, plan, progress)]
+    for _ in range(repeats - 1):
+        other = vary(
+            plan.machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05)
+        )
+        phase = random.uniform(0.0, 1.0, len(plan.commands.axes))
+        recordings.append(simulate(plan.commands, other, encoder_phase=phase))
+    return Proof(plan=plan, recording=first, verdict=judge(recordings, plan, spec))
 
 
 def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -16,6 +17,7 @@ from rich.table import Table
 from threadline.pipeline import Progress as ProgressCall
 
 _SHOW_AFTER_S = 1.0
+_FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
 
 
 def print_json(content: Any) -> None:
@@ -24,11 +26,17 @@ def print_json(content: Any) -> None:
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; numbers (columns after the first) are aligned right."""
-    console = Console(soft_wrap=True) if not sys.stdout.isatty() else Console()
-    table = Table(title=title, title_justify="left", title_style="bold")
+    """Print a table; all columns but the first and a last one called note are aligned right."""
+    console = Console() if sys.stdout.isatty() else Console(width=_FILE_WIDTH)
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
+        text = index == 0 or name == "note"
+        table.add_column(
+            name,
+            justify="left" if text else "right",
+            no_wrap=name != "note",
+            overflow="fold",
+        )
     for row in rows:
         table.add_row(*row)
     console.print(table)

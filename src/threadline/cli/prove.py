@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from threadline.cli.options import (
@@ -39,6 +41,12 @@ def prove(
     par: ParOption = None,
     report: ReportOption = None,
     recording: RecordingOption = None,
+    repeats: Annotated[
+        int,
+        typer.Option(
+            min=1, max=1000, help="Runs with other encoder phase, friction, supply: repeatability."
+        ),
+    ] = 1,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
@@ -50,7 +58,7 @@ def prove(
     chosen = machine_from(machine, par)
     options = options_of(interpolation, feed, tolerance)
     with progress_bar(not json) as progress:
-        proof = prove_job(job, chosen, load_spec(spec, chosen), options, progress)
+        proof = prove_job(job, chosen, load_spec(spec, chosen), options, progress, repeats)
         if recording is not None:
             write_recording(proof.recording, recording)
         written = None if report is None else write_report(proof, report)

@@ -1,0 +1,51 @@
+"""The same machine on another day: friction and supply a little off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from threadline.machine.model import Machine
+from threadline.machine.quantity import Quantity
+
+
+def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Machine:
+    """Return ``machine`` with friction and supply scaled.
+
+    Parameters
+    ----------
+    friction
+        Scales sliding friction and stiction of every body.
+    supply
+        Scales the voltage and current that the amplifiers can give at most. Their gain is set by
+        feedback and does not follow the supply.
+
+    Raises
+    ------
+    ValueError
+        If a factor is not positive.
+    """
+    if not (friction > 0 and supply > 0):
+        raise ValueError(f"factors must be positive, got {friction!r} and {supply!r}")
+    bodies = {
+        name: replace(
+            body,
+            friction=_scaled(body.friction, friction),
+            stiction=_scaled(body.stiction, friction),
+        )
+        for name, body in machine.bodies.items()
+    }
+    drives = {}
+    for name, drive in machine.drives.items():
+        drives[name] = replace(
+            drive,
+            amplifier=replace(
+                drive.amplifier,
+                voltage_limit=_scaled(drive.amplifier.voltage_limit, supply),
+                current_limit=_scaled(drive.amplifier.current_limit, supply),
+            ),
+        )
+    return replace(machine, bodies=bodies, drives=drives)
+
+
+def _scaled(quantity: Quantity | None, factor: float) -> Quantity | None:
+    return None if quantity is None else replace(quantity, si=quantity.si * factor)

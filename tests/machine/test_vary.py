@@ -1,0 +1,32 @@
+"""A varied machine differs in friction and supply, and in nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from threadline.machine import load_machine
+from threadline.machine.vary import vary
+
+
+def test_friction_and_supply_are_scaled() -> None:
+    machine = load_machine("lathe-winder+stiction")
+    other = vary(machine, friction=1.3, supply=0.95)
+    body, drive = other.bodies["x"], other.drives["x"]
+
+    assert body.friction is not None
+    assert body.friction.si == pytest.approx(1.3 * 0.05)
+    assert body.stiction is not None
+    assert body.stiction.si == pytest.approx(1.3 * 0.06)
+    assert drive.amplifier.current_limit is not None
+    assert drive.amplifier.current_limit.si == pytest.approx(0.95 * 4.0)
+    # The gain is set by feedback: it stays.
+    assert drive.amplifier.gain == machine.drives["x"].amplifier.gain
+    assert replace(other, bodies=machine.bodies, drives=machine.drives) == machine
+
+
+@pytest.mark.parametrize("factors", [{"friction": 0.0}, {"supply": -1.0}])
+def test_factors_must_be_positive(factors: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="positive"):
+        vary(load_machine("lathe-winder"), **factors)
