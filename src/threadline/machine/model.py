@@ -23,6 +23,7 @@ from threadline.machine.parts import (
     PositiveTime,
     Tool,
 )
+from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc
 from threadline.machine.quantity import Quantity, Units
 from threadline.signals import Clock
 
@@ -43,6 +44,8 @@ class Machine:
         No job may need more ticks than this.
     clocks, bodies, links, drives, sensors, controllers, axes, inputs
         The network and what runs on it, by name; the order of ``axes`` is that of all arrays.
+    cylinders, outputs, contacts, plc
+        Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
     sha256
         Of the resolved content: base file and overlays included.
     file, reference
@@ -56,11 +59,15 @@ class Machine:
     clocks: dict[Name, PositiveTime] = Field(min_length=1)
     bodies: dict[Name, Body] = Field(min_length=1)
     links: dict[Name, Link] = Field(default_factory=dict)
-    drives: dict[Name, DcMotor] = Field(min_length=1)
-    sensors: dict[Name, Sensor] = Field(min_length=1)
-    controllers: dict[Name, Controller] = Field(min_length=1)
-    axes: dict[AxisName, Axis] = Field(min_length=1, max_length=MAX_AXES)
+    drives: dict[Name, DcMotor] = Field(default_factory=dict)
+    sensors: dict[Name, Sensor] = Field(default_factory=dict)
+    controllers: dict[Name, Controller] = Field(default_factory=dict)
+    axes: dict[AxisName, Axis] = Field(default_factory=dict, max_length=MAX_AXES)
     inputs: dict[Name, LimitSwitch] = Field(default_factory=dict)
+    cylinders: dict[AxisName, Cylinder] = Field(default_factory=dict, max_length=MAX_AXES)
+    outputs: dict[Name, Output] = Field(default_factory=dict)
+    contacts: dict[Name, Contact] = Field(default_factory=dict)
+    plc: Plc | None = None
     tool: Tool
     operator: Operator | None = None
     sha256: str = ""
@@ -92,7 +99,41 @@ class Machine:
         for name, switch in self.inputs.items():
             _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             _known([switch.cuts], self.drives, f"inputs.{name}.cuts", "drive")
+        self._on_off_references()
         return self
+
+    def _on_off_references(self) -> None:
+        if not self.axes and not self.cylinders:
+            raise ValueError("a machine needs [axes.X] or [cylinders.X], at least one")
+        if self.cylinders and self.plc is None:
+            raise ValueError("cylinders are switched by a PLC: [plc] is missing")
+        if self.plc is not None:
+            _known([self.plc.clock], self.clocks, "plc.clock", "clock")
+        used: dict[str, str] = {}
+        for name, cylinder in self.cylinders.items():
+            where = f"cylinders.{name}"
+            _known([cylinder.pushes], self.bodies, f"{where}.pushes", "body")
+            _known([cylinder.reacts_on], self.bodies, f"{where}.reacts_on", "body")
+            _known(cylinder.frame, self.bodies, f"{where}.frame", "body")
+            for sense in ("forward", "back"):
+                way = cylinder.way(sense == "forward")
+                for output, kind in ((way.valve, "direction"), *((f, "flow") for f in way.flows)):
+                    at = f"{where}.{sense}"
+                    _known([output], self.outputs, at, "output")
+                    if self.outputs[output].kind != kind:
+                        raise ValueError(f"{at}: the output {output!r} is not a {kind} valve")
+                    if output in used:
+                        raise ValueError(f"{at}: the output {output!r} is used by {used[output]}")
+                    used[output] = at
+        for name, contact in self.contacts.items():
+            if contact.cylinder is not None:
+                at = f"contacts.{name}.cylinder"
+                _known([contact.cylinder], self.cylinders, at, "cylinder")
+        addresses = [o.address for o in self.outputs.values()]
+        addresses += [c.address for c in self.contacts.values()]
+        for address in addresses:
+            if addresses.count(address) > 1:
+                raise ValueError(f"the address {address} is given twice")
 
     @property
     def axis_names(self) -> tuple[str, ...]:

@@ -1,0 +1,149 @@
+"""Parts of an on/off machine: cylinders, the valves that set their speed, contacts and the PLC.
+
+A flow control behind an open valve lets the exhaust out at a set rate, so that the valves that
+are open set the *speed* of the piston, not its force: ``speed`` times the sum of the flows.
+Flows of one direction work in parallel and add; every subset of them is a level.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT, Coefficient, PositiveTime
+from threadline.machine.quantity import Quantity, Units
+
+Length = Annotated[Quantity, Units(("m",), positive=True)]
+InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
+OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
+Fraction = Annotated[Quantity, Units(("",), positive=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Output:
+    """A digital output of the PLC.
+
+    ``ramp`` is how long a soft-start valve takes to put the circuit under pressure.
+    """
+
+    kind: Literal["direction", "flow", "soft-start", "vacuum", "tool"]
+    address: OutputAddress
+    ramp: PositiveTime | None = None
+
+    @model_validator(mode="after")
+    def _ramp(self) -> Output:
+        if (self.kind == "soft-start") != (self.ramp is not None):
+            raise ValueError("ramp is what a soft-start valve has, and no other output")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Contact:
+    """A digital input of the PLC.
+
+    ``light-grid`` and ``enable`` are true while the machine may move; ``start`` asks for a cycle;
+    ``contact`` is an end switch that closes once ``cylinder`` is at ``at`` or beyond it, or
+    something that the machine does not move.
+    """
+
+    kind: Literal["light-grid", "enable", "start", "contact"]
+    address: InputAddress
+    cylinder: str | None = None
+    at: Annotated[Quantity, Units(("m",), not_negative=True)] | None = None
+    beyond: Literal["below", "above"] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Contact:
+        given = [part is not None for part in (self.cylinder, self.at, self.beyond)]
+        if any(given) and not all(given):
+            raise ValueError("an end switch needs cylinder, at and beyond")
+        if any(given) and self.kind != "contact":
+            raise ValueError(f"a {self.kind} has no cylinder")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Way:
+    """One sense of a cylinder: the valve that gives it, and its flow controls."""
+
+    valve: str
+    flows: dict[str, Fraction] = Field(min_length=1)
+
+    def levels(self) -> dict[tuple[str, ...], float]:
+        """Return every set of flow controls with its level, the closed one included."""
+        names = list(self.flows)
+        return {
+            chosen: sum(self.flows[n].si for n in chosen)
+            for size in range(len(names) + 1)
+            for chosen in combinations(names, size)
+        }
+
+    @property
+    def level_tolerance(self) -> float:
+        """How exactly the flow controls are set."""
+        return sum(flow.tolerance_si for flow in self.flows.values())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Cushion:
+    """End cushioning: a damper over the last ``length`` of the stroke."""
+
+    length: Length
+    damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Cylinder:
+    """A pneumatic axis: a flow that sets its speed, behind a lag, through the spring of the air.
+
+    The piston pushes the body ``pushes`` and its reaction acts on ``reacts_on``. ``delay`` passes
+    between a valve's command and the first air; ``lag`` is the time constant with which the speed
+    follows. The air is a spring with a damper between the flow and the piston; ``air_ramp`` is
+    the distance over which the damping builds up after each standstill. ``friction`` acts in the
+    cylinder. ``frame`` is where vibration is felt.
+    """
+
+    pushes: str
+    reacts_on: str
+    frame: dict[str, Coefficient] = Field(min_length=1)
+    stroke: Length
+    speed: Annotated[Quantity, Units(("m/s",), positive=True)]
+    forward: Way
+    back: Way
+    delay: PositiveTime
+    lag: PositiveTime
+    air_stiffness: Annotated[Quantity, Units(("N/m",), positive=True)]
+    air_damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)]
+    air_ramp: Length | None = None
+    cushion: Cushion | None = None
+    friction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+    stiction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+
+    @model_validator(mode="after")
+    def _stiction(self) -> Cylinder:
+        if self.stiction is not None and (
+            self.friction is None or self.stiction.si < self.friction.si
+        ):
+            raise ValueError("stiction must come with a friction that is not larger")
+        return self
+
+    def way(self, forward: bool) -> Way:
+        """Return the valves of one sense."""
+        return self.forward if forward else self.back
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Plc:
+    """The controller of an on/off machine.
+
+    ``dwell`` is the shortest time between two switchings of one valve; a scan that takes longer
+    than ``watchdog`` is a fault; with ``never_over`` no command may exceed the unshaped level.
+    """
+
+    clock: str
+    watchdog: PositiveTime
+    dwell: PositiveTime
+    never_over: bool
