@@ -31,8 +31,9 @@ def test_prove_json_has_the_promised_keys(
 
     assert code == 0
     assert content["passed"] is True
-    assert content["ticks"] == 2000  # 360 mm at 36 mm/s in ticks of 5 ms
-    assert content["duration_s"] == pytest.approx(10.0, rel=1e-9)
+    # Fourteen moves of 25.714 mm at 36 mm/s take 142.9 ticks of 5 ms each, in whole ticks.
+    assert content["ticks"] == 14 * 143
+    assert content["duration_s"] == pytest.approx(14 * 143 * 0.005, rel=1e-9)
     wanted = {"job", "machine", "interpolation", "criteria", "job_sha256", "threadline"}
     assert wanted <= content.keys()
     assert content["machine_sha256"] == load_machine("lathe-winder").sha256
