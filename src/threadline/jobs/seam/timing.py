@@ -47,22 +47,32 @@ def stitch_times_s(
 
     Notes
     -----
-    Half stitches with constant acceleration each: the fastest speeds that the limits allow, by
-    one pass forwards and one backwards over ``v'^2 <= v^2 + 2 a h``, and the time of each half is
-    ``2 h / (v + v')``.
+    The speeds between stitches are the fastest that the limits allow, by one pass forwards and
+    one backwards over ``v'^2 <= v^2 + 2 a l``. Each stitch then takes the least time between its
+    two speeds: up to a peak, at most the programmed speed, and down again.
     """
-    along = min(acceleration_m_s2, settings.needle_acceleration_hz_s * settings.stitch_length_m)
-    half = np.repeat(lengths_m / 2.0, 2)
-    squared = np.full(len(half) + 1, settings.speed_m_s**2)
-    limit = acceleration_m_s2 / np.maximum(np.abs(bend_1_m), 1e-12)
-    squared[::2] = np.minimum(squared[::2], limit)
+    a = min(acceleration_m_s2, settings.needle_acceleration_hz_s * settings.stitch_length_m)
+    limit = np.minimum(
+        settings.speed_m_s**2, acceleration_m_s2 / np.maximum(np.abs(bend_1_m), 1e-12)
+    )
+    squared = limit.copy()
     squared[0] = min(squared[0], ends_m_s[0] ** 2)
     squared[-1] = min(squared[-1], ends_m_s[1] ** 2)
     # min over j <= i of squared[j] + 2 a (s_i - s_j): a running minimum of squared - 2 a s.
-    rise = 2.0 * along * np.concatenate([[0.0], np.cumsum(half)])
+    rise = 2.0 * a * np.concatenate([[0.0], np.cumsum(lengths_m)])
     squared = np.minimum.accumulate(squared - rise) + rise
     fall = rise[-1] - rise
     squared = np.minimum.accumulate((squared - fall)[::-1])[::-1] + fall
-    speed = np.sqrt(np.maximum(squared, 0.0))
-    times = 2.0 * half / (speed[:-1] + speed[1:])
-    return np.asarray(times.reshape(-1, 2).sum(axis=1))
+    squared = np.maximum(squared, 0.0)
+    before, after = squared[:-1], squared[1:]
+    peak = (before + after) / 2.0 + a * lengths_m
+    peak = np.minimum(peak, np.maximum(np.minimum(limit[:-1], limit[1:]), _larger(squared)))
+    top, v0, v1 = np.sqrt(peak), np.sqrt(before), np.sqrt(after)
+    ramps = (2.0 * peak - before - after) / (2.0 * a)
+    times = (2.0 * top - v0 - v1) / a + np.maximum(lengths_m - ramps, 0.0) / top
+    return np.asarray(times)
+
+
+def _larger(squared: FloatArray) -> FloatArray:
+    """Return the (n,) larger of each two neighbours."""
+    return np.maximum(squared[:-1], squared[1:])
