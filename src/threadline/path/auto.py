@@ -40,6 +40,15 @@ def auto_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBlock
         yield from run.extend(chunk)
 
 
+def points_added(programmed: ProgrammedPath, cut_m: float) -> int:
+    """Return how many control points are not vertices of the program; reads it once."""
+    run = _Run(programmed.radius_m, cut_m)
+    for chunk in runs(programmed):
+        for _ in run.extend(chunk):
+            pass
+    return run.added
+
+
 @dataclass(slots=True)
 class _Run:
     """The run under way: what has come in and is not yet a piece."""
@@ -50,6 +59,7 @@ class _Run:
     controls: Controls | None = None
     first_chord: int = 0  # of those between ``vertices`` that is not yet in ``controls``
     begun: bool = False  # pieces of this run are out
+    added: int = 0  # control points that are not vertices, so far
 
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
         """Take in more vertices and yield the pieces that they settle."""
@@ -89,6 +99,7 @@ class _Run:
                 vertices.take(here), length[self.first_chord : stop], turn[here], spacing[here]
             )
             self.controls = join_controls(self.controls, fresh)
+            self.added += int(fresh.added.sum())
         yield from self._settle(ends, dwell_s)
         if ends:
             self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0

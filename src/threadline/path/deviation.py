@@ -44,7 +44,7 @@ class PathDeviation:
 
 
 def path_deviation(
-    programmed: ProgrammedPath, planned: PlannedPath, machine: Machine
+    programmed: ProgrammedPath, planned: PlannedPath, machine: Machine | None = None
 ) -> PathDeviation:
     """Return how far the two paths are apart, each piece held against the moves around its own.
 

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 SAMPLES = 8  # per curved piece, before refining
+NEWTON = 6  # steps to the nearest place of a piece
 REFINE = 24  # golden-section steps: 1e-5 of a sample interval
 _GOLDEN = 0.6180339887498949
 
@@ -75,18 +76,24 @@ def _nearest_on_piece(c, target, limit, point):
     if np.sqrt(best) - np.sqrt(way) / SAMPLES > np.sqrt(limit):
         return at / SAMPLES, best
     low, high = max(at - 1, 0) / SAMPLES, min(at + 1, SAMPLES) / SAMPLES
-    for _ in range(REFINE):
-        a = high - _GOLDEN * (high - low)
-        b = low + _GOLDEN * (high - low)
-        if _gap(c, a, target, point) < _gap(c, b, target, point):
-            high = b
-        else:
-            low = a
-    u = 0.5 * (low + high)
-    gap = _gap(c, u, target, point)
-    if gap < best:
-        return u, gap
-    return at / SAMPLES, best
+    u, where = at / SAMPLES, at / SAMPLES
+    for _ in range(NEWTON):
+        slope, bend = 0.0, 0.0
+        for j in range(c.shape[1]):
+            value, first, second = 0.0, 0.0, 0.0
+            for k in range(c.shape[0] - 1, -1, -1):
+                second = second * u + first
+                first = first * u + value
+                value = value * u + c[k, j]
+            slope += (value - target[j]) * first
+            bend += first * first + 2.0 * (value - target[j]) * second
+        if not bend > 0.0:
+            break
+        u = min(max(u - slope / bend, low), high)
+        gap = _gap(c, u, target, point)
+        if gap < best:
+            best, where = gap, u
+    return where, best
 
 
 @njit(cache=True)
@@ -143,6 +150,8 @@ def compare(c, vertex, vertices, window, best, offset):
         if top > worst:
             worst, worst_piece, worst_u = top, i, u
         for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
+            if best[v] == 0.0:
+                continue
             u, gap = _nearest_on_piece(c[i], vertices[v], best[v], point)
             if gap < best[v]:
                 best[v] = gap

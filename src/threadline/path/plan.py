@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.path import bspline, linear
 from threadline.path.auto import auto_pieces
 from threadline.path.smoothing import smoothing_for, smoothing_share
+from threadline.path.summary import LazySummary, auto_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import Stream
 
@@ -122,7 +123,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
     smoothing_m = share * options.tolerance_m
     cut_m = options.tolerance_m - smoothing_m
-    return PlannedPath(
+    path = PlannedPath(
         axes=programmed.axes,
         radius_m=programmed.radius_m,
         interpolation="auto",
@@ -131,6 +132,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
         blocks=Stream(lambda: auto_pieces(programmed, cut_m)),
         smoothing_m=smoothing_m,
     )
+    return replace(path, summary=LazySummary(lambda: auto_summary(programmed, path, cut_m)))
 
 
 _PLANNERS: dict[str, Planner] = {
