@@ -1,0 +1,82 @@
+"""A motor with its amplifier on its own: what was identified before the load was joined on."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.machine import Machine
+from threadline.plant.loop import ComplexArray
+from threadline.plant.network import linear_model
+from threadline.plant.suspicions import current_needed, rigid_motion
+
+_SINGULAR = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Actuator:
+    """From the controller's volts to the motor's speed, with every link taken off.
+
+    Parameters
+    ----------
+    dc_gain
+        Steady speed per volt, rad/s/V (m/s/V for a linear motor); None where it never settles.
+    loaded_dc_gain
+        The same with the axis' load moving along.
+    poles
+        (n,) rad/s, without the integrator from speed to position.
+    natural_rad_s, damping
+        Of the pole pair; None where the poles are real.
+    delay_s
+        Dead time before it acts.
+    """
+
+    dc_gain: float | None
+    loaded_dc_gain: float | None
+    poles: ComplexArray
+    natural_rad_s: float | None
+    damping: float | None
+    delay_s: float
+
+
+def actuator_of(machine: Machine, axis: str) -> Actuator:
+    """Return the actuator of an axis."""
+    name = machine.controllers[machine.axes[axis].controller].drive
+    drive = machine.drives[name]
+    alone = dataclasses.replace(machine, links={})
+    model = next(m for m in linear_model(alone) if f"drives.{name}" in m.inputs)
+    rates = [model.states.index(f"{body}'") for body in drive.acts_on]
+    coil = [k for k, state in enumerate(model.states) if state == f"{name}.i"]
+    kept = rates + coil
+    A = model.A[np.ix_(kept, kept)]
+    b = model.B[kept, model.inputs.index(f"drives.{name}")]
+    speed = np.array([q.si for q in drive.acts_on.values()] + [0.0] * len(coil))
+    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+    settles = float(np.abs(poles).min()) > _SINGULAR * max(1.0, float(np.abs(poles).max()))
+    pair = poles[poles.imag > 0]
+    return Actuator(
+        dc_gain=float(-speed @ np.linalg.solve(A, b)) if settles else None,
+        loaded_dc_gain=_loaded(machine, axis),
+        poles=poles,
+        natural_rad_s=float(abs(pair[0])) if len(pair) else None,
+        damping=float(-pair[0].real / abs(pair[0])) if len(pair) else None,
+        delay_s=0.0 if drive.delay is None else drive.delay.si,
+    )
+
+
+def _loaded(machine: Machine, axis: str) -> float | None:
+    drive = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
+    rates = rigid_motion(machine, axis)
+    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    viscous = current_needed(machine, axis, 1.0, 0.0) - current_needed(machine, axis, 0.0, 0.0)
+    friction = sum(
+        abs(rates[n]) * b.friction.si for n, b in machine.bodies.items() if b.friction is not None
+    )
+    viscous -= friction / (turning * drive.torque_constant.si)
+    gain = drive.amplifier.gain.si
+    if drive.amplifier.mode == "current":
+        return None if viscous <= 0 else gain * turning / viscous
+    volts = drive.resistance.si * viscous + drive.back_emf.si * turning
+    return None if volts <= 0 else gain * turning / volts

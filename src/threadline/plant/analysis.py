@@ -1,0 +1,265 @@
+"""Everything that ``threadline analyse`` says of an axis, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.plant.actuator import Actuator, actuator_of
+from threadline.plant.delayed import closed_poles
+from threadline.plant.loop import ComplexArray, Loop, Model, axis_loop, axis_loops
+from threadline.plant.margins import Margins, bandwidth_rad_s, loop_grid, margins_of
+from threadline.plant.modes import Oscillation, free_modes, locked_modes
+from threadline.plant.nyquist import unstable_count
+from threadline.plant.routh import stable_gains
+from threadline.plant.steps import Step, step_response
+from threadline.plant.values import Values
+from threadline.plant.zeros import chain_of, zeros_of
+
+HERTZ = 1.0 / (2.0 * np.pi)
+_SCALE_RAD_S = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoopFigures:
+    """What one model says of a loop.
+
+    Parameters
+    ----------
+    grid_rad_s, response
+        (k,) frequencies on which the loop is followed closely, and its response there.
+    poles
+        Closed-loop poles as s, rad/s, the rightmost first.
+    unstable
+        How many of them are unstable.
+    bandwidth_hz
+        Where the closed loop at the sensor has fallen by 3 dB; None where it never does.
+    """
+
+    model: Model
+    grid_rad_s: FloatArray
+    response: ComplexArray
+    margins: Margins
+    poles: ComplexArray
+    unstable: int
+    bandwidth_hz: float | None
+
+    @property
+    def stable(self) -> bool:
+        """Whether every closed-loop pole decays."""
+        return self.unstable == 0
+
+    @property
+    def gain_margin(self) -> float | None:
+        """Factor on the gain at which stability changes; None where it never does."""
+        return self.margins.gain_margin(self.stable)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures as JSON content."""
+        gain, worst = self.gain_margin, self.margins.worst_phase
+        at = [c.omega_rad_s for c in self.margins.phase_crossovers if c.gain_factor == gain]
+        return {
+            "stable": self.stable,
+            "unstable_poles": self.unstable,
+            "bandwidth_hz": self.bandwidth_hz,
+            "gain_margin": gain,
+            "gain_margin_db": None if gain is None else 20.0 * float(np.log10(gain)),
+            "gain_margin_below": self.margins.lower_to if self.stable else None,
+            "phase_crossover_hz": at[0] * HERTZ if at else None,
+            "phase_margin_deg": None if worst is None else worst.phase_margin_deg,
+            "crossover_hz": None if worst is None else worst.omega_rad_s * HERTZ,
+            "delay_margin_s": self.margins.delay_margin_s if self.stable else None,
+            "modulus_margin": self.margins.modulus_margin,
+            "poles_rad_s": [[float(p.real), float(p.imag)] for p in self.poles[:12]],
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxisAnalysis:
+    """What is known of an axis.
+
+    Parameters
+    ----------
+    sampled, continuous
+        The true sampled loop, and the continuous one with its exact dead time.
+    routh_gains
+        Intervals of factors on the gain that keep the loop stable by Routh's array with Pade's
+        first-order dead time, the textbook's way; None where loops share bodies.
+    steps
+        By output: measured and load.
+    """
+
+    axis: str
+    loop: Loop
+    sampled: LoopFigures
+    continuous: LoopFigures
+    routh_gains: tuple[tuple[float, float], ...] | None
+    locked: tuple[Oscillation, ...]
+    free: tuple[Oscillation, ...]
+    actuator: Actuator
+    plant_poles: ComplexArray
+    plant_zeros: ComplexArray
+    steps: dict[str, Step]
+
+    @property
+    def stable(self) -> bool:
+        """Whether the true sampled loop is stable."""
+        return self.sampled.stable
+
+    def verdict(self) -> str:
+        """Return one sentence on the loop's stability, with its margin."""
+        figures = self.sampled
+        gain = figures.gain_margin
+        if self.stable:
+            worst = figures.margins.worst_phase
+            phase = "" if worst is None else f", phase margin {worst.phase_margin_deg:.1f} deg"
+            room = "any gain" if gain is None else f"up to {gain:.3g} times the gain"
+            return f"axis {self.axis}: the loop is stable with {room}{phase}"
+        if gain is None:
+            remedy = "no gain makes it stable"
+        elif gain < 1:
+            remedy = f"it is at its limit at {gain:.3g} times the gain"
+        else:
+            remedy = f"its poles reach the limit at {gain:.3g} times the gain"
+        return f"axis {self.axis}: the loop is UNSTABLE ({figures.unstable} poles); {remedy}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content; its own figures are those of the sampled loop."""
+        motor = self.actuator
+        return {
+            **self.sampled.as_json(),
+            "verdict": self.verdict(),
+            "modes_hz": [m.frequency_hz for m in self.locked],
+            "modes_damping": [m.damping for m in self.locked],
+            "modes_free_hz": [m.frequency_hz for m in self.free],
+            "modes_free_damping": [m.damping for m in self.free],
+            "dc_gain": motor.dc_gain,
+            "dc_gain_loaded": motor.loaded_dc_gain,
+            "actuator": {
+                "natural_rad_s": motor.natural_rad_s,
+                "damping": motor.damping,
+                "poles_rad_s": _pairs(motor.poles),
+                "delay_s": motor.delay_s,
+            },
+            "plant_poles_rad_s": _pairs(self.plant_poles),
+            "plant_zeros_rad_s": _pairs(self.plant_zeros),
+            "routh_pade_gains": None
+            if self.routh_gains is None
+            else [[low, high if np.isfinite(high) else None] for low, high in self.routh_gains],
+            "steps": {name: _step_json(step) for name, step in self.steps.items()},
+            "continuous": self.continuous.as_json(),
+        }
+
+
+def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> AxisAnalysis:
+    """Return the analysis of one axis.
+
+    Raises
+    ------
+    OptionError
+        If there is no such axis.
+    MachineError
+        If its loop cannot be analysed.
+    """
+    loop = axis_loop(machine, axis, values)
+    own = loop.own()
+    steps = {name: step_response(loop, name) for name in ("measured", "load")}
+    return AxisAnalysis(
+        axis=axis,
+        loop=loop,
+        sampled=loop_figures(loop, "sampled"),
+        continuous=loop_figures(loop, "continuous"),
+        routh_gains=_routh(loop) if len(loop.filters) == 1 else None,
+        locked=locked_modes(machine, axis, values),
+        free=free_modes(machine, axis, values),
+        actuator=actuator_of(machine, axis),
+        plant_poles=_sorted(own.poles()),
+        plant_zeros=_sorted(zeros_of(own)),
+        steps={name: step for name, step in steps.items() if step is not None},
+    )
+
+
+def analyse(machine: Machine) -> dict[str, AxisAnalysis]:
+    """Return the analysis of every axis."""
+    return {axis: analyse_axis(machine, axis) for axis in machine.axes}
+
+
+def loop_figures(loop: Loop, model: Model) -> LoopFigures:
+    """Return what one model says of a loop."""
+    grid = loop_grid(loop, model)
+    response = loop.responder(model)
+    poles: ComplexArray
+    if model == "sampled":
+        z = loop.closed().eigenvalues()
+        unstable = int(np.count_nonzero(np.abs(z) >= 1.0))
+        # Poles within a tenth of the origin are gone in a tick; their logarithm says nothing.
+        poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
+    else:
+        unstable = unstable_count(loop)
+        poles = closed_poles(loop)
+
+    def closed(omega: FloatArray) -> ComplexArray:
+        L = response(omega)
+        return np.asarray(L / (1.0 + L))
+
+    bandwidth = bandwidth_rad_s(closed, grid)
+    return LoopFigures(
+        model=model,
+        grid_rad_s=grid,
+        response=response(grid),
+        margins=margins_of(response, grid),
+        poles=_sorted(poles),
+        unstable=unstable,
+        bandwidth_hz=None if bandwidth is None else bandwidth * HERTZ,
+    )
+
+
+def unstable_loops(machine: Machine) -> list[str]:
+    """Return one sentence, with the margin, for every axis whose sampled loop is unstable."""
+    found = []
+    for axis, loop in axis_loops(machine).items():
+        if loop.closed().spectral_radius >= 1.0:
+            found.append(analyse_axis(machine, axis).verdict())
+    return found
+
+
+def _routh(loop: Loop) -> tuple[tuple[float, float], ...]:
+    """Return the stable gains by Routh, dead time by Pade; s in units of 100 rad/s."""
+    own, digital = loop.own(), loop.filters[loop.index]
+    chain, zeros, poles = chain_of(own), zeros_of(own), own.poles()
+    degree = len(poles) - len(zeros)
+    top = np.poly(zeros / _SCALE_RAD_S).real * chain.gain / _SCALE_RAD_S**degree
+    bottom = np.poly(poles / _SCALE_RAD_S).real
+    top = np.polymul(top, _in_hundreds(digital.continuous_numerator))
+    bottom = np.polymul(bottom, _in_hundreds(digital.continuous_denominator))
+    delay = float(loop.delays_s()[loop.index]) * _SCALE_RAD_S
+    if delay > 0:
+        top, bottom = np.polymul(top, [-delay, 2.0]), np.polymul(bottom, [delay, 2.0])
+    return stable_gains(np.asarray(top), np.asarray(bottom))
+
+
+def _in_hundreds(polynomial: FloatArray) -> FloatArray:
+    return polynomial * _SCALE_RAD_S ** np.arange(len(polynomial) - 1, -1, -1)
+
+
+def _sorted(poles: ComplexArray) -> ComplexArray:
+    order = np.lexsort((-poles.imag, np.abs(poles.imag), -np.round(poles.real, 6)))
+    return np.asarray(poles[order])
+
+
+def _pairs(poles: ComplexArray) -> list[list[float]]:
+    return [[float(p.real), float(p.imag)] for p in poles]
+
+
+def _step_json(step: Step) -> dict[str, float]:
+    return {
+        "rise_s": step.rise_s,
+        "settling_s": step.settling_s,
+        "overshoot": step.overshoot,
+        "peak_s": step.peak_s,
+        "steady_state_error": step.steady_state_error,
+    }

@@ -1,0 +1,204 @@
+"""Crossovers and margins from the frequency response itself, found by search and refinement.
+
+Margins by polynomials need a rational dead time (Pade), and the sampled loop's polynomial has one
+power of z for every tick of it. Here the response is evaluated as it is: on a grid refined until
+neighbours differ by less than a tenth in phase and in log magnitude, then every crossing is
+closed in on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from scipy.optimize import brentq
+
+from threadline.arrays import FloatArray
+from threadline.plant.loop import ComplexArray, Loop, Model
+
+Response: TypeAlias = Callable[[FloatArray], ComplexArray]
+
+_STEP = 0.1
+_ROUNDS = 14
+_MOST_POINTS = 400_000
+_START_POINTS = 600
+_NEGLIGIBLE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainCrossover:
+    """A frequency where the loop's gain is 1, and the phase left to -180 degrees there."""
+
+    omega_rad_s: float
+    phase_margin_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseCrossover:
+    """A frequency where the loop's phase is -180 degrees, and the factor that makes its gain 1."""
+
+    omega_rad_s: float
+    gain_factor: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margins:
+    """Every crossover of a loop, in the order of frequency.
+
+    Parameters
+    ----------
+    modulus_margin, modulus_omega_rad_s
+        Smallest distance of the response from -1, and where.
+    """
+
+    gain_crossovers: tuple[GainCrossover, ...]
+    phase_crossovers: tuple[PhaseCrossover, ...]
+    modulus_margin: float
+    modulus_omega_rad_s: float
+
+    @property
+    def worst_phase(self) -> GainCrossover | None:
+        """The gain crossover with the smallest phase margin; None when the gain is never 1."""
+        return min(self.gain_crossovers, key=lambda c: c.phase_margin_deg, default=None)
+
+    @property
+    def raise_to(self) -> float | None:
+        """Smallest factor above 1 on the gain that puts the loop on its limit; None for none."""
+        return min(
+            (c.gain_factor for c in self.phase_crossovers if c.gain_factor > 1), default=None
+        )
+
+    @property
+    def lower_to(self) -> float | None:
+        """Largest factor below 1 on the gain that puts the loop on its limit; None for none."""
+        return max(
+            (c.gain_factor for c in self.phase_crossovers if c.gain_factor <= 1), default=None
+        )
+
+    def gain_margin(self, stable: bool) -> float | None:
+        """Return the factor on the gain at which stability changes; None where it never does.
+
+        Above 1 for a stable loop (a conditionally stable one has ``lower_to`` besides), below 1
+        for an unstable one that a lower gain would make stable.
+        """
+        first, second = (self.raise_to, self.lower_to) if stable else (self.lower_to, self.raise_to)
+        return first if first is not None or stable else second
+
+    @property
+    def delay_margin_s(self) -> float | None:
+        """Smallest further dead time that puts a stable loop on its limit."""
+        return min(
+            (np.radians(c.phase_margin_deg % 360.0) / c.omega_rad_s for c in self.gain_crossovers),
+            default=None,
+        )
+
+
+def refined_grid(
+    response: Response, low: float, high: float, also: Iterable[float] = ()
+) -> FloatArray:
+    """Return frequencies from ``low`` to ``high`` on which ``response`` is followed closely.
+
+    Parameters
+    ----------
+    response
+        (k,) rad/s to (k,) complex.
+    also
+        Frequencies to begin with, such as those of resonances.
+    """
+    inside = [w for w in also if low < w < high]
+    grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), inside]))
+    values = response(grid)
+    for _ in range(_ROUNDS):
+        turn = np.abs(np.angle(values[1:] / values[:-1]))
+        rise = np.abs(np.log(np.abs(values[1:]) / np.abs(values[:-1])))
+        coarse = (turn > _STEP) | (rise > 2 * _STEP)
+        if not coarse.any() or len(grid) > _MOST_POINTS:
+            break
+        middle = np.sqrt(grid[:-1] * grid[1:])[coarse]
+        grid = np.concatenate([grid, middle])
+        values = np.concatenate([values, response(middle)])
+        order = np.argsort(grid)
+        grid, values = grid[order], values[order]
+    return np.asarray(grid)
+
+
+def margins_of(response: Response, grid: FloatArray) -> Margins:
+    """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12."""
+    values = response(grid)
+
+    def one(omega: float) -> complex:
+        return complex(response(np.array([omega]))[0])
+
+    gains, phases = [], []
+    size = np.log(np.abs(values))
+    for k in np.nonzero(size[:-1] * size[1:] <= 0)[0]:
+        if size[k] == 0.0 and size[k + 1] == 0.0:
+            continue
+        at = _root(lambda w: float(np.log(abs(one(w)))), grid[k], grid[k + 1])
+        angle = float(np.degrees(np.angle(-one(at))))
+        gains.append(GainCrossover(omega_rad_s=at, phase_margin_deg=angle))
+    across = (values.imag[:-1] * values.imag[1:] <= 0) & (values.real[:-1] + values.real[1:] < 0)
+    for k in np.nonzero(across)[0]:
+        at = _root(lambda w: one(w).imag, grid[k], grid[k + 1])
+        if one(at).real < 0:
+            phases.append(PhaseCrossover(omega_rad_s=at, gain_factor=1.0 / abs(one(at))))
+    nearest = int(np.argmin(np.abs(1.0 + values)))
+    return Margins(
+        gain_crossovers=tuple(gains),
+        phase_crossovers=tuple(phases),
+        modulus_margin=float(abs(1.0 + values[nearest])),
+        modulus_omega_rad_s=float(grid[nearest]),
+    )
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    first, last = function(low), function(high)
+    if first == 0.0:
+        return low
+    if last == 0.0 or first * last > 0:
+        return high
+    return float(brentq(function, low, high, rtol=1e-12, xtol=1e-14 * high))
+
+
+def loop_grid(loop: Loop, model: Model = "sampled") -> FloatArray:
+    """Return the frequencies on which a loop is looked at.
+
+    From far below its slowest resonance or crossover to the Nyquist frequency of its controller
+    (sampled), or to where its gain has fallen below one in a thousand (continuous).
+    """
+    response = loop.responder(model)
+    poles = np.abs(loop.plant.poles())
+    moving = poles[poles > 1e-6 * max(poles.max(), 1.0)]
+    slowest = float(moving.min()) if len(moving) else 1.0
+    low = 1e-3 * min(slowest, 10.0)
+    if model == "sampled":
+        high = np.pi / loop.period_s * (1 - 1e-9)
+    else:
+        high = max(10.0 * float(poles.max()), 100.0)
+        while abs(response(np.array([high]))[0]) > _NEGLIGIBLE and high < 1e7:
+            high *= 2.0
+    resonances = [float(abs(p.imag)) for p in loop.plant.poles() if p.imag > 0]
+    return refined_grid(response, low, high, resonances)
+
+
+def loop_margins(loop: Loop, model: Model = "sampled") -> Margins:
+    """Return the margins of a loop."""
+    return margins_of(loop.responder(model), loop_grid(loop, model))
+
+
+def bandwidth_rad_s(closed: Response, grid: FloatArray) -> float | None:
+    """Return the lowest frequency at which ``closed`` falls 3 dB below its value at ``grid[0]``.
+
+    None when it never does.
+    """
+    values = np.abs(closed(grid))
+    level = values[0] / np.sqrt(2.0)
+    below = np.nonzero(values < level)[0]
+    if not len(below):
+        return None
+    k = int(below[0])
+    return _root(
+        lambda w: float(abs(closed(np.array([w]))[0]) - level), float(grid[k - 1]), float(grid[k])
+    )

@@ -1,0 +1,76 @@
+"""Zeros of a plant from one input to one output, and its relative degree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import MachineError
+from threadline.plant.linear import StateSpace
+from threadline.plant.loop import ComplexArray
+
+_ZERO = 1e-11
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chain:
+    """The chain of integrators from an input to an output.
+
+    ``y`` differentiated ``degree`` times is ``row . x + gain u``.
+
+    Parameters
+    ----------
+    degree
+        Relative degree.
+    rows
+        (degree + 1, n): ``C A^k``, the k-th derivative of y without input.
+    gain
+        ``C A^(degree - 1) B``.
+    """
+
+    degree: int
+    rows: FloatArray
+    gain: float
+
+
+def chain_of(plant: StateSpace) -> Chain:
+    """Return the chain of a plant with one input and one output.
+
+    Raises
+    ------
+    MachineError
+        If the input never reaches the output.
+    """
+    A, b, row = plant.A, plant.B[:, 0], plant.C[0]
+    rows = [row]
+    size = np.abs(row)
+    for degree in range(1, len(A) + 1):
+        through = float(row @ b)
+        if abs(through) > _ZERO * float(size @ np.abs(b)):
+            rows.append(row @ A)
+            return Chain(degree=degree, rows=np.array(rows), gain=through)
+        row, size = row @ A, size @ np.abs(A)
+        rows.append(row)
+    raise MachineError(f"{plant.inputs[0]} does not move {plant.outputs[0]}")
+
+
+def zeros_of(plant: StateSpace) -> ComplexArray:
+    """Return the zeros of a plant with one input and one output, in rad/s.
+
+    With the input that holds the output still, the states that remain move by
+    ``A - B C A^r / (C A^(r-1) B)``; its eigenvalues are the zeros and r zeros at the origin.
+    """
+    chain = chain_of(plant)
+    inner = plant.A - np.outer(plant.B[:, 0], chain.rows[chain.degree]) / chain.gain
+    # In the null space of the chain nothing but the zeros is left: no r-fold root to smear out.
+    scaled = chain.rows[: chain.degree]
+    scaled = scaled / np.linalg.norm(scaled, axis=1)[:, None]
+    units = np.maximum(np.abs(scaled).max(axis=0), _ZERO)
+    _, values, vectors = np.linalg.svd(scaled / units)
+    basis = vectors[len(values) :].T / units[:, None]
+    if not basis.shape[1]:
+        return np.empty(0, dtype=np.complex128)
+    left = np.linalg.pinv(basis)
+    return np.asarray(np.linalg.eigvals(left @ inner @ basis), dtype=np.complex128)
