@@ -69,6 +69,7 @@ _EXACT_TIME_S = {
 }
 _EXACT_RATE_HZ = {"Hz": Fraction(1), "kHz": Fraction(1000), "MHz": Fraction(10**6)}
 _MAX_TEXT = 120
+_SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
 
 
 @cache
@@ -185,9 +186,11 @@ def parse_exact_time_s(text: str) -> Fraction:
         If it is neither a time nor a rate, or not positive.
     """
     number, unit = split_quantity(text)
+    if not _SMALLEST_EXACT <= float(number) <= _LARGEST_EXACT:
+        # Before the fraction: 1e999999999 would be a number of a billion digits.
+        limit = "greater than zero" if float(number) <= 0 else "from 1e-30 to 1e30"
+        raise UnitError(f"{text!r} must be {limit}")
     exact = Fraction(number)
-    if exact <= 0:
-        raise UnitError(f"{text!r} must be greater than zero")
     if unit in _EXACT_TIME_S:
         return exact * _EXACT_TIME_S[unit]
     if unit in _EXACT_RATE_HZ:

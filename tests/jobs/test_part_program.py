@@ -112,6 +112,8 @@ def test_warnings_name_their_line(tmp_path: Path) -> None:
     job = read(tmp_path, "G64 P0.1", "G91 G1 F2160 X1", "X1 F2200", "X1 F2200", "G4 P1500", "M30")
     assert [w.split(":")[1] for w in job.warnings] == ["3", "5", "1"]
     assert "above the normal feed of 10 count/tick (X 36.1 mm/s)" in job.warnings[0]
+    home = read(tmp_path, "G91 G1 F9000", "G28", "M30")
+    assert "(A 99.2, X 36.1, Y 32.1 mm/s)" in home.warnings[0]
     many = [f"X1 F{3000 + k}" for k in range(20)]
     assert read(tmp_path, "G91 G1", *many, "M30").warnings[-1] == "15 more warnings of these kinds."
 

@@ -106,7 +106,7 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
 
 def _warnings(scanner: Scanner, machine: Machine, file: SourceFile) -> tuple[str, ...]:
     findings = scanner.findings
-    used = scanner.moved_axes
+    used = scanner.moved_axes or range(len(machine.axis_names))  # G28 alone names none
     caps_m_s = normal_feed_m_s(machine)
     warnings = []
     for (feed, tenth_mm), line in findings.feeds.items():
