@@ -10,6 +10,9 @@ from types import ModuleType
 
 import pytest
 
+from threadline.errors import UnitError
+from threadline.units import parse_exact_time_s
+
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz.py"
 
 
@@ -41,3 +44,10 @@ def test_a_traceback_is_counted(fuzz: ModuleType, monkeypatch: pytest.MonkeyPatc
     assert len(tally.failures) == 2
     assert "--seed 7 --reader bad --first 3 --cases 1" in tally.failures[0]
     assert "ZeroDivisionError" in tally.failures[0]
+
+
+def test_a_time_of_a_billion_digits_is_refused_at_once() -> None:
+    """Found by fuzzing: the exact fraction of 1e999999999 took minutes to make."""
+    for text in ("1e999999999 s", "1e-999999999 s"):
+        with pytest.raises(UnitError, match="must be"):
+            parse_exact_time_s(text)
