@@ -28,6 +28,8 @@ from itertools import islice
 from pathlib import Path
 from types import FrameType
 
+from fuzz_files import fuzz_targets
+
 from threadline.errors import ThreadlineError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -222,6 +224,7 @@ READERS: dict[str, Reader] = {
     "par": Reader("fw-cnc.par", parameter_file, lambda p: read_parameters(p, WINDER), 12),
     "units": Reader("unit.txt", quantity, read_quantity, 24),
     "machine": Reader("a.toml", machine_file, load_machine, 4),
+    **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
 }
 
 _PAR = b"""FW-CNC.PAR

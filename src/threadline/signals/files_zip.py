@@ -7,6 +7,7 @@ what the headers promise.
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterator
@@ -27,6 +28,11 @@ MAX_TOTAL_BYTES = 1 << 40
 _MAX_RATIO = 1100  # deflate packs at most 1032 : 1; a promise beyond it is a lie
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # equal content gives equal files, whenever it is written
 _COPY_BYTES = 1 << 20
+_MAX_HEADER = 1000
+_HEADER = re.compile(
+    r"\{'descr': (?P<descr>[^{}]{1,200}), 'fortran_order': (?P<order>True|False), "
+    r"'shape': \((?P<shape>(?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?)\), \} *\n"
+)
 
 
 class ColumnSpool:
@@ -162,22 +168,31 @@ class ColumnArchive:
         except KeyError as error:
             raise self._refuse(f"the archive has no column {name!r}") from error
         member = self._stack.enter_context(self._archive.open(info))
-        version = npy.read_magic(member)
-        if version == (1, 0):
-            shape, fortran, found = npy.read_array_header_1_0(member)
-        elif version == (2, 0):
-            shape, fortran, found = npy.read_array_header_2_0(member)
-        else:
-            raise self._refuse(f"column {name!r} has the unknown version {version}")
-        if found != np.dtype(dtype) or found.hasobject:
-            raise self._refuse(f"column {name!r} holds {found}, expected {np.dtype(dtype)}")
-        if fortran or len(shape) != 1 + len(width) or tuple(shape[1:]) != width:
+        found, fortran, shape = self._header(member, name)
+        expected = repr(npy.dtype_to_descr(np.dtype(dtype)))
+        if found != expected:
+            raise self._refuse(f"column {name!r} holds {found}, expected {expected}")
+        if fortran or len(shape) != 1 + len(width) or shape[1:] != width:
             raise self._refuse(f"column {name!r} has shape {shape}, expected (n, {width})")
         row_bytes = np.dtype(dtype).itemsize * int(np.prod(width, dtype=np.int64))
-        rows = int(shape[0])
-        if rows < 0 or member.tell() + rows * row_bytes != info.file_size:
+        rows = shape[0]
+        if member.tell() + rows * row_bytes != info.file_size:
             raise self._refuse(f"column {name!r} promises {rows} rows and holds another number")
         return ColumnReader(member, np.dtype(dtype), width, rows)
+
+    def _header(self, member: IO[bytes], name: str) -> tuple[str, bool, tuple[int, ...]]:
+        """Return type, order and shape; numpy's own reader would run a Python parser on them."""
+        magic = member.read(8)
+        size_bytes = {b"\x93NUMPY\x01\x00": 2, b"\x93NUMPY\x02\x00": 4}.get(magic)
+        if size_bytes is None:
+            raise self._refuse(f"column {name!r} is no array of a known version")
+        size = int.from_bytes(member.read(size_bytes), "little")
+        text = member.read(min(size, _MAX_HEADER)).decode("latin-1")
+        match = _HEADER.fullmatch(text)
+        if match is None or len(text) != size:
+            raise self._refuse(f"column {name!r} has a header that cannot be read")
+        shape = tuple(int(part) for part in match["shape"].split(",") if part.strip())
+        return match["descr"], match["order"] == "True", shape
 
 
 class ColumnReader:
