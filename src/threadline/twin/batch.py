@@ -22,7 +22,7 @@ from threadline.twin.events import ENDLESS, EVENTS, SLOW
 from threadline.twin.prepare import Prepared, State, common_guards, new_state, prepare
 from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases
 
-LANES = 8
+LANES = 16
 _SLOTS = 16
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 14

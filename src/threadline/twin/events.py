@@ -66,7 +66,7 @@ def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
 
 
 @njit
-def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no-untyped-def]
+def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no-untyped-def]  # noqa: PLR0915
     """Advance z by ``cells`` cells; return False when a mode has to be met first.
 
     Called again after that, it goes on where it was: ``where[DONE]`` cells and, of the next, the

@@ -46,6 +46,7 @@ class Shape(NamedTuple):
     second: bool  # controllers look two ticks back
     peak: bool  # currents are watched
     quantised: bool
+    delayed: bool  # some command is under way longer than no time
 
     def layout(self) -> dict[str, int]:
         """Return where each part of the workspace begins, in rows of ``lanes`` floats."""
@@ -54,7 +55,7 @@ class Shape(NamedTuple):
         parts = {
             "z": size,
             "next": n,
-            "control": 18 * k,
+            "control": 19 * k,
             "sensor": n * k,
             "measure": 5 * a,
             "load": n * a,
@@ -93,8 +94,9 @@ class Shape(NamedTuple):
     PHASE,
     ZERO,
     REF,
-) = range(18)
-# Rows of an axis: largest |commanded - load|, lowest and highest load in the window, its last, scale.
+    HELD,
+) = range(19)
+# Rows of an axis: largest |commanded - load|, least and greatest load of the window, last, scale.
 WORST, LOWEST, HIGHEST, LAST, SCALE = range(5)
 # Entries of ``clock``, before the heads of the dead times (written, read).
 STEP, UNTIL_SAMPLE, TICK, HEADS = 0, 1, 2, 3
@@ -154,7 +156,7 @@ def _sample(w, L, first, offsets, K, quantised, frame, tripped, peak, out):  # t
             now = 0.0
             for i in range(n):
                 now += w[(S + c * n + i) * L + u] * w[i * L + u]
-            o = C + 18 * c
+            o = C + 19 * c
             if quantised:
                 now = np.floor(now + w[(o + PHASE) * L + u])
             out[at, u] = now
@@ -190,7 +192,7 @@ def _sources() -> str:
 
 
 @cache
-def lanes_kernel(shape: Shape) -> Callable[..., None]:
+def lanes_kernel(shape: Shape) -> Callable[..., None]:  # noqa: PLR0915
     """Return the kernel for one shape; compiled code is kept on disk.
 
     Its arguments: first and last block of lanes; work (blocks, rows * L); ring (blocks, K, R, L)
@@ -225,10 +227,11 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
         at["matrix"],
         at["watch"],
     )
+    delayed = shape.delayed
     sources = _sources()
 
     @njit(cache=True, nogil=True)
-    def run(  # type: ignore[no-untyped-def]
+    def run(  # type: ignore[no-untyped-def]  # noqa: PLR0915
         begin, end, work, ring, mode, clock, first_action, actions, length, references, every,
         window, plant, t, frame, drive, axis_controller, records, tripped, counts,
     ):  # fmt: skip
@@ -278,7 +281,7 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
                         clock[b, TICK] += 1
                         for c in range(K):
                             for u in range(L):
-                                w[(C + 18 * c + REF) * L + u] = references[row, c]
+                                w[(C + 19 * c + REF) * L + u] = references[row, c]
                         row += 1
                         if every > 0:
                             if clock[b, UNTIL_SAMPLE] == 0:
@@ -287,116 +290,133 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:
                                 taken += 1
                                 clock[b, UNTIL_SAMPLE] = every
                             clock[b, UNTIL_SAMPLE] -= 1
-                    elif what == 1:
-                        o = C + 18 * k
-                        for u in range(L):
-                            read = w[(S + k * n) * L + u] * w[u]
-                            for i in range(1, n):
-                                read += w[(S + k * n + i) * L + u] * w[i * L + u]
-                            if quantised:
-                                read = np.floor(read + w[(o + PHASE) * L + u])
-                            e = w[(o + REF) * L + u] - read
-                            value = w[(o + B0) * L + u] * e
-                            value += w[(o + B1) * L + u] * w[(o + E1) * L + u]
-                            if feedback:
-                                value -= w[(o + A1) * L + u] * w[(o + O1) * L + u]
-                            if second:
-                                value += w[(o + B2) * L + u] * w[(o + E2) * L + u]
-                                value -= w[(o + A2) * L + u] * w[(o + O2) * L + u]
-                                w[(o + E2) * L + u] = w[(o + E1) * L + u]
-                                w[(o + O2) * L + u] = w[(o + O1) * L + u]
-                            w[(o + E1) * L + u] = e
-                            low = w[(o + LOW) * L + u]
-                            high = w[(o + HIGH) * L + u]
-                            level = np.rint(value) if quantised else value
-                            level = min(level, high)
-                            level = max(level, low)
-                            if feedback or second:
-                                value = min(value, high)
-                                value = max(value, low)
-                                w[(o + O1) * L + u] = value
-                            turned = w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
-                            level = 0.0 if turned < 0.0 else level
-                            w[(o + LEVEL) * L + u] = level
-                        head = clock[b, HEADS + 2 * k]
-                        for u in range(L):
-                            ring[b, k, head, u] = w[(o + LEVEL) * L + u]
-                        clock[b, HEADS + 2 * k] = (head + 1) % ring.shape[2]
-                    else:
-                        o = C + 18 * k
-                        head = clock[b, HEADS + 2 * k + 1]
-                        for u in range(L):
-                            held = ring[b, k, head, u] * w[(o + GAIN) * L + u]
-                            limit = w[(o + LIMIT) * L + u]
-                            held = min(held, limit)
-                            held = max(held, -limit)
-                            w[(n + drive[k]) * L + u] = held
-                        clock[b, HEADS + 2 * k + 1] = (head + 1) % ring.shape[2]
+                    for c in range(K):
+                        # Numbers that the compiler knows not to be negative: indices need no care.
+                        if what == 0 or c != k:
+                            continue
+                        o = C + 19 * c
+                        if what == 1:
+                            for u in range(L):
+                                read = w[(S + c * n) * L + u] * w[u]
+                                for i in range(1, n):
+                                    read += w[(S + c * n + i) * L + u] * w[i * L + u]
+                                if quantised:
+                                    read = np.floor(read + w[(o + PHASE) * L + u])
+                                e = w[(o + REF) * L + u] - read
+                                value = w[(o + B0) * L + u] * e
+                                value += w[(o + B1) * L + u] * w[(o + E1) * L + u]
+                                if feedback:
+                                    value -= w[(o + A1) * L + u] * w[(o + O1) * L + u]
+                                if second:
+                                    value += w[(o + B2) * L + u] * w[(o + E2) * L + u]
+                                    value -= w[(o + A2) * L + u] * w[(o + O2) * L + u]
+                                    w[(o + E2) * L + u] = w[(o + E1) * L + u]
+                                    w[(o + O2) * L + u] = w[(o + O1) * L + u]
+                                w[(o + E1) * L + u] = e
+                                low = w[(o + LOW) * L + u]
+                                high = w[(o + HIGH) * L + u]
+                                level = np.rint(value) if quantised else value
+                                level = high if level > high else level
+                                level = low if level < low else level
+                                if feedback or second:
+                                    value = high if value > high else value
+                                    value = low if value < low else value
+                                    w[(o + O1) * L + u] = value
+                                turned = w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
+                                level = 0.0 if turned < 0.0 else level
+                                w[(o + LEVEL) * L + u] = level
+                            if delayed:
+                                head = clock[b, HEADS + 2 * c]
+                                for u in range(L):
+                                    ring[b, c, head, u] = w[(o + LEVEL) * L + u]
+                                clock[b, HEADS + 2 * c] = (head + 1) % ring.shape[2]
+                        else:
+                            if delayed:
+                                head = clock[b, HEADS + 2 * c + 1]
+                                for u in range(L):
+                                    w[(o + HELD) * L + u] = ring[b, c, head, u]
+                                clock[b, HEADS + 2 * c + 1] = (head + 1) % ring.shape[2]
+                            for d in range(nu):
+                                if d != drive[c]:
+                                    continue
+                                for u in range(L):
+                                    held = w[(o + (HELD if delayed else LEVEL)) * L + u]
+                                    held *= w[(o + GAIN) * L + u]
+                                    limit = w[(o + LIMIT) * L + u]
+                                    held = limit if held > limit else held
+                                    held = -limit if held < -limit else held
+                                    w[(n + d) * L + u] = held
                 if not running:
                     break
-                x = length[step]
-                if T == 1:
-                    x = 0
-                if peak:
-                    if W > 0:
-                        # Inputs may have jumped: the current belongs to the mode then in force.
-                        jumped = np.int64(0)
-                        for g in range(W):
-                            for u in range(L):
-                                now = w[(WX + (x * W + g) * P * N) * L + u] * w[u]
-                                for j in range(1, N):
-                                    now += w[(WX + (x * W + g) * P * N + j) * L + u] * w[j * L + u]
-                                jumped += np.int64(now > w[(HI + g) * L + u])
-                                jumped += np.int64(now < w[(LO + g) * L + u])
-                        if jumped > 0:
-                            for u in range(L):
-                                _leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b], where, z, y,
-                                       D, q, tripped[b * L + u])  # fmt: skip
-                                for i in range(n):
-                                    w[i * L + u] = w[(Y + i) * L + u]
-                    for d in range(nu):
-                        for u in range(L):
-                            now = w[(CU + d * N) * L + u] * w[u]
-                            for j in range(1, N):
-                                now += w[(CU + d * N + j) * L + u] * w[j * L + u]
-                            kept = w[(PK + d) * L + u]
-                            w[(PK + d) * L + u] = now if abs(now) > abs(kept) else kept
-                for u in range(L):
-                    for i in range(n):
-                        o = MX + (x * n + i) * N
-                        total = w[o * L + u] * w[u]
-                        for j in range(1, N):
-                            total += w[(o + j) * L + u] * w[j * L + u]
-                        w[(Y + i) * L + u] = total
-                if W > 0:
-                    outside = np.int64(0)
-                    for g in range(W):
-                        for p in range(P):
-                            o = WX + ((x * W + g) * P + p) * N
-                            for u in range(L):
-                                total = w[o * L + u] * w[u]
-                                for j in range(1, N):
-                                    total += w[(o + j) * L + u] * w[j * L + u]
-                                outside += np.int64(total > w[(HI + g) * L + u])
-                                outside += np.int64(total < w[(LO + g) * L + u])
-                    if outside > 0:
-                        for u in range(L):
-                            leaves = False
+                for x in range(T):
+                    if x != length[step]:
+                        continue
+                    if peak:
+                        if W > 0:
+                            # Inputs may have jumped: the current belongs to the mode then in force.
+                            jumped = np.int64(0)
                             for g in range(W):
-                                for p in range(P):
-                                    o = WX + ((x * W + g) * P + p) * N
+                                for u in range(L):
+                                    now = w[(WX + (x * W + g) * P * N) * L + u] * w[u]
+                                    for j in range(1, N):
+                                        now += (
+                                            w[(WX + (x * W + g) * P * N + j) * L + u] * w[j * L + u]
+                                        )
+                                    jumped += np.int64(now > w[(HI + g) * L + u])
+                                    jumped += np.int64(now < w[(LO + g) * L + u])
+                            if jumped > 0:
+                                for u in range(L):
+                                    _leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b],
+                                           where, z, y, D, q, tripped[b * L + u])  # fmt: skip
+                                    for i in range(n):
+                                        w[i * L + u] = w[(Y + i) * L + u]
+                        for d in range(nu):
+                            for u in range(L):
+                                now = w[(CU + d * N) * L + u] * w[u]
+                                for j in range(1, N):
+                                    now += w[(CU + d * N + j) * L + u] * w[j * L + u]
+                                kept = w[(PK + d) * L + u]
+                                w[(PK + d) * L + u] = now if abs(now) > abs(kept) else kept
+                    for u in range(L):
+                        for i in range(n):
+                            o = MX + (x * n + i) * N
+                            total = w[o * L + u] * w[u]
+                            for j in range(1, N):
+                                total += w[(o + j) * L + u] * w[j * L + u]
+                            w[(Y + i) * L + u] = total
+                    if W > 0:
+                        outside = np.int64(0)
+                        for g in range(W):
+                            for p in range(P):
+                                o = WX + ((x * W + g) * P + p) * N
+                                for u in range(L):
                                     total = w[o * L + u] * w[u]
                                     for j in range(1, N):
                                         total += w[(o + j) * L + u] * w[j * L + u]
-                                    if total > w[(HI + g) * L + u] or total < w[(LO + g) * L + u]:
-                                        leaves = True
+                                    outside += np.int64(total > w[(HI + g) * L + u])
+                                    outside += np.int64(total < w[(LO + g) * L + u])
+                        if outside > 0:
+                            for u in range(L):
+                                leaves = False
+                                for g in range(W):
+                                    for p in range(P):
+                                        o = WX + ((x * W + g) * P + p) * N
+                                        total = w[o * L + u] * w[u]
+                                        for j in range(1, N):
+                                            total += w[(o + j) * L + u] * w[j * L + u]
+                                        if (
+                                            total > w[(HI + g) * L + u]
+                                            or total < w[(LO + g) * L + u]
+                                        ):
+                                            leaves = True
+                                            break
+                                    if leaves:
                                         break
                                 if leaves:
-                                    break
-                            if leaves:
-                                where[SLOW] += 1
-                                _leave(w, u, L, b * L + u, offsets, t.lengths[x], plant, t, mode[b],
-                                       where, z, y, D, q, tripped[b * L + u])  # fmt: skip
+                                    where[SLOW] += 1
+                                    v = b * L + u
+                                    _leave(w, u, L, v, offsets, t.lengths[x], plant, t,
+                                           mode[b], where, z, y, D, q, tripped[v])  # fmt: skip
                 for i in range(n * L):
                     w[i] = w[Y * L + i]
                 if peak:

@@ -81,6 +81,7 @@ class Prepared:
             ),
             peak=peak,
             quantised=quantised,
+            delayed=self.schedule.delayed,
         )
 
 
@@ -235,7 +236,7 @@ def new_state(
     put(layout["z"] + plant.base.shape[2] - 1, np.ones(1))
     control = prepared.control
     for c in range(shape.controllers):
-        o = layout["control"] + 18 * c
+        o = layout["control"] + 19 * c
         for row, values in (
             (k.B0, control.numerator[:, c, 0]),
             (k.B1, control.numerator[:, c, 1]),

@@ -43,6 +43,8 @@ class Schedule:
         (k,) int: distinct advances in grid periods.
     in_flight
         (controllers,) int: whole commands under way in each dead time.
+    delayed
+        Whether any command takes effect later than the instant at which it is given.
     """
 
     grid_s: Fraction
@@ -51,6 +53,7 @@ class Schedule:
     length: IntArray
     lengths: IntArray
     in_flight: IntArray
+    delayed: bool
 
     def __post_init__(self) -> None:
         for name, ndim in (
@@ -115,6 +118,7 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
         actions=actions,  # type: ignore[arg-type]
         length=[distinct.index(int(a / grid)) for a in advances],  # type: ignore[arg-type]
         lengths=distinct,  # type: ignore[arg-type]
+        delayed=any(delays),
         in_flight=[int(d / p) for p, d in zip(periods, delays, strict=True)],  # type: ignore[arg-type]
     )
 

@@ -88,6 +88,7 @@ def simulate(
 def check_commands(
     commands: TickTable, machine: Machine, record_every: int, settle_s: float
 ) -> None:
+    """Refuse commands that are not for this machine, and options out of range."""
     if commands.axes != machine.axis_names:
         raise OptionError(
             f"the commands are for axes {', '.join(commands.axes)}, "
