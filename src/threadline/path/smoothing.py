@@ -36,6 +36,17 @@ class Smoothing:
         """How far before and after an instant the motion counts."""
         return self.step_s * ((self.count - 1) / 2.0 + 2.0)
 
+    @property
+    def tail_s2(self) -> float:
+        """Half the mean square of the time by which the weights reach beyond the average.
+
+        Times an acceleration that sets in at the ends of the average: what that adds to a cut.
+        """
+        weights = np.convolve(np.full(self.count, 1.0 / self.count), [1 / 6, 4 / 6, 1 / 6])
+        times = (np.arange(len(weights)) - (len(weights) - 1) / 2.0) * self.step_s
+        beyond = np.maximum(np.abs(times) - self.width_s / 2.0, 0.0)
+        return float(0.5 * (weights * beyond**2).sum())
+
 
 def smoothing_for(machine: Machine, axes: tuple[str, ...]) -> Smoothing:
     """Return the narrowest smoothing that keeps every axis within its jerk limit.

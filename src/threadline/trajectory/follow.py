@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
@@ -16,8 +18,11 @@ from threadline.trajectory import profile
 from threadline.trajectory.smoothing import Smoother
 from threadline.trajectory.types import TrajectoryBlock
 
+BoolArray: TypeAlias = NDArray[np.bool_]
+
 SAMPLES = 16384  # in hand at once
 MOST_PENDING = 200_000  # pieces that wait for what follows; a longer wait is cut short by a stop
+_TAILS = 20.0  # times what the tails of the smoothing may cut: a tolerance below is fine
 _ALONG = 0.04  # least weight of the part of q_uu along the path, squared
 _CUSP = 1e-5  # of the piece's size: a slower end is a cusp
 
@@ -105,18 +110,8 @@ class _Run:
             c = np.concatenate([c, np.zeros((len(c), 4 - c.shape[1], c.shape[2]))], axis=1)
         straight = np.all(c[:, 2:] == 0.0, axis=(1, 2))
         with np.errstate(divide="ignore"):
-            feed = 1.0 / nominal_s**2
-            # The smoothing cuts a curve by half its variance times the acceleration.
-            bend = _cutting(c, self.radius)
-            bend[straight] = 0.0
-            smooth = 2.0 * self.slack_m / (self.smoothing.variance_s2 * bend)
-        # In a corner between straight pieces the acceleration rises and falls evenly over the
-        # time 2 / u', of which the average sees the fraction 1 - width u' / 8 (3/4 at least).
-        lone = np.zeros(len(c), dtype=bool)
-        lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
-        lone[2:-1] |= lone[1:-2]
-        seen = 1.0 - np.minimum(self.smoothing.width_s * np.sqrt(smooth) / 8.0, 0.25)
-        smooth = np.where(lone, smooth / seen, smooth)
+            feed = np.where(nominal_s > 0, 1.0 / nominal_s**2, np.inf)
+        smooth = self._smoothing_cap(c, straight)
         length = (
             _size(c[:, 1], self.radius)
             + _size(c[:, 1] + c[:, 2], self.radius)
@@ -126,6 +121,34 @@ class _Run:
         return _Pieces(
             c, straight.astype(np.int64), np.minimum(feed, smooth), factor, length, operation
         )
+
+    def _smoothing_cap(self, c: FloatArray, straight: BoolArray) -> FloatArray:
+        """Return the largest u'^2 at which the smoothing cuts a curve by no more than allowed.
+
+        That is half the variance of its weights times q_uu u'^2.
+        """
+        smoothing = self.smoothing
+        bend = _cutting(c, self.radius)
+        bend[straight] = 0.0
+        tail = smoothing.tail_s2 * float(_size(self.limit_a[None], self.radius)[0])
+        fine = self.slack_m < _TAILS * tail
+        slack = self.slack_m if fine else self.slack_m - tail
+        with np.errstate(divide="ignore"):
+            cap = 2.0 * slack / (smoothing.variance_s2 * bend)
+        # In a corner between straight pieces the acceleration rises and falls evenly over the
+        # time 2 / u', of which the average sees the fraction 1 - width u' / 8 (3/4 at least).
+        lone = np.zeros(len(c), dtype=bool)
+        lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
+        lone[2:-1] |= lone[1:-2]
+        seen = 1.0 - np.minimum(smoothing.width_s * np.sqrt(cap) / 8.0, 0.25)
+        cap = np.where(lone, cap / seen, cap)
+        if fine:
+            # So small a tolerance feels where the weights still see the straight beyond a curve.
+            edge = np.zeros(len(c), dtype=bool)
+            edge[:-1] |= straight[1:]
+            edge[1:] |= straight[:-1]
+            cap = np.where(edge & ~straight, np.minimum(cap, 1.0 / smoothing.reach_s**2), cap)
+        return np.asarray(cap)
 
     def _advance(self, ends: bool) -> Iterator[TrajectoryBlock]:
         p = self.pending
