@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import os
 import pkgutil
 import platform
 import sys
@@ -36,7 +35,7 @@ def main() -> int:
     if chosen == names:
         temporary = RESULTS.with_suffix(".json.part")
         temporary.write_text(json.dumps(results, indent=2, allow_nan=False) + "\n")
-        os.replace(temporary, RESULTS)
+        temporary.replace(RESULTS)
         print(f"{len(results)} entries in {RESULTS}")
     print(f"threadline {threadline.__version__}, Python {platform.python_version()}")
     return 0

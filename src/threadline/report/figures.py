@@ -159,9 +159,7 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
         for row in rows
         for line, label in zip(*row.get_legend_handles_labels(), strict=True)
     }
-    rows[0].legend(
-        handles.values(), handles.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3
-    )
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
     rows[2].set_xlabel("time [s]")
     return figure
 
