@@ -191,6 +191,18 @@ def test_the_command_tells_two_nearly_equal_chords_apart() -> None:
     assert found.measured == pytest.approx(6e-4, abs=1e-12)
 
 
+def test_no_operation_after_the_end_means_the_last_one() -> None:
+    """A controller that reports -1 once it is done still stands at its last operation."""
+    points = [[0, 0], [0.1, 0], [0.1, 0.1]]
+    commanded, operation = follow(points, 50)
+    actual = commanded.copy()
+    actual[110:, 0] += 4e-4  # after the end, off the second leg; 0.1 m from the first
+    ended = np.where(np.arange(len(operation)) > 100, -1.0, operation)
+    result = contour(points, actual, ended, spec=spec_of(*CONTOUR.criteria, lag_s=0.0))
+    assert result.measured == pytest.approx(4e-4, abs=1e-12)
+    assert result.job_line == 20
+
+
 def test_a_recording_that_ends_early_fails() -> None:
     points = [[0.01 * i, 0] for i in range(11)]
     commanded, operation = follow(points, 10)

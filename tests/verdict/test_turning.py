@@ -141,6 +141,17 @@ def test_a_turning_that_bears_the_next_operations_name_early() -> None:
     assert result.measured == pytest.approx(0.0, abs=1e-12)
 
 
+def test_strokes_shorter_than_the_lag_do_not_hide_each_other() -> None:
+    """Peaks of 10, 10 and 10 mm, the first 0.3 mm short; the lag spans two strokes."""
+    points = [[0.0], [0.01], [0.0], [0.01], [0.0], [0.01], [0.0]]
+    moved = [[0.0], [0.0097], *points[2:]]
+    _, operation = follow(points, 20)
+    actual = late(follow(moved, 20)[0], 6)
+    result = turning(points, actual, operation, lag_s=40 * TICK_S).result("turning_point_error")
+    assert result.measured == pytest.approx(3e-4, abs=1e-12)
+    assert (result.note, result.job_line) == ("short", 10)
+
+
 @given(
     seed=st.integers(0, 2**32 - 1),
     strokes=st.integers(1, 8),
