@@ -24,18 +24,29 @@ from threadline.cli.output import print_json
 from threadline.jobs import read_job
 from threadline.pipeline import plan_job
 from threadline.targets import write
+from threadline.targets.schedule import compile_schedule
+from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of
 from threadline.trajectory import check_limits
 
 
 def compile_(
     job: JobArgument,
     machine: MachineOption,
-    target: Annotated[str, typer.Option(help="ticks, csv, npz or nc.")],
+    target: Annotated[str, typer.Option(help="ticks, csv, npz, nc, st or plcopen.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     feed: FeedOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     par: ParOption = None,
+    shaper: Annotated[
+        str, typer.Option(help="Of an on/off machine: zv, um-2ei, zv*um-2ei ... or none.")
+    ] = UNSHAPED_WORD,
+    mode: Annotated[
+        str | None, typer.Option(help='Mode it is made for: "3.04 Hz"; default: the machine\'s.')
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option(help="Damping ratio of that mode; default: the machine's.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB and write it for a controller; every limit is checked before the first byte.
@@ -43,11 +54,20 @@ def compile_(
     Exit status: 0 written, 2 wrong input (nothing is written).
 
     Example: threadline compile examples/x-180.prg -m lathe-winder --target csv -o x-180.csv
+
+    Of an on/off machine: threadline compile examples/letter-cycle.toml -m letter-placer
+    --target st --shaper zv --mode "3.04 Hz" --damping 0.17 -o letter-cycle.st
     """
     chosen = machine_from(machine, par)
-    plan = plan_job(read_job(job, chosen), chosen, options_of(interpolation, feed, tolerance))
-    check_limits(plan.trajectory, chosen)
-    files = write(plan, target, out)
+    if chosen.cylinders:
+        shaping = shaping_of(chosen, shaper, mode=mode, damping_ratio=damping)
+        files = write(compile_schedule(read_job(job, chosen), chosen, shaping), target, out)
+        for warning in files[0].warnings:
+            typer.echo(f"warning: {warning}", err=True)
+    else:
+        plan = plan_job(read_job(job, chosen), chosen, options_of(interpolation, feed, tolerance))
+        check_limits(plan.trajectory, chosen)
+        files = write(plan, target, out)
     if json:
         print_json({"files": [{"file": str(f.path), "sha256": f.sha256} for f in files]})
     else:

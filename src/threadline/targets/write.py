@@ -15,6 +15,9 @@ from threadline.signals.files_table import write_table_csv, write_table_npz
 from threadline.targets.calculate import CompiledPlan
 from threadline.targets.nc import NcStyle, part_program_lines
 from threadline.targets.planned_job import planned_job
+from threadline.targets.plcopen import write_plcopen
+from threadline.targets.schedule import Scheduled
+from threadline.targets.structured_text import write_structured_text
 from threadline.trajectory.types import Trajectory
 
 TableWriter = Callable[[TickTable, Path], Written]
@@ -54,22 +57,33 @@ def write_nc(plan: TimedPlan, path: Path) -> Written:
 PLANS: dict[str, PlanWriter] = {"nc": write_nc}
 """Targets that need the whole plan."""
 
+ScheduleWriter = Callable[[Scheduled, Path], list[Written]]
+
+SCHEDULES: dict[str, ScheduleWriter] = {
+    "plcopen": write_plcopen,
+    "st": write_structured_text,
+}
+"""Targets of on/off machines."""
+
 
 def target_names() -> tuple[str, ...]:
     """Return the names of all targets."""
-    return tuple(sorted([*TABLES, *PLANS]))
+    return tuple(sorted([*TABLES, *PLANS, *SCHEDULES]))
 
 
-def write(plan: TimedPlan | Commands, target: str, out: str | Path) -> list[Written]:
+def write(plan: TimedPlan | Commands | Scheduled, target: str, out: str | Path) -> list[Written]:
     """Write ``plan`` for a controller; whole files or none.
 
     Parameters
     ----------
     plan
-        A plan, or for ``csv``, ``npz`` and ``ticks`` the commands alone.
+        A plan, or for ``csv``, ``npz`` and ``ticks`` the commands alone; for ``st`` and
+        ``plcopen`` what ``compile_schedule`` returns.
     target
         ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
-        array of the 1994 controller. ``nc``: a part program for LinuxCNC.
+        array of the 1994 controller. ``nc``: a part program for LinuxCNC. ``st``:
+        structured text for a PLC, its configuration in a second file. ``plcopen``: the same as
+        PLCopen XML.
     out
         The file.
 
@@ -86,8 +100,16 @@ def write(plan: TimedPlan | Commands, target: str, out: str | Path) -> list[Writ
         If the commands break a limit; nothing is written then.
     """
     path = Path(out)
+    if target in SCHEDULES:
+        if not isinstance(plan, Scheduled):
+            raise OptionError(
+                f"target {target!r} is made from the schedule of an on/off machine, not from a "
+                f"{type(plan).__name__}",
+                remedy="Give a move list and a machine with cylinders.",
+            )
+        return SCHEDULES[target](plan, path)
     if target in PLANS:
-        if isinstance(plan, TickTable | SwitchSchedule):
+        if isinstance(plan, TickTable | SwitchSchedule | Scheduled):
             raise OptionError(
                 f"target {target!r} is made from a plan, not from a {type(plan).__name__}",
                 remedy="Give the job and the machine.",

@@ -1,0 +1,228 @@
+"""Move lists (``.toml``): what a machine does step by step, one ``[[operation]]`` after the other.
+
+Each operation says one thing: ``move``, ``dwell``, ``valve``, ``vacuum``, ``output`` or ``wait``.
+``step`` names the step of the cycle from there on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from threadline.errors import JobError, Place, UnitError
+from threadline.jobs.moves_keys import DEFAULT_TIMEOUT_S, OPERATION_KEYS, TOP_KEYS, hint
+from threadline.jobs.operations import (
+    NO_TAGS,
+    Dwell,
+    Job,
+    Move,
+    Operation,
+    SetOutput,
+    Source,
+    ToolEvent,
+    WaitInput,
+)
+from threadline.jobs.textfile import open_binary
+from threadline.machine import Machine
+from threadline.signals import Stream
+from threadline.units import parse_quantity
+
+MAX_BYTES = 4 * 1024 * 1024
+STEP_EVENT = "step "
+"""What the name of the ``ToolEvent`` that begins a step begins with."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+
+
+def read_moves(path: str | Path, *, machine: Machine) -> Job:
+    """Return the job of a move list.
+
+    Parameters
+    ----------
+    path
+        The file.
+    machine
+        Gives the axes (cylinders), outputs and inputs that the list may name.
+
+    Raises
+    ------
+    JobError
+        If it is not TOML or not a move list of this machine; with the line.
+    """
+    path = Path(path)
+    with open_binary(path) as stream:
+        content = b"" if path.is_dir() else stream.read(MAX_BYTES + 1)
+    place = Place(str(path))
+    if len(content) > MAX_BYTES:
+        raise JobError(f"the move list has more than {MAX_BYTES} bytes", place=place)
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise JobError("the file is not UTF-8 text", place=place) from error
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        at = re.search(r"at line (\d+)", str(error))
+        raise JobError(
+            f"not valid TOML: {error}", place=Place(str(path), int(at[1]) if at else 0)
+        ) from error
+    reader = _Reader(str(path), text, machine)
+    operations = reader.operations(table)
+    name = table.get("name", path.stem)
+    if not isinstance(name, str) or not name:
+        reader.refuse('name must be a text, like name = "letter-cycle"', None, "name")
+    return Job(
+        name=name,
+        file=str(path),
+        sha256=hashlib.sha256(content).hexdigest(),
+        axes=tuple(machine.cylinders),
+        start=tuple(0.0 for _ in machine.cylinders),
+        operations=Stream.of(operations),
+    )
+
+
+@dataclass(slots=True)
+class _Reader:
+    """One file: what it says, and where."""
+
+    file: str
+    text: str
+    machine: Machine
+
+    def operations(self, table: Mapping[str, Any]) -> list[Operation]:
+        if not self.machine.cylinders:
+            self.refuse(
+                f"machine {self.machine.name!r} has no cylinders to move",
+                None,
+                "",
+                "Move lists are for on/off machines.",
+            )
+        self._known(table, TOP_KEYS, None)
+        rows = table.get("operation")
+        if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
+            self.refuse("there are no operations", None, "", "Write [[operation]] tables.")
+        found: list[Operation] = []
+        position = dict.fromkeys(self.machine.cylinders, 0.0)
+        for index, row in enumerate(rows):
+            self._known(
+                row, ("step", *{k for keys in OPERATION_KEYS.values() for k in keys}), index
+            )
+            source = Source(self.file, self._line(index, None))
+            if "step" in row:
+                step = row["step"]
+                if not isinstance(step, str) or not _NAME.fullmatch(step):
+                    self.refuse(
+                        f"step = {step!r} is not a name", index, "step", 'Write it like "lift".'
+                    )
+                found.append(ToolEvent(STEP_EVENT + step, 0.0, source))
+            found += self._operation(row, index, source, position)
+        return found
+
+    def _operation(
+        self, row: Mapping[str, Any], index: int, source: Source, position: dict[str, float]
+    ) -> list[Operation]:
+        verbs = [verb for verb in OPERATION_KEYS if verb in row]
+        if len(verbs) != 1:
+            said = " and ".join(verbs) or "nothing"
+            self.refuse(
+                f"an operation says {said}, it must say one thing",
+                index,
+                verbs[1] if len(verbs) > 1 else None,
+                f"Use one of {', '.join(OPERATION_KEYS)}; the rest is another [[operation]].",
+            )
+        verb = verbs[0]
+        self._known(row, ("step", *OPERATION_KEYS[verb]), index)
+        if verb == "move":
+            return [self._move(row, index, source, position)]
+        if verb == "dwell":
+            return [Dwell(self._time(row, index, "dwell"), source)]
+        if verb == "wait":
+            contacts = [n for n, c in self.machine.contacts.items() if c.kind == "contact"]
+            name = self._named(row, index, "wait", contacts, "contact")
+            timeout = self._time(row, index, "timeout") if "timeout" in row else DEFAULT_TIMEOUT_S
+            return [WaitInput(name, float(self._flag(row, index, "is", True)), timeout, source)]
+        kinds = {"valve": "soft-start", "vacuum": "vacuum", "output": "tool"}
+        outputs = [n for n, o in self.machine.outputs.items() if o.kind == kinds[verb]]
+        name = self._named(row, index, verb, outputs, f"{kinds[verb]} output")
+        return [SetOutput(name, float(self._flag(row, index, "on", True)), source)]
+
+    def _move(
+        self, row: Mapping[str, Any], index: int, source: Source, position: dict[str, float]
+    ) -> Move:
+        targets = row["move"]
+        if not isinstance(targets, dict) or not targets:
+            self.refuse('move must name an axis, like { X = "200 mm" }', index, "move")
+        for axis, text in targets.items():
+            if axis not in self.machine.cylinders:
+                known = list(self.machine.cylinders)
+                self.refuse(f"there is no cylinder {axis[:40]!r}", index, "move", hint(axis, known))
+            value = self._number(text, "m", index, "move")
+            stroke = self.machine.cylinders[axis].stroke.si
+            if not 0.0 <= value <= stroke:
+                self.refuse(
+                    f"{axis} would move to {value * 1e3:g} mm of 0 ... {stroke * 1e3:g} mm",
+                    index,
+                    "move",
+                    "Stay within the stroke.",
+                )
+            position[axis] = value
+        return Move(tuple(position.values()), None, source, NO_TAGS)
+
+    def _time(self, row: Mapping[str, Any], index: int, key: str) -> float:
+        value = self._number(row[key], "s", index, key)
+        if not 0.0 < value <= 86400.0:
+            self.refuse(f"{key} = {row[key]!r} is not within 0 ... 24 h", index, key)
+        return value
+
+    def _number(self, text: Any, unit: str, index: int, key: str) -> float:
+        example = {"m": "120 mm", "s": "300 ms"}[unit]
+        if not isinstance(text, str):
+            self.refuse(f"{key}: {text!r} has no unit", index, key, f'Write it like "{example}".')
+        try:
+            return parse_quantity(text, unit)
+        except UnitError as error:
+            self.refuse(f"{key}: {error.message}", index, key, error.remedy)
+
+    def _named(
+        self, row: Mapping[str, Any], index: int, key: str, known: list[str], what: str
+    ) -> str:
+        name = row[key]
+        if not isinstance(name, str) or name not in known:
+            shown = name[:40] if isinstance(name, str) else name
+            self.refuse(f"there is no {what} {shown!r}", index, key, hint(str(shown), known))
+        return name
+
+    def _flag(self, row: Mapping[str, Any], index: int, key: str, default: bool) -> bool:
+        value = row.get(key, default)
+        if not isinstance(value, bool):
+            self.refuse(f"{key} must be true or false, got {value!r}", index, key)
+        return value
+
+    def _known(self, row: Mapping[str, Any], known: tuple[str, ...], index: int | None) -> None:
+        for key in row:
+            if key not in known:
+                self.refuse(f"unknown key {key[:80]!r}", index, key, hint(key, list(known)))
+
+    def refuse(
+        self, message: str, index: int | None, key: str | None, remedy: str = ""
+    ) -> NoReturn:
+        raise JobError(message, place=Place(self.file, self._line(index, key)), remedy=remedy)
+
+    def _line(self, index: int | None, key: str | None) -> int:
+        """Return the line of ``key`` in the operation ``index``, or of its header; 0 if neither."""
+        inside, header = -1, 0
+        for number, line in enumerate(self.text.splitlines(), start=1):
+            if re.match(r"\s*\[\[\s*operation\s*\]\]", line):
+                inside += 1
+                header = number if inside == index else header
+            elif (
+                key
+                and re.match(rf'\s*"?{re.escape(key)}"?\s*=', line)
+                and (inside == index or (index is None and inside < 0))
+            ):
+                return number
+        return header

@@ -1,0 +1,281 @@
+"""Job + shapers -> switch schedule: named valves on the scan of a PLC.
+
+Time stands still at a wait: rows up to its tick have taken effect, and the next tick comes once
+the input is there. What follows a wait therefore begins one tick later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import BudgetError, Place, PlanError
+from threadline.jobs.moves import STEP_EVENT
+from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source, ToolEvent, WaitInput
+from threadline.machine import Machine
+from threadline.signals import Clock, Event, SwitchSchedule
+from threadline.targets.schedule_moves import AxisShaping, Levels, move_levels, open_flows
+
+_REST_LAGS = 4.0
+"""So many lags after the last switching a cylinder has come to rest within 2 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScheduledMove:
+    """A move of the schedule: where, when and how.
+
+    Parameters
+    ----------
+    operation, step, axis, forward
+        What moves, and in which step of the cycle.
+    first_tick, last_tick
+        Scans of the first and the last switching.
+    levels
+        The levels; their ticks count from ``first_tick``.
+    """
+
+    operation: int
+    step: str
+    axis: str
+    forward: bool
+    first_tick: int
+    last_tick: int
+    levels: Levels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scheduled:
+    """A schedule with what there is to know about it.
+
+    Parameters
+    ----------
+    job, machine
+        The two inputs.
+    commands
+        The schedule; its events name the steps (kind ``tool``) and the waits.
+    moves
+        Every move, in order.
+    wait_timeouts_s
+        One for each event of kind ``wait``, in order.
+    warnings
+        Distances that whole scans do not meet.
+    """
+
+    job: Job
+    machine: Machine
+    commands: SwitchSchedule
+    moves: tuple[ScheduledMove, ...]
+    wait_timeouts_s: tuple[float, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def compile_schedule(
+    job: Job, machine: Machine, shaping: Mapping[str, AxisShaping] | None = None
+) -> Scheduled:
+    """Return the schedule of ``job``, each cylinder shaped as told.
+
+    Parameters
+    ----------
+    shaping
+        By cylinder; the others move unshaped.
+
+    Raises
+    ------
+    PlanError
+        If a level has no valves, exceeds the unshaped one where that is forbidden, a valve would
+        switch faster than it can, or a cylinder moves before the soft-start valve has opened.
+    """
+    builder = _Builder(job, machine, dict(shaping or {}))
+    for index, operation in enumerate(job):
+        builder.add(index, operation)
+    return builder.finish()
+
+
+@dataclass(slots=True)
+class _Builder:
+    """Walks through the job; lives only as long as ``compile_schedule`` runs."""
+
+    job: Job
+    machine: Machine
+    shaping: dict[str, AxisShaping]
+    tick: int = 0
+    step: str = ""
+    rows: dict[int, tuple[dict[str, int], int]] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    timeouts: list[float] = field(default_factory=list)
+    moves: list[ScheduledMove] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    state: dict[str, int] = field(default_factory=dict)
+    position: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.state = dict.fromkeys(self.machine.outputs, 0)
+        self.position = dict(zip(self.job.axes, self.job.start, strict=True))
+
+    @property
+    def clock(self) -> Clock:
+        assert self.machine.plc is not None
+        return self.machine.clock(self.machine.plc.clock)
+
+    def _ticks(self, time_s: float) -> int:
+        return max(1, math.ceil(time_s / float(self.clock.period_s) - 1e-9))
+
+    def _set(self, tick: int, values: Mapping[str, int], operation: int) -> None:
+        changes, _ = self.rows.get(tick, ({}, operation))
+        self.rows[tick] = ({**changes, **values}, operation)
+
+    def add(self, index: int, operation: object) -> None:
+        match operation:
+            case ToolEvent(name=name):
+                self.step = name.removeprefix(STEP_EVENT)
+                self.events.append(
+                    Event(tick=self.tick, kind="tool", operation=index, name=self.step)
+                )
+            case SetOutput(name=name, value=value):
+                self.state[name] = int(value)
+                self._set(self.tick, {name: int(value)}, index)
+                ramp = self.machine.outputs[name].ramp
+                self.tick += self._ticks(ramp.si) if ramp is not None and value else 1
+            case Dwell(duration_s=duration):
+                self.tick += self._ticks(duration)
+            case WaitInput(name=name, value=value, timeout_s=timeout):
+                self.events.append(
+                    Event(tick=self.tick, kind="wait", operation=index, name=name, value=value)
+                )
+                self.timeouts.append(timeout)
+                self.tick += 1
+            case Move(target=target, source=source):
+                self._move(index, target, source)
+            case _:
+                raise PlanError(
+                    f"operation {index}: an on/off machine does no {type(operation).__name__}"
+                )
+
+    def _move(self, index: int, target: tuple[float, ...], source: Source) -> None:
+        self._check_air(source)
+        ends = [self.tick + 1]
+        for axis, to in zip(self.job.axes, target, strict=True):
+            distance = to - self.position[axis]
+            self.position[axis] = to
+            if abs(distance) > 1e-9:
+                ends.append(self._stroke(index, axis, distance, source))
+        self.tick = max(ends)
+
+    def _check_air(self, source: Source) -> None:
+        closed = [
+            name
+            for name, output in self.machine.outputs.items()
+            if output.kind == "soft-start" and not self.state[name]
+        ]
+        if closed:
+            raise PlanError(
+                f"the soft-start valve {closed[0]!r} is closed when a cylinder is to move",
+                place=source.place,
+                remedy=f'Begin with [[operation]] valve = "{closed[0]}".',
+            )
+
+    def _stroke(self, index: int, axis: str, distance: float, source: Source) -> int:
+        cylinder = self.machine.cylinders[axis]
+        way = cylinder.way(distance > 0)
+        levels = self._levels(axis, distance, source)
+        for tick, level in zip(levels.ticks, levels.levels, strict=True):
+            chosen = open_flows(level, way, self.machine, source.place)
+            state = {way.valve: 1} | {flow: int(flow in chosen) for flow in way.flows}
+            if tick == levels.ticks[-1]:
+                state = dict.fromkeys(state, 0)
+            self._set(self.tick + tick, state, index)
+        last = self.tick + levels.ticks[-1]
+        self.moves.append(
+            ScheduledMove(
+                operation=index,
+                step=self.step,
+                axis=axis,
+                forward=distance > 0,
+                first_tick=self.tick,
+                last_tick=last,
+                levels=levels,
+            )
+        )
+        off_m = levels.commanded_m - levels.wanted_m
+        if abs(off_m) > 1e-6:
+            self.warnings.append(
+                f"{source.place}: {axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
+                f"{levels.wanted_m * 1e3:.2f} mm: whole scans of "
+                f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s"
+            )
+        return last + self._ticks(cylinder.delay.si + _REST_LAGS * cylinder.lag.si)
+
+    def _levels(self, axis: str, distance: float, source: Source) -> Levels:
+        """Return levels whose valves can follow; impulses move apart only where they must."""
+        cylinder = self.machine.cylinders[axis]
+        assert self.machine.plc is not None
+        tick_s, need = float(self.clock.period_s), self.machine.plc.dwell.si
+        way, shaping = cylinder.way(distance > 0), self.shaping.get(axis)
+        shortest: tuple[str, int] = ("", 0)
+        for dwell_s in (0.0, need):
+            levels = move_levels(abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s)
+            chosen = [open_flows(v, way, self.machine, source.place) for v in levels.levels]
+            shortest = min(
+                ((flow, _shortest(flow, chosen, levels.ticks)) for flow in way.flows),
+                key=lambda pair: pair[1],
+            )
+            if shortest[1] >= need / tick_s - 1e-9:
+                return levels
+        raise PlanError(
+            f"the valve {shortest[0]!r} would switch again after "
+            f"{shortest[1] * tick_s * 1e3:g} ms; it needs {need * 1e3:g} ms",
+            place=source.place,
+            remedy="Take a shaper with fewer impulses, a longer move or a faster valve.",
+        )
+
+    def finish(self) -> Scheduled:
+        columns = {name: i for i, name in enumerate(self.machine.outputs)}
+        state = np.zeros(len(columns), dtype=np.int64)
+        ticks: list[int] = []
+        table: list[IntArray] = []
+        operations: list[int] = []
+        for tick in sorted(self.rows):
+            changes, operation = self.rows[tick]
+            for name, value in changes.items():
+                state[columns[name]] = value
+            if table and np.array_equal(table[-1], state):
+                continue
+            ticks.append(tick)
+            table.append(state.copy())
+            operations.append(operation)
+        if self.tick > self.machine.tick_budget.si:
+            raise BudgetError(
+                f"the job takes {self.tick} scans, limit {self.machine.tick_budget.si:g}",
+                place=Place(self.job.file),
+            )
+        commands = SwitchSchedule(
+            clock=self.clock,
+            outputs=tuple(columns),
+            ticks=np.array(ticks, dtype=np.int64),
+            levels=np.array(table, dtype=np.int64).reshape(len(table), len(columns)),
+            operation=np.array(operations, dtype=np.int64),
+            duration_ticks=self.tick,
+            job_sha256=self.job.sha256,
+            machine_sha256=self.machine.sha256,
+            events=tuple(self.events),
+        )
+        return Scheduled(
+            job=self.job,
+            machine=self.machine,
+            commands=commands,
+            moves=tuple(self.moves),
+            wait_timeouts_s=tuple(self.timeouts),
+            warnings=tuple(self.warnings),
+        )
+
+
+def _shortest(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, ...]) -> int:
+    """Return the fewest ticks between two switchings of ``flow``."""
+    opened = [flow in names for names in chosen]
+    before = [False, *opened[:-1]]
+    changes = [t for t, now, was in zip(ticks, opened, before, strict=True) if now != was]
+    return int(np.diff(changes).min()) if len(changes) > 1 else 1 << 62

@@ -1,0 +1,147 @@
+"""One move of a cylinder as levels on the scan, and levels as states of named valves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from threadline.errors import Place, PlanError
+from threadline.machine import Machine
+from threadline.machine.pneumatics import Way
+from threadline.shaping import (
+    ControllerLimits,
+    FlexibleMode,
+    Realised,
+    Shaper,
+    realise,
+)
+
+_LEAST_TOLERANCE = 0.005
+"""Levels closer than this are one: no flow control is set more exactly."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisShaping:
+    """How the moves of one cylinder are shaped.
+
+    Parameters
+    ----------
+    shaper
+        Convolved with the level that switches on for the move and off at its end.
+    mode
+        What the train is judged by when it is moved onto the scan.
+    relative
+        Half width of the band of frequency that counts then.
+    """
+
+    shaper: Shaper
+    mode: FlexibleMode
+    relative: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levels:
+    """A move as levels.
+
+    Parameters
+    ----------
+    ticks, levels
+        Level from each scan on, the last 0; scans from the start of the move.
+    wanted_m, commanded_m
+        Distance that was asked for, and the one of these whole scans.
+    realised
+        The shaper on the scan; None for an unshaped move.
+    """
+
+    ticks: tuple[int, ...]
+    levels: tuple[float, ...]
+    wanted_m: float
+    commanded_m: float
+    realised: Realised | None
+
+
+def move_levels(
+    distance_m: float,
+    speed_m_s: float,
+    tick_s: float,
+    shaping: AxisShaping | None,
+    dwell_s: float = 0.0,
+) -> Levels:
+    """Return the levels that cover ``distance_m``, a positive length, at ``speed_m_s`` per level.
+
+    ``dwell_s`` keeps the impulses of the shaper apart.
+
+    Raises
+    ------
+    PlanError
+        If the distance is shorter than a scan.
+    """
+    on = round(distance_m / (speed_m_s * tick_s))
+    if on < 1:
+        raise PlanError(
+            f"a move of {distance_m * 1e3:g} mm takes less than a scan of {tick_s * 1e3:g} ms at "
+            f"{speed_m_s:g} m/s",
+            remedy="Lower the speed or the scan.",
+        )
+    realised = None
+    ticks: tuple[int, ...] = (0,)
+    amplitudes = np.ones(1)
+    if shaping is not None and len(shaping.shaper.times_s) > 1:
+        realised = _on_the_scan(shaping, tick_s, dwell_s)
+        ticks, amplitudes = realised.ticks, realised.shaper.amplitudes
+    steps: dict[int, float] = {}
+    for tick, amplitude in zip(ticks, amplitudes, strict=True):
+        steps[tick] = steps.get(tick, 0.0) + float(amplitude)
+        steps[on + tick] = steps.get(on + tick, 0.0) - float(amplitude)
+    at = sorted(steps)
+    levels = np.cumsum([steps[tick] for tick in at])
+    kept = [i for i in range(len(at)) if abs(steps[at[i]]) > 1e-12]
+    return Levels(
+        ticks=tuple(at[i] for i in kept),
+        levels=tuple(float(levels[i]) for i in kept),
+        wanted_m=distance_m,
+        commanded_m=on * tick_s * speed_m_s,
+        realised=realised,
+    )
+
+
+@lru_cache(maxsize=64)
+def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realised:
+    # The search takes seconds for long trains, and every move of a cylinder shares it.
+    return realise(
+        shaping.shaper,
+        [shaping.mode],
+        ControllerLimits(tick_s=tick_s, dwell_s=dwell_s),
+        relative=shaping.relative,
+    )
+
+
+def open_flows(level: float, way: Way, machine: Machine, place: Place) -> tuple[str, ...]:
+    """Return the flow controls whose sum is ``level``.
+
+    Raises
+    ------
+    PlanError
+        If no set of them is, or the level is above 1 or below 0 where the machine forbids it.
+    """
+    tolerance = max(way.level_tolerance, _LEAST_TOLERANCE)
+    assert machine.plc is not None
+    if machine.plc.never_over and not -tolerance <= level <= 1.0 + tolerance:
+        raise PlanError(
+            f"the shaped command passes through level {level:.3f}, outside the unshaped 0 ... 1, "
+            "which this machine forbids",
+            place=place,
+            remedy="Take a unit-magnitude shaper that is shorter than the move, or a slower speed.",
+        )
+    sets = way.levels()
+    best = min(sets, key=lambda chosen: abs(sets[chosen] - level))
+    if abs(sets[best] - level) > tolerance:
+        known = ", ".join(f"{value:.3g}" for value in sorted(sets.values()))
+        raise PlanError(
+            f"no valves of {way.valve!r} make the level {level:.4f}; they make {known}",
+            place=place,
+            remedy=f"Set the flow controls {', '.join(way.flows)} for this shaper.",
+        )
+    return best
