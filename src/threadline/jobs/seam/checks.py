@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LimitError, Place
 from threadline.jobs.seam.contour import Contour, point_text
 from threadline.jobs.seam.crossing import crossings, flatten
@@ -101,7 +102,7 @@ class StitchCheck:
         LimitError
             If a stitch lies outside the travel of an axis.
         """
-        self._travel(block)
+        self._travel(block.points, np.append(block.line[:1], block.line))
         settings = self.sewn.settings
         file = self.sewn.place.file
         relative = block.lengths_m / settings.stitch_length_m - 1.0
@@ -120,10 +121,24 @@ class StitchCheck:
             where = f"{Place(file, int(block.line[0]))}, at {point_text(block.points[0])}"
             self.short.append((block.leg.length_m, where))
 
-    def _travel(self, block: StitchBlock) -> None:
+    def reach(self) -> None:
+        """Check the ends of all pieces and some places between, before a stitch is placed.
+
+        Raises
+        ------
+        LimitError
+            If one lies outside the travel of an axis.
+        """
+        pieces = self.sewn.table.pieces
+        piece = np.repeat(np.arange(len(pieces)), 3)
+        points = pieces.evaluate(piece, np.tile([0.0, 0.5, 1.0], len(pieces)))[0]
+        if self.sewn.settings.start_m is None and self.sewn.settings.end_m is None:
+            self._travel(points, pieces.line[piece])
+
+    def _travel(self, points: FloatArray, line: IntArray) -> None:
         for column, axis in enumerate(self.axes):
             low, high = self.machine.travel[self.machine.axis_names.index(axis)]
-            values = block.points[:, column]
+            values = points[:, column]
             outside = np.flatnonzero((values < low - _SLACK_M) | (values > high + _SLACK_M))
             if not len(outside):
                 continue
@@ -137,7 +152,7 @@ class StitchCheck:
                 quantity="travel",
                 value_si=value,
                 limit_si=limit,
-                place=Place(self.sewn.place.file, int(block.line[max(0, k - 1)])),
+                place=Place(self.sewn.place.file, int(line[k])),
                 remedy="Move the drawing: [drawing] origin in the seam file.",
             )
 

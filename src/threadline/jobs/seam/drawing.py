@@ -113,3 +113,9 @@ def decode_text(content: bytes, file: str, what: str) -> str:
             place=Place(file, content[: error.start].count(b"\n") + 1),
             remedy=f"Save the {what} as UTF-8.",
         ) from error
+
+
+def one_line(error: Exception) -> str:
+    """Return what a library's exception says, on one line and not too long."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 200 else text[:200] + "..."

@@ -42,6 +42,7 @@ from threadline.signals import Stream
 AXES = ("X", "Y")
 _READERS = {".csv": read_csv, ".dxf": read_dxf, ".svg": read_svg}
 SUFFIXES = (".seam.toml", *_READERS)
+MAX_REACH_M = 1e4
 _RAPID = Feed(FeedMode.RAPID, 0.0)
 
 
@@ -105,6 +106,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
                 warnings += corner_warnings(sewn[-1], limit)
     for contour_sewn in sewn:
         check = StitchCheck(contour_sewn, AXES, machine)
+        check.reach()
         for block in contour_sewn.blocks():
             check.add(block)
         warnings += check.warnings()
@@ -146,7 +148,10 @@ def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
     reader = _READERS.get(drawn.suffix.lower())
     if reader is None:
         raise JobError(f"{path.name!r} is no seam", remedy=f"A seam ends in {', '.join(SUFFIXES)}.")
-    return seam_file, reader(content, str(drawn), seam_file.unit), digest.hexdigest()
+    # What overflows here is not finite, and refused with its place when the strokes are chosen.
+    with np.errstate(all="ignore"):
+        drawing = reader(content, str(drawn), seam_file.unit)
+    return seam_file, drawing, digest.hexdigest()
 
 
 def _choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
@@ -189,6 +194,7 @@ def _contours(
     origin = np.array(seam_file.origin_m)
     for stroke in drawing.strokes:
         if choice.layer in (None, stroke.layer) and choice.colour in (None, stroke.colour):
+            _check_size(stroke, file)
             kept, found = drop_zero_lengths(stroke, file)
             warnings += found
             if kept is not None:
@@ -202,6 +208,17 @@ def _contours(
         )
     contours, found = join_strokes(chosen, seam_file.gap_m, file)
     return contours, warnings + found
+
+
+def _check_size(stroke: Stroke, file: str) -> None:
+    pieces = stroke.pieces
+    good = (np.abs(pieces.top) < MAX_REACH_M).all() and np.isfinite(pieces.bottom).all()
+    if not good or not np.isfinite([pieces.begin_rad, pieces.sweep_rad]).all():
+        raise JobError(
+            f"a stroke reaches further than {MAX_REACH_M:g} m",
+            place=Place(file, stroke.line),
+            remedy="Check the unit of the drawing.",
+        )
 
 
 def _operations(sewn: list[SewnContour]) -> Iterator[Operation]:

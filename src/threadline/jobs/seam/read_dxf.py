@@ -12,7 +12,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import JobError, Place
-from threadline.jobs.seam.drawing import MAX_STROKES, Drawing, Refusal, Stroke
+from threadline.jobs.seam.drawing import MAX_STROKES, Drawing, Refusal, Stroke, one_line
 from threadline.jobs.seam.dxf_entities import NotFlatError, entity_pieces
 from threadline.units import unit_factor
 
@@ -44,7 +44,16 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
     factor = _metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
     walk = _Walk(file, document, entity_lines(content))
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
-    walk.entities(document.modelspace(), root, 0)
+    try:
+        walk.entities(document.modelspace(), root, 0)
+    except JobError:
+        raise
+    except Exception as error:  # damaged entities are met only when they are looked at
+        raise JobError(
+            f"not a sound DXF drawing: {one_line(error)}",
+            place=place,
+            remedy="Save it again as DXF, R2000 or later.",
+        ) from error
     return Drawing(
         file=file,
         strokes=tuple(walk.strokes),
@@ -61,7 +70,7 @@ def _load(file: str) -> Any:
     except Exception as error:  # a damaged file raises whatever ezdxf trips over
         at = re.search(r"line[: ]+(\d+)", str(error), re.IGNORECASE)
         raise JobError(
-            f"not a DXF drawing: {error or type(error).__name__}",
+            f"not a DXF drawing: {one_line(error)}",
             place=Place(file, int(at[1]) if at else 0),
             remedy="Save it again as DXF, R2000 or later.",
         ) from error
@@ -131,9 +140,16 @@ class _Walk:
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     hidden: set[str] = field(default_factory=set)
+    visited: int = 0
 
     def entities(self, entities: Iterable[Any], inherited: _Inherited, depth: int) -> None:
         for entity in entities:
+            self.visited += 1
+            if self.visited > MAX_STROKES:
+                raise JobError(
+                    f"the drawing and its blocks make more than {MAX_STROKES} entities",
+                    place=Place(self.file),
+                )
             kind = entity.dxftype()
             if kind in _SILENT:
                 continue
@@ -146,10 +162,6 @@ class _Walk:
                 self._insert(entity, here, depth)
             else:
                 self._entity(entity, kind, here)
-            if len(self.strokes) > MAX_STROKES:
-                raise JobError(
-                    f"the drawing has more than {MAX_STROKES} entities", place=Place(self.file)
-                )
 
     def _entity(self, entity: Any, kind: str, here: _Inherited) -> None:
         line = self._line(entity)

@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import JobError, Place
-from threadline.jobs.seam.drawing import Drawing, Refusal, Stroke
+from threadline.jobs.seam.drawing import Drawing, Refusal, Stroke, one_line
 from threadline.jobs.seam.pieces import Pieces, join_pieces
 from threadline.jobs.seam.shapes import bezier, chords, ellipse_arc
 from threadline.jobs.seam.svg_scan import CLONE, HIDDEN, LAYER, LINE, SvgScan, scan_svg
@@ -78,7 +78,7 @@ def _load(scan: SvgScan, file: str) -> Any:
         root = SVG.parse(io.StringIO(scan.text), reify=False, ppi=96.0, on_error="raise")
     except Exception as error:  # svgelements raises a dozen unrelated types on malformed input
         raise JobError(
-            f"the SVG cannot be read: {error or type(error).__name__}",
+            f"the SVG cannot be read: {one_line(error)}",
             place=Place(file),
             remedy="Save it as plain SVG.",
         ) from error

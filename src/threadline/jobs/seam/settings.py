@@ -91,17 +91,17 @@ class _Setting:
 
 
 _SETTINGS = {
-    "stitch_length": _Setting("stitch_length_m", "m", open_low=True, high=0.1),
-    "needle_speed": _Setting("needle_speed_hz", "stitch/s", open_low=True, high=1000.0),
-    "tolerance": _Setting("tolerance", "", open_low=True, high=0.5),
-    "placement": _Setting("placement_m", "m"),
+    "stitch_length": _Setting("stitch_length_m", "m", low=1e-5, high=0.1),
+    "needle_speed": _Setting("needle_speed_hz", "stitch/s", low=1e-3, high=1000.0),
+    "tolerance": _Setting("tolerance", "", low=1e-4, high=0.5),
+    "placement": _Setting("placement_m", "m", low=1e-6, high=0.1),
     "corner_angle": _Setting(
         "corner_angle_rad", "rad", low=math.radians(2.0), high=math.radians(170.0)
     ),
     "motion": _Setting("motion", choices=("interpolated", "discrete")),
     "needle": _Setting("needle", choices=("constant", "slowed")),
-    "acceleration": _Setting("acceleration_m_s2", "m/s^2", open_low=True),
-    "needle_acceleration": _Setting("needle_acceleration_hz_s", "stitch/s^2", open_low=True),
+    "acceleration": _Setting("acceleration_m_s2", "m/s^2", low=1e-3, high=1e6),
+    "needle_acceleration": _Setting("needle_acceleration_hz_s", "stitch/s^2", low=0.1),
     "allowance": _Setting("allowance_m", "m"),
     "side": _Setting("side", choices=("inside", "outside", "left", "right")),
     "join": _Setting("join", choices=("mitre", "round")),

@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.errors import Place
+from threadline.errors import JobError, Place
 from threadline.jobs.seam.arclength import ArcTable, arc_table
 from threadline.jobs.seam.contour import Contour
 from threadline.jobs.seam.legs import Leg, seam_legs
 from threadline.jobs.seam.placement import exempt_mask, place_leg, wrap
 from threadline.jobs.seam.settings import Stitching
 from threadline.jobs.seam.timing import end_speed_m_s, stitch_times_s
+
+MAX_STITCHES = 20_000_000  # of one contour: a leg of them takes 2 GB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,11 +138,18 @@ def sewn_contour(
     Raises
     ------
     JobError
-        If the start, the end or a lock lies outside it.
+        If the start, the end or a lock lies outside it, or it is too long.
     """
     pieces = contour.pieces.reverse() if settings.reverse else contour.pieces
     table = arc_table(pieces)
     place = Place(file, int(pieces.line[0]))
+    count = table.length_m / settings.stitch_length_m
+    if count > MAX_STITCHES:
+        raise JobError(
+            f"seam {seam!r} would be {count:.3g} stitches, limit {MAX_STITCHES}",
+            place=place,
+            remedy="Check the unit of the drawing, or split the seam.",
+        )
     return SewnContour(
         seam=seam,
         place=place,
