@@ -1,1 +1,5 @@
-"""Normalised rest-to-rest motion laws."""
+"""Motion laws: normalised moves from rest to rest."""
+
+from threadline.laws.catalogue import LAWS, Law, law, trapezoid, trapezoidal_acceleration
+
+__all__ = ["LAWS", "Law", "law", "trapezoid", "trapezoidal_acceleration"]
