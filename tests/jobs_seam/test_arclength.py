@@ -99,9 +99,11 @@ def test_inverse_is_the_inverse(share: float, seed: int) -> None:
     table = arc_table(bezier(control))
     wanted = share * table.length_m
     _, u = table.locate(np.array([wanted]))
-    n = int(200_000 * u[0]) + 2
+    n = 2 * int(20_000 * u[0]) + 3
     points = bezier(control).evaluate(np.zeros(n, dtype=np.int64), np.linspace(0, u[0], n))[0]
-    again = arc_table(chords(points)).length_m
+    again = np.hypot(*np.diff(points, axis=0).T).sum()
+    # Half as many chords are four times as far off: Richardson takes the error out.
+    again += (again - np.hypot(*np.diff(points[::2], axis=0).T).sum()) / 3.0
 
     assert again == pytest.approx(wanted, abs=1e-9)
 

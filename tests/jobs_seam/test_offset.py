@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import settings as settings_of
 from hypothesis import strategies as st
 
 from threadline.errors import JobError
@@ -180,6 +181,7 @@ def test_flattening_stays_within_its_tolerance() -> None:
     assert 1e-6 < off.max() <= 1e-5
 
 
+@settings_of(max_examples=20)
 @given(st.integers(0, 10**6))
 def test_sweep_finds_what_brute_force_finds(seed: int) -> None:
     walk = np.cumsum(np.random.default_rng(seed).normal(size=(50, 2)), axis=0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +26,13 @@ from threadline.jobs.seam.checks import (
     crossing_warnings,
     head_acceleration_m_s2,
 )
-from threadline.jobs.seam.contour import Contour, drop_zero_lengths, join_strokes
-from threadline.jobs.seam.drawing import Drawing, Stroke, read_limited
+from threadline.jobs.seam.choose import seam_choices, seam_contours
+from threadline.jobs.seam.drawing import Drawing, read_limited
 from threadline.jobs.seam.offset import offset_contour
 from threadline.jobs.seam.read_csv import read_csv
 from threadline.jobs.seam.read_dxf import read_dxf
 from threadline.jobs.seam.read_svg import read_svg
-from threadline.jobs.seam.read_toml import MAX_TOML_BYTES, SeamChoice, SeamFile, read_seam_file
+from threadline.jobs.seam.read_toml import MAX_TOML_BYTES, SeamFile, read_seam_file
 from threadline.jobs.seam.settings import stitching
 from threadline.jobs.seam.sewing import SewnContour, StitchBlock, sewn_contour
 from threadline.machine import Machine
@@ -42,7 +41,6 @@ from threadline.signals import Stream
 AXES = ("X", "Y")
 _READERS = {".csv": read_csv, ".dxf": read_dxf, ".svg": read_svg}
 SUFFIXES = (".seam.toml", *_READERS)
-MAX_REACH_M = 1e4
 _RAPID = Feed(FeedMode.RAPID, 0.0)
 
 
@@ -88,7 +86,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
     place = Place(drawing.file)
     warnings = list(drawing.warnings)
     sewn: list[SewnContour] = []
-    for choice in _choices(seam_file, drawing):
+    for choice in seam_choices(seam_file, drawing):
         settings = stitching(
             {**seam_file.settings, **choice.settings, **options},
             {**seam_file.places, **choice.places},
@@ -96,7 +94,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         )
         acceleration, found = head_acceleration_m_s2(settings, AXES, machine)
         warnings += [f"{place}: seam {choice.name!r}: {text}" for text in found]
-        contours, found = _contours(drawing, choice, seam_file)
+        contours, found = seam_contours(drawing, choice, seam_file)
         warnings += found
         for contour in contours:
             warnings += crossing_warnings(contour, choice.name, drawing.file)
@@ -152,73 +150,6 @@ def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
     with np.errstate(all="ignore"):
         drawing = reader(content, str(drawn), seam_file.unit)
     return seam_file, drawing, digest.hexdigest()
-
-
-def _choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
-    """Return the seams that were asked for, or one for each layer or colour."""
-    if seam_file.choices:
-        return list(seam_file.choices)
-    if seam_file.by == "all":
-        return [SeamChoice(name="seam")]
-    by = seam_file.by
-    found = dict.fromkeys(getattr(stroke, by) for stroke in drawing.strokes)
-    for refusal in drawing.refusals:
-        # A text of an SVG counts for every colour.
-        if by == "layer" or refusal.colour:
-            found.setdefault(getattr(refusal, by))
-    if not found:
-        return [SeamChoice(name="seam")]
-    return [
-        SeamChoice(name=value or "seam", layer=value)
-        if by == "layer"
-        else SeamChoice(name=value, colour=value)
-        for value in found
-    ]
-
-
-def _contours(
-    drawing: Drawing, choice: SeamChoice, seam_file: SeamFile
-) -> tuple[list[Contour], list[str]]:
-    """Return the contours of a seam on the machine, and warnings."""
-    file = drawing.file
-    for refusal in drawing.refusals:
-        same_colour = choice.colour is None or refusal.colour in ("", choice.colour)
-        if same_colour and choice.layer in (None, refusal.layer):
-            raise JobError(
-                f"layer {refusal.layer!r}: {refusal.message}",
-                place=Place(file, refusal.line),
-                remedy=refusal.remedy,
-            )
-    chosen: list[Stroke] = []
-    warnings: list[str] = []
-    origin = np.array(seam_file.origin_m)
-    for stroke in drawing.strokes:
-        if choice.layer in (None, stroke.layer) and choice.colour in (None, stroke.colour):
-            _check_size(stroke, file)
-            kept, found = drop_zero_lengths(stroke, file)
-            warnings += found
-            if kept is not None:
-                chosen.append(replace(kept, pieces=kept.pieces.transform(np.eye(2), origin)))
-    if not chosen:
-        layers = sorted({f"{s.layer or '(no name)'} {s.colour}" for s in drawing.strokes})
-        raise JobError(
-            f"seam {choice.name!r} has nothing to sew",
-            place=choice.places.get("layer", choice.places.get("colour", Place(file))),
-            remedy=f"The drawing has the layers and colours: {', '.join(layers[:20]) or 'none'}.",
-        )
-    contours, found = join_strokes(chosen, seam_file.gap_m, file)
-    return contours, warnings + found
-
-
-def _check_size(stroke: Stroke, file: str) -> None:
-    pieces = stroke.pieces
-    good = (np.abs(pieces.top) < MAX_REACH_M).all() and np.isfinite(pieces.bottom).all()
-    if not good or not np.isfinite([pieces.begin_rad, pieces.sweep_rad]).all():
-        raise JobError(
-            f"a stroke reaches further than {MAX_REACH_M:g} m",
-            place=Place(file, stroke.line),
-            remedy="Check the unit of the drawing.",
-        )
 
 
 def _operations(sewn: list[SewnContour]) -> Iterator[Operation]:

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from threadline.arrays import FloatArray
 from threadline.errors import JobError, Place, UnitError
 from threadline.jobs.seam.drawing import Drawing, Stroke, decode_text
-from threadline.jobs.seam.pieces import Pieces, join_pieces
-from threadline.jobs.seam.segments import bulge_segment, centre_segment, radius_segment
 from threadline.jobs.seam.settings import STITCHING_KEYS, nearest
+from threadline.jobs.seam.written import CONTOUR_KEYS, written_contour
 from threadline.units import parse_quantity, unit_factor
 
 MAX_TOML_BYTES = 64 * 1024 * 1024
 _DRAWING = ("file", "unit", "gap", "origin", "by")
 _SEAM = ("name", "layer", "colour")
-_CONTOUR = ("layer", "unit", "closed", "points")
-_POINT = ("to", "bulge", "centre", "radius", "turn", "large")
 DEFAULT_GAP_M = 1e-5
 
 
@@ -132,7 +125,7 @@ class _Reader:
                 remedy="Use layer, colour or all.",
             )
         return SeamFile(
-            drawing=self._text(drawing, "file", "drawing") or self._contours(contours, unit),
+            drawing=self._text(drawing, "file", "drawing") or self._drawing(contours, unit),
             drawing_line=self.place("drawing", "file").line,
             unit=unit,
             gap_m=self._gap(drawing),
@@ -208,10 +201,10 @@ class _Reader:
             },
         )
 
-    def _contours(self, contours: list[Any], unit: str | None) -> Drawing:
+    def _drawing(self, contours: list[Any], unit: str | None) -> Drawing:
         strokes = []
         for k, contour in enumerate(contours):
-            table = self._table(contour, _CONTOUR, "contour", k)
+            table = self._table(contour, CONTOUR_KEYS, "contour", k)
             place = self.place("contour", k, "points")
             written = self._text(table, "unit", "contour", k) or unit
             if written is None:
@@ -219,65 +212,10 @@ class _Reader:
                     "the contour has no unit", place=place, remedy='Add unit = "mm" to it.'
                 )
             try:
-                pieces = self._pieces(table, unit_factor(written, "m"), place.line)
+                pieces = written_contour(table, unit_factor(written, "m"), place.line)
             except (ValueError, TypeError) as error:
                 message = getattr(error, "message", str(error))
                 raise JobError(f"contour {k + 1}: {message}", place=place) from error
             layer = self._text(table, "layer", "contour", k) or ""
             strokes.append(Stroke(pieces=pieces, layer=layer, colour="none"))
         return Drawing(file=self.file, strokes=tuple(strokes))
-
-    def _pieces(self, table: dict[str, Any], factor: float, line: int) -> Pieces:
-        points = table.get("points", [])
-        if not isinstance(points, list) or len(points) < 2:
-            raise ValueError("points needs two or more points, like [[0, 0], [10, 0]]")
-        here = first = _pair(points[0]) * factor
-        parts = []
-        for point in points[1:]:
-            if not isinstance(point, dict):
-                point = {"to": point}  # noqa: PLW2901 - the short form of the same thing
-            there = _pair(point.get("to")) * factor
-            parts.append(_segment(here, there, point, factor, line))
-            here = there
-        closed = table.get("closed", False)
-        if not isinstance(closed, bool):
-            raise ValueError(f"closed is {closed!r}, not true or false")
-        if closed and np.hypot(*(here - first)) > 0.0:
-            parts.append(bulge_segment(here, first, 0.0, line))
-        return join_pieces(parts)
-
-
-def _pair(value: Any) -> FloatArray:
-    good = isinstance(value, list) and len(value) == 2 and all(_is_number(part) for part in value)
-    if not good:
-        raise ValueError(f"{value!r} is not a point like [10, 20]")
-    return np.array(value, dtype=np.float64)
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
-
-
-def _number(point: dict[str, Any], key: str) -> float:
-    value = point.get(key, 0.0)
-    if not _is_number(value):
-        raise ValueError(f"{key} is {value!r}, not a number")
-    return float(value)
-
-
-def _segment(
-    here: FloatArray, there: FloatArray, point: dict[str, Any], factor: float, line: int
-) -> Pieces:
-    unknown = set(point) - set(_POINT)
-    if unknown:
-        key = sorted(unknown)[0]
-        raise ValueError(f"unknown key {key!r} of a point. {nearest(key, _POINT)}")
-    if len({"bulge", "centre", "radius"} & set(point)) > 1:
-        raise ValueError("an arc is given by its bulge, its centre or its radius, not by two")
-    turn = point.get("turn", "ccw")
-    if "centre" in point:
-        return centre_segment(here, there, _pair(point["centre"]) * factor, turn, line)
-    if "radius" in point:
-        radius = _number(point, "radius") * factor
-        return radius_segment(here, there, radius, turn, bool(point.get("large", False)), line)
-    return bulge_segment(here, there, _number(point, "bulge"), line)
