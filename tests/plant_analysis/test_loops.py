@@ -1,0 +1,353 @@
+"""Responses, margins, poles and stability against hand-written formulas and other methods."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import lambertw
+
+import control
+from threadline.errors import MachineError, OptionError
+from threadline.machine import load_machine
+from threadline.plant.analysis import analyse_axis, loop_figures, unstable_loops
+from threadline.plant.controllers import DigitalFilter, digital_filter
+from threadline.plant.delayed import closed_poles
+from threadline.plant.linear import StateSpace
+from threadline.plant.locus import root_locus
+from threadline.plant.loop import Loop, axis_loop, axis_loops
+from threadline.plant.margins import loop_margins
+from threadline.plant.nyquist import unstable_count
+from threadline.plant.sampled import sample
+from threadline.plant.values import Values
+from threadline.plant.zeros import zeros_of
+
+from . import reference as ref
+
+OMEGA = 2 * np.pi * np.geomspace(0.1, 200, 300)
+
+
+@pytest.mark.parametrize(("axis", "numbers"), [("X", ref.X), ("Y", ref.Y)])
+def test_response_is_the_hand_written_one(axis, numbers):
+    """1e-9: rounding of the printed r/N in the file apart (7 digits: 1e-6)."""
+    loop = axis_loop(load_machine("stitcher"), axis)
+    filters = ref.FILTERS["stitcher-rigid"][axis]
+    expected = ref.open_loop(numbers, *filters, OMEGA)
+    np.testing.assert_allclose(loop.response(OMEGA, "continuous"), expected, rtol=2e-6)
+    s = 1j * OMEGA
+    head = ref.motor_angle(numbers, s, load=True) / ref.motor_angle(numbers, s) / ref.RATIO
+    np.testing.assert_allclose(loop.load_ratio(OMEGA), head, rtol=2e-6)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.3e-3, 1e-3, 2.7e-3])
+def test_sampled_plant_is_the_plant_integrated_tick_by_tick(delay_s):
+    """Held commands, delivered late by a fraction of a tick; DOP853 between the deliveries."""
+    A = np.array([[0.0, 1.0], [-(40.0**2), -8.0]])
+    B, C = np.array([[0.0], [3.0]]), np.array([[1.0, 0.2]])
+    plant = StateSpace(
+        A=A, B=B, C=C, D=np.zeros((1, 1)), delay_s=np.array([delay_s]),
+        states=("a", "b"), inputs=("u",), outputs=("y",),
+    )  # fmt: skip
+    tick = 1e-3
+    sampled = sample(plant, tick)
+    commands = np.random.default_rng(7).normal(size=40)
+
+    def input_at(t):
+        k = int(np.floor((t - delay_s) / tick + 1e-9))
+        return commands[k] if 0 <= k < len(commands) else 0.0
+
+    edges = np.unique(
+        np.round(
+            np.concatenate([np.arange(40) * tick, np.arange(-3, 40) * tick + delay_s % tick]), 12
+        )
+    )
+    edges = edges[(edges >= 0) & (edges <= 39 * tick + 1e-12)]
+    x, at_ticks = np.zeros(2), [0.0]
+    for first, last in pairwise(edges):
+        u = input_at(0.5 * (first + last))
+        done = solve_ivp(
+            lambda _t, y, u=u: A @ y + B[:, 0] * u,
+            (first, last),
+            x,
+            "DOP853",
+            rtol=1e-12,
+            atol=1e-14,
+        )
+        x = done.y[:, -1]
+        if abs(last / tick - round(last / tick)) < 1e-6:
+            at_ticks.append(float(C[0] @ x))
+    mine, state = [], np.zeros(2)
+    late = sampled.ticks[0]
+    for k in range(40):
+        mine.append(float(sampled.C[0] @ state))
+        newer = commands[k - late] if k >= late else 0.0
+        older = commands[k - late - 1] if k > late else 0.0
+        state = (
+            sampled.transition @ state + sampled.newer[:, 0] * newer + sampled.older[:, 0] * older
+        )
+    assert max(map(abs, mine)) > 1e-3
+    np.testing.assert_allclose(mine, at_ticks, atol=1e-12)
+    omega = np.array([3.0, 50.0, 900.0])
+    z = np.exp(1j * omega * tick)
+    by_sum = []
+    for zz in z:
+        held = sampled.newer[:, 0] * zz**-late + sampled.older[:, 0] * zz ** -(late + 1)
+        by_sum.append(sampled.C[0] @ np.linalg.solve(zz * np.eye(2) - sampled.transition, held))
+    np.testing.assert_allclose(sampled.response(omega)[:, 0, 0], by_sum, rtol=1e-12)
+
+
+def test_closed_sampled_loop_is_the_machine_integrated():
+    """A step of 20 counts on X: 150 ticks by DOP853 with the filter and its dead time by hand."""
+    loop = axis_loop(load_machine("stitcher"), "X")
+    closed = loop.closed()
+    mine = closed.respond(np.full((150, 1), 20.0))[:, closed.outputs.index("X.load")]
+    by_hand = ref.simulate_x(*ref.FILTERS["stitcher-rigid"]["X"], 20.0, 150)
+    assert by_hand[-1] > 2e-5
+    # 1e-6 relative: the printed r/N has seven digits in the file.
+    np.testing.assert_allclose(mine, by_hand, atol=2e-6 * by_hand.max())
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "numbers", "options"),
+    [
+        ("stitcher", "X", ref.X, {}),
+        ("stitcher", "Y", ref.Y, {}),
+        ("stitcher-rigid", "X", ref.X, {"rigid": True}),
+        ("stitcher-rigid", "Y", ref.Y, {"rigid": True}),
+        ("stitcher-rigid-half-mass", "X", ref.X, {"rigid": True, "mass": 0.5}),
+        ("stitcher-rigid-half-mass", "Y", ref.Y, {"rigid": True, "mass": 0.5}),
+    ],
+)
+def test_margins_against_a_dense_grid(name, axis, numbers, options):
+    """1e-5: the dense grid's own interpolation; and where python-control with Pade is wrong."""
+    filters = ref.FILTERS[name if name in ref.FILTERS else "stitcher-rigid"][axis]
+    gain, phase = ref.dense_margins(
+        lambda w: ref.open_loop(numbers, *filters, w, **options), 0.5, 2e4
+    )
+    margins = loop_margins(axis_loop(load_machine(name), axis), "continuous")
+    assert margins.raise_to == pytest.approx(gain, rel=1e-5)
+    assert margins.worst_phase.phase_margin_deg == pytest.approx(phase, abs=1e-3)
+    sampled = loop_margins(axis_loop(load_machine(name), axis), "sampled")
+    assert sampled.raise_to == pytest.approx(gain, rel=1e-3)
+    assert sampled.worst_phase.phase_margin_deg == pytest.approx(phase, abs=0.02)
+
+
+def test_python_control_with_pade_is_wrong_where_we_are_not():
+    """Its polynomial margin of the printed X loop is 3 % off by the Pade delay of the thesis."""
+    K, A, B = ref.FILTERS["stitcher-rigid"]["X"]
+    gain, _ = ref.dense_margins(lambda w: ref.open_loop(ref.X, K, A, B, w, rigid=True), 0.5, 2e4)
+    s = control.tf("s")
+    J = ref.X["J"] + ref.X["M"] * ref.RATIO**2
+    D = ref.X["B"] + ref.X["b"] * ref.RATIO**2
+    motor = ref.X["Ka"] * ref.KT / (s * ((J * s + D) * (ref.R + ref.L * s) + ref.KT * ref.KV))
+    a, b = 2 / ref.TICK * (1 - A) / (1 + A), 2 / ref.TICK * (1 + B) / (1 - B)
+    lead = K * (1 + A) / (1 - B) * ref.VOLTS * ref.COUNTS * (s + a) / (s + b)
+    late = ref.TAU + ref.TICK / 2
+    by_pade = control.margin(lead * motor * (2 - late * s) / (2 + late * s))[0]
+    assert abs(by_pade / gain - 1) > 0.03
+    ours = loop_margins(axis_loop(load_machine("stitcher-rigid"), "X"), "continuous").raise_to
+    assert ours == pytest.approx(gain, rel=1e-5)
+
+
+def integrator(k: float, delay_s: float, *, tick: float = 1e-3) -> Loop:
+    """x' = u(t - delay), u = k (r - x), its hold left out."""
+    plant = StateSpace(
+        A=np.zeros((1, 1)), B=np.ones((1, 1)), C=np.ones((3, 1)), D=np.zeros((3, 1)),
+        delay_s=np.array([delay_s]), states=("x",), inputs=("drives.x",),
+        outputs=("sensors.x", "X.measured", "X.load"),
+    )  # fmt: skip
+    digital = DigitalFilter(
+        numerator=np.array([k, 0.0, 0.0]), denominator=np.array([1.0, 0.0, 0.0]),
+        continuous_numerator=np.array([k]), continuous_denominator=np.array([1.0]), period_s=tick,
+    )  # fmt: skip
+    return Loop(
+        axis="X", plant=plant, controllers=("x",), sensors=("sensors.x",), filters=(digital,),
+        index=0, counts_per_unit=1.0, hold=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("k_delay", [0.1, 1 / np.e, 0.8, 1.4, 1.7, 3.0])
+def test_delayed_poles_are_lambert_w(k_delay):
+    """x' = -k x(t - d) has the poles W_n(-k d) / d; every one within reach, no others."""
+    delay = 4e-3
+    loop = integrator(k_delay / delay, delay)
+    within = 12 / delay
+    found = closed_poles(loop, within_rad_s=within)
+    exact = np.concatenate([[lambertw(-k_delay, n) / delay] for n in range(-8, 8)]).ravel()
+    exact = exact[np.abs(exact) < within]
+    for pole in exact:
+        # A double root (k d = 1/e) is found to half the digits.
+        assert np.abs(found - pole).min() < (
+            1e-3 if abs(k_delay * np.e - 1) < 1e-6 else 1e-8
+        ) * abs(pole)
+    for pole in found:
+        assert abs(pole + k_delay / delay * np.exp(-pole * delay)) < 1e-4 * abs(pole)
+    assert unstable_count(loop) == np.count_nonzero(exact.real > 0)
+    critical = loop_margins(loop, "continuous").phase_crossovers[0].gain_factor
+    assert critical * k_delay == pytest.approx(np.pi / 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["stitcher", "stitcher+head-feedback", "stitcher-rigid"])
+def test_three_ways_to_stability_agree(name):
+    """Eigenvalues of the sampled loop, exact continuous poles, and the count from the response."""
+    for axis, loop in axis_loops(load_machine(name)).items():
+        critical = loop_margins(loop, "continuous").phase_crossovers
+        lowest = min(c.gain_factor for c in critical)
+        for gain in (0.9 * lowest, 1.1 * lowest):
+            scaled = Loop(
+                axis=axis, plant=loop.plant, controllers=loop.controllers, sensors=loop.sensors,
+                filters=tuple(_scaled(f, gain) for f in loop.filters), index=loop.index,
+                counts_per_unit=loop.counts_per_unit,
+            )  # fmt: skip
+            poles = closed_poles(loop, gain)
+            unstable = int(np.count_nonzero(poles.real > 0))
+            assert unstable == (2 if gain > lowest else 0)
+            assert unstable_count(scaled) == unstable
+            assert (loop.closed(gain).spectral_radius > 1) == (unstable > 0)
+            z = loop.closed(gain).eigenvalues()
+            s = np.log(z[np.abs(z) > 0.5]) / loop.period_s
+            assert np.abs(s - poles[0]).min() < 1e-3 * abs(poles[0])
+
+
+def _scaled(digital: DigitalFilter, gain: float) -> DigitalFilter:
+    return DigitalFilter(
+        numerator=gain * digital.numerator, denominator=digital.denominator,
+        continuous_numerator=gain * digital.continuous_numerator,
+        continuous_denominator=digital.continuous_denominator, period_s=digital.period_s,
+    )  # fmt: skip
+
+
+def test_shared_bodies_see_the_other_loop_closed():
+    """Two motors on one mass: L of one with the other closed, from the 2 x 2 determinant."""
+    A = np.array(
+        [[0.0, 1.0, 0, 0], [-900.0, -6.0, 500.0, 0], [0, 0, 0, 1.0], [400.0, 0, -800.0, -9.0]]
+    )
+    B = np.array([[0.0, 0], [2.0, 0], [0, 0], [0, 3.0]])
+    C = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0]])
+    plant = StateSpace(
+        A=A, B=B, C=C, D=np.zeros((2, 2)), delay_s=np.array([2e-3, 5e-3]),
+        states=("a", "a'", "b", "b'"), inputs=("drives.a", "drives.b"),
+        outputs=("sensors.a", "sensors.b"),
+    )  # fmt: skip
+    one, two = (integrator(k, 0.0).filters[0] for k in (90.0, 40.0))
+    loop = Loop(
+        axis="A", plant=plant, controllers=("a", "b"), sensors=plant.outputs, filters=(one, two),
+        index=0, counts_per_unit=1.0, hold=False,
+    )  # fmt: skip
+    omega = np.array([1.0, 25.0, 33.0])
+    G = plant.response(omega)
+    whole = np.linalg.det(np.eye(2) + G * np.array([90.0, 40.0]))
+    other = 1 + 40.0 * G[:, 1, 1]
+    np.testing.assert_allclose(1 + loop.response(omega, "continuous"), whole / other, rtol=1e-10)
+    poles = closed_poles(loop)
+    for pole in poles[:4]:
+        K = np.diag([90.0 * np.exp(-2e-3 * pole), 40.0 * np.exp(-5e-3 * pole)])
+        assert abs(np.linalg.det(pole * np.eye(4) - A + B @ K @ C)) < 1e-6 * abs(pole) ** 4
+    assert (poles[0].real > 0) == (loop.closed().spectral_radius > 1)
+
+
+def test_zeros_against_python_control():
+    for name, output in (
+        ("stitcher", "measured"),
+        ("stitcher", "load"),
+        ("stitcher-rigid", "load"),
+    ):
+        for axis, loop in axis_loops(load_machine(name)).items():
+            own = loop.plant.select([loop.plant.inputs[0]], [f"{axis}.{output}"])
+            p = ref.X if axis == "X" else ref.Y
+            expected: list[complex] = []
+            if name == "stitcher" and "Mf" in p:
+                expected += list(np.roots([p["Mf"], p["bf"], p["kf"]])) if output == "load" else []
+            if name == "stitcher" and output == "measured":
+                head, belt = np.array([p["M"], p["b"], 0]), np.array([p["k"]])
+                frame = np.array([p["Mf"], p["bf"], p["kf"]]) if "Mf" in p else np.array([1.0])
+                poly = np.polymul(np.polyadd(head, belt), frame)
+                if "Mf" in p:
+                    poly = np.polyadd(poly, np.polymul(head, belt))
+                expected += list(np.roots(poly))
+            got = zeros_of(own)
+            assert len(got) == len(expected)
+            for zero in expected:
+                assert np.abs(got - zero).min() < 1e-6 * abs(zero)
+
+
+def test_winder_poles_of_the_printed_form():
+    """1772 x 0.45 (1 + 0.005 s) / (s (s + 46.7)): -25.3 +- 12.5j, not the printed real poles."""
+    machine = load_machine("lathe-winder")
+    values = Values.of(
+        machine, {"controllers.x.kp": np.array([1.0]), "controllers.x.kd": np.array([1.0])}
+    )
+    poles = closed_poles(axis_loops(machine, values, hold=False)["X"])
+    exact = np.roots([1, 46.7 + 1772 * 0.45 * 0.005, 1772 * 0.45])
+    # The file's inertia has four digits: 0.5 % on the imaginary part.
+    assert poles[0].real == pytest.approx(exact[0].real, abs=0.05)
+    assert abs(poles[0].imag) == pytest.approx(abs(exact[0].imag), abs=0.1)
+    assert (round(poles[0].real, 1), round(abs(poles[0].imag), 0)) == (-25.3, 12.0)
+
+
+@pytest.mark.parametrize("kind", ["p", "pi", "pid"])
+def test_controllers_follow_their_difference_equations(kind, tmp_path):
+    """The response of the equation, against the equation run on a sine."""
+    gains = {"p": 'kp = "2 dac/count exact, assumed"'}
+    gains["pi"] = gains["p"] + '\nki = "0.05 dac/count exact, assumed"'
+    gains["pid"] = gains["pi"] + '\nkd = "3 dac/count exact, assumed"'
+    file = tmp_path / "m.toml"
+    dropped = "" if kind == "pid" else 'kd = "none"\n'
+    file.write_text(
+        f'base = "lathe-winder"\n[controllers.x]\nkind = "{kind}"\n{dropped}{gains[kind]}\n'
+    )
+    machine = load_machine(str(file))
+    digital = digital_filter(machine, "x")
+    omega, tick = 20.0, 5e-3
+    kp, ki, kd = 2.0, 0.05 if kind != "p" else 0.0, 3.0 if kind == "pid" else 0.0
+    level = 20 / 4096
+    expected = level * (
+        kp + ki / (1 - np.exp(-1j * omega * tick)) + kd * (1 - np.exp(-1j * omega * tick))
+    )
+    assert digital.sampled_response(np.array([omega]))[0] == pytest.approx(expected, rel=1e-12)
+    slow = np.array([0.5])
+    assert digital.continuous_response(slow)[0] == pytest.approx(
+        digital.sampled_response(slow)[0], rel=5e-3
+    )
+    figures = loop_figures(axis_loop(machine, "X"), "sampled")
+    assert figures.unstable == loop_figures(axis_loop(machine, "X"), "continuous").unstable
+
+
+def test_unstable_loop_is_named_with_its_margin():
+    found = unstable_loops(load_machine("stitcher+head-feedback"))
+    assert len(found) == 2
+    assert "axis X: the loop is UNSTABLE (2 poles); it is at its limit at 0.623 times" in found[0]
+    assert unstable_loops(load_machine("stitcher")) == []
+    analysis = analyse_axis(load_machine("stitcher+head-feedback"), "X")
+    assert not analysis.stable and analysis.steps == {}
+    assert analysis.as_json()["gain_margin"] == pytest.approx(0.623, abs=1e-3)
+
+
+def test_locus_crosses_where_the_margin_says():
+    loop = axis_loop(load_machine("stitcher+head-feedback"), "X")
+    locus = root_locus(loop, np.array([0.6, 0.62, 0.626, 0.65]))
+    gain, omega = locus.critical[0]
+    worst = [p.real.max() for p in locus.poles]
+    assert worst[1] < 0 < worst[2] and 0.62 < gain < 0.626
+    at = closed_poles(loop, gain)[0]
+    assert abs(at.real) < 1e-6 * abs(at) and abs(at.imag) == pytest.approx(omega, rel=1e-9)
+
+
+def test_wrong_questions_are_refused():
+    with pytest.raises(OptionError, match="no axis 'Q'"):
+        axis_loop(load_machine("stitcher"), "Q")
+    with pytest.raises(MachineError, match="does not move"):
+        zeros_of(
+            StateSpace(
+                A=np.zeros((1, 1)),
+                B=np.zeros((1, 1)),
+                C=np.ones((1, 1)),
+                D=np.zeros((1, 1)),
+                delay_s=np.zeros(1),
+                states=("x",),
+                inputs=("drives.x",),
+                outputs=("sensors.x",),
+            )
+        )
