@@ -69,6 +69,10 @@ _EXACT_TIME_S = {
 }
 _EXACT_RATE_HZ = {"Hz": Fraction(1), "kHz": Fraction(1000), "MHz": Fraction(10**6)}
 _MAX_TEXT = 120
+# The only numbers in a unit are exponents of one digit and the 1 of "1/s": anything else might be
+# a tower like 9**9**9, which pint works out to the last of its millions of digits.
+_UNIT_NUMBERS = re.compile(r"(?:\*\*|\^)\s*[-+]?\d(?!\s*(?:[\d.^]|\*\*))|^\s*1\s*/")
+_NUMBER_LEFT = re.compile(r"[\d^]|\*\*")
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
 
 
@@ -113,7 +117,10 @@ def unit_factor(unit: str, target: str) -> float:
     """
     registry = _registry()
     try:
-        source = registry.parse_units(_normalise(unit))
+        normal = _normalise(unit)
+        if _NUMBER_LEFT.search(_UNIT_NUMBERS.sub(" ", normal)):
+            raise ValueError("a number that is no exponent of one digit")
+        source = registry.parse_units(normal)
     except Exception as error:  # pint raises a dozen unrelated types on malformed text
         raise UnitError(f"unknown unit {unit!r}", remedy=f"Use a unit like {target!r}.") from error
     wanted = registry.parse_units(_normalise(target))
@@ -122,8 +129,13 @@ def unit_factor(unit: str, target: str) -> float:
             f"{unit!r} is not a unit of the kind of {target!r}",
             remedy=f"Use a unit like {target!r}.",
         )
-    factor = registry.Quantity(1.0, source).to(wanted).magnitude
-    return float(factor)
+    try:
+        factor = float(registry.Quantity(1.0, source).to(wanted).magnitude)
+    except ArithmeticError as error:
+        raise UnitError(f"{unit!r} in {target!r} is beyond any number") from error
+    if not (math.isfinite(factor) and factor > 0):
+        raise UnitError(f"{unit!r} in {target!r} is beyond any number")
+    return factor
 
 
 def _normalise(unit: str) -> str:

@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 from threadline.errors import UnitError
-from threadline.units import parse_exact_time_s
+from threadline.units import parse_exact_time_s, parse_quantity
 
 CASES = {"part-program": 300, "units": 300, "par": 100}
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz.py"
@@ -55,3 +55,10 @@ def test_a_time_of_a_billion_digits_is_refused_at_once() -> None:
     for text in ("1e999999999 s", "1e-999999999 s"):
         with pytest.raises(UnitError, match="must be"):
             parse_exact_time_s(text)
+
+
+def test_a_unit_that_is_a_tower_of_powers_is_refused_at_once() -> None:
+    """Found by fuzzing: pint works out 9**99999999, and overflows in ((m/mm)^9)^9..."""
+    for text in ("1 m*9**99999999", "1 m^9^9^9", "1 ((((m/mm)^9)^9)^9)^9"):
+        with pytest.raises(UnitError):
+            parse_quantity(text, "" if "mm" in text else "m")
