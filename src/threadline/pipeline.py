@@ -12,7 +12,7 @@ from threadline.errors import OptionError, PlanError, UnitError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.machine.vary import vary
+from threadline.machine.vary import derate, vary
 from threadline.path import plan_path, programmed_path
 from threadline.plan import Plan
 from threadline.signals import Recording, RecordingBlock, Stream, TickTable
@@ -43,11 +43,14 @@ class Options:
         Replaces every programmed feed; None keeps the job's.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
+    limit_share
+        Share of the machine's acceleration and jerk limits that the planner uses, in (0, 1].
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
     feed: Feed | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
+    limit_share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,6 +105,25 @@ def parse_tolerance_m(text: str) -> float:
     return value
 
 
+def parse_share(text: str) -> float:
+    """Return a share such as ``"25 %"`` as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 100 %.
+    """
+    try:
+        value = parse_quantity(text, "")
+    except UnitError as error:
+        raise OptionError(
+            f"limits {text!r}: {error.message}", remedy='Write it like "25 %".'
+        ) from error
+    if not 0.0 < value <= 1.0:
+        raise OptionError(f"limits {text!r} must be above 0 % and at most 100 %")
+    return value
+
+
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """Plan ``job`` on ``machine``: paths, trajectory, commands.
 
@@ -111,13 +133,14 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         If the machine cannot do the job.
     """
     programmed = programmed_path(job, machine, feed=options.feed)
+    limited = derate(machine, options.limit_share)
     path = plan_path(
         programmed,
-        machine,
+        limited,
         interpolation=options.interpolation,
         tolerance_m=options.tolerance_m,
     )
-    trajectory = plan_trajectory(path, machine)
+    trajectory = plan_trajectory(path, limited)
     commands = compile_ticks(trajectory, machine, job)
     return Plan(
         job=job,
@@ -142,6 +165,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         "interpolation": options.interpolation,
         "feed": feed,
         "tolerance": f"{options.tolerance_m!r} m",
+        "limits": f"{options.limit_share * 100.0!r} %",
     }
 
 
@@ -159,6 +183,7 @@ def options_from(description: dict[str, str]) -> Options:
             interpolation=description["interpolation"],
             feed=None if feed_text == "programmed" else parse_feed(feed_text),
             tolerance_m=parse_tolerance_m(description["tolerance"]),
+            limit_share=parse_share(description.get("limits", "100 %")),
         )
     except KeyError as error:
         raise OptionError(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from threadline.machine import load_machine
-from threadline.machine.vary import vary
+from threadline.machine.vary import derate, vary
 
 
 def test_friction_and_supply_are_scaled() -> None:
@@ -30,3 +30,14 @@ def test_friction_and_supply_are_scaled() -> None:
 def test_factors_must_be_positive(factors: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="positive"):
         vary(load_machine("lathe-winder"), **factors)
+
+
+def test_derating_touches_acceleration_and_jerk_alone() -> None:
+    machine = load_machine("lathe-winder")
+    gentle = derate(machine, 0.25)
+
+    assert (gentle.acceleration_limit == 0.25 * machine.acceleration_limit).all()
+    assert (gentle.jerk_limit == 0.25 * machine.jerk_limit).all()
+    assert (gentle.velocity_limit == machine.velocity_limit).all()
+    with pytest.raises(ValueError, match="share"):
+        derate(machine, 1.5)

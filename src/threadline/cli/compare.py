@@ -23,7 +23,7 @@ from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import Proof, parse_feed
 from threadline.report import write_comparison
-from threadline.search import Comparison
+from threadline.search import Comparison, Rung
 from threadline.search import compare as compare_job
 from threadline.verdict import Result, load_spec, verdict_json
 
@@ -47,7 +47,7 @@ def compare(
     spec: SpecOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     par: ParOption = None,
-    fastest: Annotated[bool, typer.Option(help="Also find the fastest feed of each.")] = True,
+    fastest: Annotated[bool, typer.Option(help="Also find the fastest of each.")] = True,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -111,19 +111,25 @@ def comparison_tables(found: Comparison) -> list[tuple[str, list[str], list[list
     tables = [(f"{first.job.name} on {first.machine.name}", header, rows)]
     if found.fastest:
         reference = next(iter(found.fastest))
-        slowest = found.fastest[reference].best
-        body = [
-            [
-                name,
-                "none" if f.best is None else f"{f.best * 1e3:.1f}",
-                "-" if f.best is None or not slowest else f"{f.best / slowest:.2f}",
-                f.limited_by,
-            ]
-            for name, f in found.fastest.items()
-        ]
-        head = ["interpolation", "mm/s", f"times {reference}", "limited by"]
-        tables.append(("fastest feed within the placement criteria", head, body))
+        slowest = found.fastest[reference].best.found.best
+        body = [_fastest_row(name, f.best, slowest) for name, f in found.fastest.items()]
+        head = ["interpolation", "mm/s", f"times {reference}", "limits used", "job s", "limited by"]
+        tables.append(("fastest within the placement criteria", head, body))
     return tables
+
+
+def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str]:
+    best = rung.found.best
+    if best is None:
+        return [name, "none", "-", "-", "-", rung.found.limited_by]
+    return [
+        name,
+        f"{best * 1e3:.1f}",
+        f"{best / reference_m_s:.2f}" if reference_m_s else "-",
+        f"{rung.share:.0%}",
+        f"{rung.duration_s:.3f}",
+        rung.found.limited_by,
+    ]
 
 
 def comparison_json(found: Comparison) -> dict[str, Any]:
@@ -135,10 +141,12 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
         ],
         "fastest": {
             name: {
-                "best": f.best,
+                "best": f.best.found.best,
                 "unit": "m/s",
-                "intervals": [[i.low, i.high] for i in f.intervals],
-                "limited_by": f.limited_by,
+                "intervals": [[i.low, i.high] for i in f.best.found.intervals],
+                "limited_by": f.best.found.limited_by,
+                "limits": f.best.share,
+                "duration_s": f.best.duration_s,
             }
             for name, f in found.fastest.items()
         },

@@ -9,11 +9,13 @@ import typer
 
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
+    DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     FeedOption,
     InterpolationOption,
     JobArgument,
     JsonOption,
+    LimitsOption,
     MachineOption,
     ParOption,
     ToleranceOption,
@@ -37,6 +39,7 @@ def compile_(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     feed: FeedOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     par: ParOption = None,
     shaper: Annotated[
         str, typer.Option(help="Of an on/off machine: zv, um-2ei, zv*um-2ei ... or none.")
@@ -65,7 +68,9 @@ def compile_(
         for warning in files[0].warnings:
             typer.echo(f"warning: {warning}", err=True)
     else:
-        plan = plan_job(read_job(job, chosen), chosen, options_of(interpolation, feed, tolerance))
+        plan = plan_job(
+            read_job(job, chosen), chosen, options_of(interpolation, feed, tolerance, limits)
+        )
         check_limits(plan.trajectory, chosen)
         files = write(plan, target, out)
     if json:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from threadline.cli.options import (
@@ -24,7 +23,7 @@ from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import parse_feed
-from threadline.search import fastest_feed
+from threadline.search import FastestJob, fastest_job
 from threadline.verdict import load_spec, verdict_rows
 
 
@@ -48,7 +47,7 @@ def fastest(
     chosen = machine_from(machine, par)
     read = read_job(job, chosen)
     with progress_bar(not json) as progress:
-        found = fastest_feed(
+        result = fastest_job(
             read,
             chosen,
             load_spec(spec, chosen),
@@ -58,35 +57,62 @@ def fastest(
             progress=progress,
         )
     if json:
-        content: dict[str, Any] = {
-            "best": found.best,
-            "unit": "m/s",
-            "intervals": [[i.low, i.high] for i in found.intervals],
-            "limited_by": found.limited_by,
-            "tried": found.tried,
-            "verdict": None if found.verdict is None else found.verdict.passed,
-        }
-        print_json(content)
+        print_json(_content(result))
     else:
-        rows = [[f"{i.low * 1e3:.2f}", f"{i.high * 1e3:.2f}"] for i in found.intervals]
-        title = f"{read.name} on {chosen.name}, {interpolation}: feeds in spec"
-        print_table(title, ["from mm/s", "to mm/s"], rows)
-        if found.verdict is None:
-            typer.echo(f"no feed is in spec ({found.tried} tried)")
-        else:
-            assert found.best is not None
-            typer.echo(
-                f"fastest {found.best * 1e3:.2f} mm/s, limited by {found.limited_by}; "
-                f"optimum (20 % margin) is {_optimum(found.best):.2f} mm/s or less; "
-                f"{found.tried} feeds tried"
+        _show(result, f"{read.name} on {chosen.name}, {interpolation}")
+    raise typer.Exit(0 if result.best.found.verdict is not None else 1)
+
+
+def _content(result: FastestJob) -> dict[str, Any]:
+    found = result.best.found
+    return {
+        "best": found.best,
+        "unit": "m/s",
+        "intervals": [[i.low, i.high] for i in found.intervals],
+        "limited_by": found.limited_by,
+        "limits": result.best.share,
+        "duration_s": result.best.duration_s,
+        "tried": sum(rung.found.tried for rung in result.rungs),
+        "verdict": None if found.verdict is None else found.verdict.passed,
+        "rungs": [
+            {
+                "limits": rung.share,
+                "duration_s": rung.duration_s,
+                "intervals": [[i.low, i.high] for i in rung.found.intervals],
+                "limited_by": rung.found.limited_by,
+            }
+            for rung in result.rungs
+        ],
+    }
+
+
+def _show(result: FastestJob, title: str) -> None:
+    rows = []
+    for rung in result.rungs:
+        for interval in rung.found.intervals:
+            first = interval is rung.found.intervals[0]
+            rows.append(
+                [
+                    f"{rung.share:.1%}",
+                    f"{interval.low * 1e3:.2f}",
+                    f"{interval.high * 1e3:.2f}",
+                    f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
+                    rung.found.limited_by if first else "",
+                ]
             )
-            header, body = verdict_rows(found.verdict)
-            print_table("verdict at the fastest", header, body)
-    raise typer.Exit(0 if found.verdict is not None else 1)
-
-
-def _optimum(best_m_s: float) -> float:
-    return float(np.round(best_m_s * 1e3 / 1.2, 2))
+    header = ["limits used", "from mm/s", "to mm/s", "job s", "limited by"]
+    print_table(f"{title}: feeds in spec", header, rows)
+    best = result.best
+    tried = sum(rung.found.tried for rung in result.rungs)
+    if best.found.verdict is None or best.found.best is None:
+        typer.echo(f"no feed is in spec ({tried} tried)")
+        return
+    typer.echo(
+        f"fastest: {best.duration_s:.3f} s at {best.found.best * 1e3:.2f} mm/s with "
+        f"{best.share:.1%} of the limits, limited by {best.found.limited_by}; {tried} plans tried"
+    )
+    head, body = verdict_rows(best.found.verdict)
+    print_table("verdict at the fastest", head, body)
 
 
 def _metres_per_second(text: str) -> float:

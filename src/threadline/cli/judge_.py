@@ -35,6 +35,7 @@ def judge(
     interpolation: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     feed: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     tolerance: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    limits: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Judge what a machine did, recorded by Threadline or by anything that writes a table.
@@ -50,6 +51,7 @@ def judge(
         ("interpolation", interpolation),
         ("feed", feed),
         ("tolerance", tolerance),
+        ("limits", limits),
         ("job", None if job is None else str(job)),
         ("machine", machine),
     ):

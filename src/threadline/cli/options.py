@@ -14,6 +14,7 @@ from threadline.pipeline import (
     DEFAULT_TOLERANCE_M,
     Options,
     parse_feed,
+    parse_share,
     parse_tolerance_m,
 )
 
@@ -48,6 +49,10 @@ FeedOption = Annotated[
 ToleranceOption = Annotated[
     str, typer.Option(help='Largest deviation from the programmed path: "0.1 mm".')
 ]
+LimitsOption = Annotated[
+    str,
+    typer.Option(help="Share of the acceleration and jerk limits that the planner uses."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 ReportOption = Annotated[
     Path | None, typer.Option(help="Folder for the report (HTML, PDF, PNG, SVG).")
@@ -57,6 +62,7 @@ RecordingOption = Annotated[
     typer.Option(help="Write the recording to this file: .npz, .csv or .plt."),
 ]
 DEFAULT_INTERPOLATION_TEXT = DEFAULT_INTERPOLATION
+DEFAULT_LIMITS_TEXT = "100 %"
 DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 
 
@@ -66,10 +72,13 @@ def machine_from(reference: str, par: Path | None) -> Machine:
     return machine if par is None else read_parameters(par, machine)
 
 
-def options_of(interpolation: str, feed: str | None, tolerance: str) -> Options:
+def options_of(
+    interpolation: str, feed: str | None, tolerance: str, limits: str = DEFAULT_LIMITS_TEXT
+) -> Options:
     """Return the planning options, read from their text."""
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
         tolerance_m=parse_tolerance_m(tolerance),
+        limit_share=parse_share(limits),
     )

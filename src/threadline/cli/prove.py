@@ -8,11 +8,13 @@ import typer
 
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
+    DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     FeedOption,
     InterpolationOption,
     JobArgument,
     JsonOption,
+    LimitsOption,
     MachineOption,
     ParOption,
     RecordingOption,
@@ -38,6 +40,7 @@ def prove(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     feed: FeedOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     par: ParOption = None,
     report: ReportOption = None,
     recording: RecordingOption = None,
@@ -56,7 +59,7 @@ def prove(
     Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
     """
     chosen = machine_from(machine, par)
-    options = options_of(interpolation, feed, tolerance)
+    options = options_of(interpolation, feed, tolerance, limits)
     with progress_bar(not json) as progress:
         proof = prove_job(job, chosen, load_spec(spec, chosen), options, progress, repeats)
         if recording is not None:

@@ -1,4 +1,4 @@
-"""The same machine on another day: friction and supply a little off."""
+"""The same machine on another day, or used more gently."""
 
 from __future__ import annotations
 
@@ -45,6 +45,30 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
             ),
         )
     return replace(machine, bodies=bodies, drives=drives)
+
+
+def derate(machine: Machine, share: float) -> Machine:
+    """Return ``machine`` with that share of its acceleration and jerk limits.
+
+    A loop that lags turns acceleration into error, so that the planner that uses less of what the
+    motors could give often does the job sooner within the same tolerance.
+
+    Raises
+    ------
+    ValueError
+        If ``share`` is not in (0, 1].
+    """
+    if not 0.0 < share <= 1.0:
+        raise ValueError(f"share must be in (0, 1], got {share!r}")
+    axes = {
+        name: replace(
+            axis,
+            acceleration=replace(axis.acceleration, si=axis.acceleration.si * share),
+            jerk=_scaled(axis.jerk, share),
+        )
+        for name, axis in machine.axes.items()
+    }
+    return replace(machine, axes=axes)
 
 
 def _scaled(quantity: Quantity | None, factor: float) -> Quantity | None:

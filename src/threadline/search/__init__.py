@@ -3,14 +3,18 @@
 from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed, feed_range_m_s
+from threadline.search.gentle import FastestJob, Rung, fastest_job
 
 __all__ = [
     "PLACEMENT",
     "Comparison",
     "Fastest",
+    "FastestJob",
     "Interval",
+    "Rung",
     "compare",
     "fastest_feed",
+    "fastest_job",
     "feed_range_m_s",
     "find_fastest",
     "placement_spec",

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
 from threadline.pipeline import Options, Proof, plan_job, prove_plan
-from threadline.search.fastest import Fastest
-from threadline.search.feed import fastest_feed
+from threadline.search.gentle import FastestJob, fastest_job
 from threadline.verdict import Spec
 
 PLACEMENT = ("contour_error", "turning_point_error")
@@ -24,12 +23,12 @@ class Comparison:
     proofs
         One per interpolation and feed, interpolations outermost.
     fastest
-        Per interpolation: the fastest feed within the placement criteria alone, which is how the
+        Per interpolation: the fastest job within the placement criteria alone, which is how the
         1994 experiment was judged; empty when it was not asked for.
     """
 
     proofs: tuple[Proof, ...]
-    fastest: dict[str, Fastest]
+    fastest: dict[str, FastestJob]
 
 
 def placement_spec(spec: Spec) -> Spec:
@@ -73,5 +72,5 @@ def compare(
         for interpolation in interpolations:
             stepped(f"fastest {interpolation}")
             chosen = replace(options, interpolation=interpolation)
-            fastest[interpolation] = fastest_feed(job, machine, placement_spec(spec), chosen)
+            fastest[interpolation] = fastest_job(job, machine, placement_spec(spec), chosen)
     return Comparison(proofs=tuple(proofs), fastest=fastest)

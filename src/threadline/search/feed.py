@@ -8,7 +8,7 @@ from dataclasses import replace
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.pipeline import Options, plan_job, prove_plan
-from threadline.search.fastest import Fastest, find_fastest
+from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Spec, Verdict
 
 
@@ -32,6 +32,7 @@ def fastest_feed(
     *,
     low: float | None = None,
     high: float | None = None,
+    points: int = SCAN_POINTS,
     progress: Callable[[str, float], None] | None = None,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec."""
@@ -45,5 +46,6 @@ def fastest_feed(
         judged,
         lowest if low is None else low,
         highest if high is None else high,
+        points=points,
         progress=progress,
     )

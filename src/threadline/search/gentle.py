@@ -1,0 +1,91 @@
+"""The fastest way to do a job: how much of the limits to use, and at which feed.
+
+A loop that lags turns acceleration into error. A planner that uses all of the machine's limits
+then has to creep to stay in spec; one that uses a tenth of them may run at full feed. So feed and
+share of the limits are searched together, and the shortest job wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.machine import Machine
+from threadline.pipeline import Options, plan_job
+from threadline.search.fastest import Fastest
+from threadline.search.feed import fastest_feed
+from threadline.verdict import Spec
+
+_LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
+_REFINED = (0.84, 0.71, 1.19, 1.41)  # sixteenths of a decade either side of the best rung
+_SCAN_POINTS = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rung:
+    """The best at one share of the limits; ``duration_s`` is None where no feed passes."""
+
+    share: float
+    found: Fastest
+    duration_s: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastestJob:
+    """What was found: the rung with the shortest job, and all that were tried, by share."""
+
+    best: Rung
+    rungs: tuple[Rung, ...]
+
+
+def fastest_job(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> FastestJob:
+    """Search feed and share of the limits together; the shortest job in spec wins.
+
+    Interpolations that ignore the limits (the 1994 controller's) are searched by feed alone.
+    """
+    historical = plan_job(job, machine, options).path.historical
+    rungs: dict[float, Rung] = {}
+    expected = 1 if historical else len(_LADDER) + len(_REFINED)
+
+    def tried(share: float, points: int) -> Rung:
+        if share not in rungs:
+            if progress is not None:
+                progress(f"limits {share:.0%}", min(len(rungs) / expected, 1.0))
+            chosen = replace(options, limit_share=share)
+            found = fastest_feed(job, machine, spec, chosen, low=low, high=high, points=points)
+            rungs[share] = Rung(
+                share=share, found=found, duration_s=_duration_s(job, machine, chosen, found)
+            )
+        return rungs[share]
+
+    if historical:
+        best = tried(1.0, 48)
+        return FastestJob(best=best, rungs=(best,))
+    best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
+    for factor in _REFINED:
+        share = best.share * factor
+        if share <= 1.0:
+            tried(share, _SCAN_POINTS)
+    ordered = tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
+    return FastestJob(best=min(ordered, key=_order), rungs=ordered)
+
+
+def _order(rung: Rung) -> float:
+    return float("inf") if rung.duration_s is None else rung.duration_s
+
+
+def _duration_s(job: Job, machine: Machine, options: Options, found: Fastest) -> float | None:
+    if found.best is None:
+        return None
+    feed = Feed(FeedMode.FASTEST_AXIS, found.best)
+    return plan_job(job, machine, replace(options, feed=feed)).trajectory.duration_s
