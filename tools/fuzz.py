@@ -60,7 +60,8 @@ UNITS = """
 mm m in ft s ms us min h Hz kHz MHz deg rad rev count count/mm count/deg count/tick tick dac
 dac/count kg kg*m^2 kg m^2 N N*m N/m V A ohm H % percent rpm m/s mm/s mm/min m/s^2 m/s^3 bar
 / // ^ ** *** m^ m^^2 m^1e9 m^999999 ( ) (m (m/s)/s () m/0 0 1/s kilo mega mm/mm/mm m·s m² e
-((((m/mm)^9)^9)^9)^9 m*9**9**9 m^9^9^9 pi delta_degC dimensionless [length] a_b __class__ import lambda 1e9m m1e9 µs μs µ µµs
+((((m/mm)^9)^9)^9)^9 m*9**9**9 m^9^9^9
+pi delta_degC dimensionless [length] a_b __class__ import lambda 1e9m m1e9 µs μs µ µµs
 """.split()  # noqa: SIM905 - a table of words
 BYTES = [0, 9, 10, 13, 26, 27, 32, 34, 37, 40, 41, 44, 46, 59, 61, 91, 92, 127, 128, 0xC3, 0xFF]
 
