@@ -1,0 +1,307 @@
+"""The report of an analysis: Bode, Nyquist, Nichols, root locus and steps of every axis."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from threadline import __version__
+from threadline.machine import Machine
+from threadline.plant.analysis import HERTZ, AxisAnalysis
+from threadline.plant.locus import root_locus
+from threadline.plant.measured import MeasuredResponse, speed_response
+from threadline.report.document import Document, Table, write_document
+from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DB_FLOOR = 1e-6
+_SHOWN_RADIUS = 3.0
+
+
+def write_analysis(
+    machine: Machine,
+    analyses: Mapping[str, AxisAnalysis],
+    warnings: list[str],
+    folder: Path,
+    measured: MeasuredResponse | None = None,
+) -> Path:
+    """Write the report of ``analyses`` into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    with figure_style():
+        figures: dict[str, Figure] = {}
+        captions: dict[str, str] = {}
+        for axis, analysis in analyses.items():
+            for name, (figure, caption) in _figures(analysis, measured).items():
+                figures[f"{name}-{axis}"] = figure
+                captions[f"{name}-{axis}"] = f"Axis {axis}. {caption}"
+        document = Document(
+            title=f"Analysis of {machine.name}",
+            subtitle=machine.title,
+            verdicts=[(a.verdict(), a.stable) for a in analyses.values()],
+            warnings=tuple(warnings),
+            tables=analysis_tables(analyses),
+            figures=figures,
+            captions=captions,
+            facts=[
+                ("threadline", __version__),
+                ("Python", platform.python_version()),
+                ("machine", f"{machine.name} ({machine.title})"),
+                ("machine sha256", machine.sha256),
+            ],
+        )
+        return write_document(document, folder, "analysis")
+
+
+def analysis_tables(analyses: Mapping[str, AxisAnalysis]) -> list[Table]:
+    """Return the tables of an analysis: loops, network, steps."""
+    loops, network, steps = [], [], []
+    for axis, a in analyses.items():
+        for figures in (a.sampled, a.continuous):
+            worst = figures.margins.worst_phase
+            loops.append(
+                [
+                    f"{axis} {figures.model}",
+                    "stable" if figures.stable else f"UNSTABLE ({figures.unstable})",
+                    _text(figures.bandwidth_hz, ".2f"),
+                    _text(figures.gain_margin, ".3f"),
+                    _text(None if worst is None else worst.phase_margin_deg, ".2f"),
+                    _text(None if worst is None else worst.omega_rad_s * HERTZ, ".2f"),
+                    f"{figures.margins.modulus_margin:.3f}",
+                ]
+            )
+        motor = a.actuator
+        network.append(
+            [
+                axis,
+                " ".join(f"{m.frequency_hz:.2f} ({m.damping:.3f})" for m in a.locked) or "-",
+                " ".join(f"{m.frequency_hz:.2f} ({m.damping:.3f})" for m in a.free) or "-",
+                _text(motor.dc_gain, ".2f"),
+                _text(motor.loaded_dc_gain, ".2f"),
+                _text(motor.natural_rad_s, ".1f"),
+                _text(motor.damping, ".3f"),
+            ]
+        )
+        for name, step in a.steps.items():
+            steps.append(
+                [
+                    f"{axis} {name}",
+                    f"{step.rise_s * 1e3:.1f}",
+                    f"{step.settling_s * 1e3:.1f}",
+                    f"{step.overshoot * 100:.1f}",
+                    f"{step.steady_state_error * 100:.3f}",
+                ]
+            )
+    return [
+        Table(
+            title="Loops",
+            header=(
+                "axis, model", "stability", "bandwidth Hz", "gain margin", "phase margin deg",
+                "crossover Hz", "least |1+L|",
+            ),
+            rows=loops,
+            note="Sampled: tick by tick, with the fraction of a tick in the dead time. Continuous: "
+            "the filter by Tustin's rule, dead time exact, half a tick of it for the held output.",
+        ),
+        Table(
+            title="Network and actuators",
+            header=("axis", "locked Hz", "free Hz", "rad/s/V", "loaded", "wn rad/s", "zeta"),
+            rows=network,
+            note="Undamped modes (damping ratio) with the motor locked and turning freely; speed "
+            "per volt, wn and zeta of the actuator alone, and speed per volt with its load.",
+        ),
+        Table(
+            title="Steps of the sampled loop",
+            header=("output", "rise 10-90 % ms", "settling 2 % ms", "overshoot %", "error %"),
+            rows=steps,
+        ),
+    ]  # fmt: skip
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _figures(a: AxisAnalysis, measured: MeasuredResponse | None) -> dict[str, tuple[Figure, str]]:
+    found = {
+        "bode": (_bode(a), "Open loop, sampled and continuous; crossovers marked."),
+        "plant": (
+            _plant(a, measured),
+            "Motor speed per volt relative to zero frequency, with its dead time"
+            + (", and what was measured." if measured is not None else "."),
+        ),
+        "nyquist": (_nyquist(a), "Open loop, sampled, near the critical point."),
+        "nichols": (_nichols(a), "Open loop, sampled; crosses are the critical points."),
+        "locus": (
+            _locus(a),
+            "Closed-loop poles of the continuous model over the gain, dead time exact.",
+        ),
+    }
+    if a.steps:
+        found["steps"] = (_steps(a), "Unit steps of the sampled loop.")
+    return found
+
+
+def _bode(a: AxisAnalysis) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 5.4))
+    size, turn = figure.subplots(2, 1, sharex=True)
+    for data, style in ((a.continuous, PLANNED), (a.sampled, ACTUAL)):
+        hertz = data.grid_rad_s * HERTZ
+        size.semilogx(hertz, _db(data.response), label=data.model, **style)
+        turn.semilogx(hertz, np.degrees(np.unwrap(np.angle(data.response))), **style)
+    for crossover in a.sampled.margins.gain_crossovers:
+        turn.axvline(crossover.omega_rad_s * HERTZ, **LIMIT)
+    for crossing in a.sampled.margins.phase_crossovers[:1]:
+        size.axvline(crossing.omega_rad_s * HERTZ, **LIMIT)
+    size.axhline(0.0, color="black", lw=0.6)
+    turn.axhline(-180.0, color="black", lw=0.6)
+    size.set_ylim(-80, None)
+    turn.set_ylim(-720, None)
+    size.set_xlim(0.1, a.sampled.grid_rad_s[-1] * HERTZ)
+    size.set_ylabel("|L| [dB]")
+    turn.set_ylabel("phase [deg]")
+    turn.set_xlabel("frequency [Hz]")
+    size.set_title(f"Axis {a.axis}: Bode plot of the open loop")
+    size.legend(loc="lower left")
+    return figure
+
+
+def _plant(a: AxisAnalysis, measured: MeasuredResponse | None) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 5.4))
+    size, turn = figure.subplots(2, 1, sharex=True)
+    hertz = np.geomspace(1.0, 200.0, 800)
+    magnitude, phase = speed_response(a.loop, 2 * np.pi * hertz)
+    size.semilogx(hertz, magnitude, label="model", **ACTUAL)
+    turn.semilogx(hertz, phase, **ACTUAL)
+    if measured is not None:
+        shown = {**PROGRAMMED, "markersize": 2.4}
+        size.semilogx(measured.frequency_hz, measured.magnitude_db, label="measured", **shown)
+        turn.semilogx(measured.frequency_hz, measured.phase_deg, **shown)
+    size.set_ylabel("speed per volt [dB]")
+    turn.set_ylabel("phase [deg]")
+    turn.set_xlabel("frequency [Hz]")
+    size.set_title(f"Axis {a.axis}: from the controller's volts to the motor's speed")
+    size.legend(loc="lower left")
+    return figure
+
+
+def _nyquist(a: AxisAnalysis) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.6, 5.4))
+    axes = figure.subplots()
+    response = a.sampled.response
+    axes.plot(response.real, response.imag, label="frequency rising from 0", **ACTUAL)
+    axes.plot(response.real, -response.imag, label="mirrored", **PLANNED)
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 300))
+    axes.plot(circle.real, circle.imag, color="0.6", lw=0.7)
+    near = -1 + a.sampled.margins.modulus_margin * circle
+    axes.plot(near.real, near.imag, label="largest free circle about -1", **LIMIT)
+    axes.plot([-1], [0], **WORST)
+    axes.set_xlim(-_SHOWN_RADIUS, _SHOWN_RADIUS)
+    axes.set_ylim(-_SHOWN_RADIUS, _SHOWN_RADIUS)
+    axes.set_aspect("equal")
+    axes.set_xlabel("real part")
+    axes.set_ylabel("imaginary part")
+    axes.set_title(f"Axis {a.axis}: Nyquist plot")
+    axes.legend(loc="upper right")
+    return figure
+
+
+def _nichols(a: AxisAnalysis) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 5.0))
+    axes = figure.subplots()
+    phase = np.degrees(np.unwrap(np.angle(a.sampled.response)))
+    for level in (-6.0, -3.0, 0.0, 3.0, 6.0):
+        _level_of_closed_loop(axes, level)
+    axes.plot(phase, _db(a.sampled.response), label="open loop, sampled", **ACTUAL)
+    axes.plot([-180, -540], [0, 0], **{**WORST, "marker": "x"})
+    axes.set_xlim(-560, 0)
+    axes.set_ylim(-40, 25)
+    axes.set_xlabel("phase [deg]")
+    axes.set_ylabel("|L| [dB]")
+    axes.set_title(f"Axis {a.axis}: Nichols plot, with contours of the closed loop in dB")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def _level_of_closed_loop(axes: Axes, level_db: float) -> None:
+    """Draw where ``|L / (1 + L)|`` has one value: L = T / (1 - T) over the circle of T."""
+    angles = np.linspace(0.02, 2 * np.pi - 0.02, 721)
+    T = 10 ** (level_db / 20) * np.exp(-1j * angles)
+    L = T / (1 - T)
+    phase = np.degrees(np.unwrap(np.angle(L)))
+    phase -= 360.0 * np.ceil(phase[0] / 360.0)
+    for shift in (0.0, -360.0):
+        axes.plot(phase + shift, _db(L), color="0.75", lw=0.6, zorder=1)
+    at = int(np.argmax(phase))
+    axes.annotate(f"{level_db:g}", (phase[at], _db(L)[at]), fontsize=6, color="0.4")
+
+
+def _locus(a: AxisAnalysis) -> Figure:
+    from matplotlib.figure import Figure
+
+    locus = root_locus(a.loop)
+    figure = Figure(figsize=(6.4, 5.0))
+    axes = figure.subplots()
+    every = np.concatenate(locus.poles)
+    axes.plot(every.real, every.imag, ".", color="0.55", ms=2.0, label="poles as the gain rises")
+    axes.plot(locus.now.real, locus.now.imag, "s", color="#0072B2", ms=4.5, label="now")
+    axes.plot(locus.open_poles.real, locus.open_poles.imag, "x", color="black", label="open poles")
+    axes.plot(locus.open_zeros.real, locus.open_zeros.imag, "o", **_HOLLOW, label="open zeros")
+    for gain, omega in locus.critical[:1]:
+        label = f"on its limit at {gain:.3g} x the gain, {omega * HERTZ:.3g} Hz"
+        axes.plot([0, 0], [omega, -omega], label=label, **WORST)
+    axes.axvline(0.0, color="black", lw=0.6)
+    # The load's poles matter; a dead time has fast ones without end.
+    reach = 1.25 * max(float(np.abs(a.loop.plant.poles()).max()), 50.0)
+    axes.set_xlim(-reach, 0.4 * reach)
+    axes.set_ylim(-reach, reach)
+    axes.set_xlabel("real part [1/s]")
+    axes.set_ylabel("imaginary part [rad/s]")
+    axes.set_title(f"Axis {a.axis}: root locus")
+    axes.legend(loc="upper left", fontsize=7)
+    return figure
+
+
+_HOLLOW: dict[str, Any] = {"color": "black", "markerfacecolor": "none"}
+
+
+def _steps(a: AxisAnalysis) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 3.4))
+    axes = figure.subplots()
+    last = 0.0
+    for (name, step), style in zip(a.steps.items(), (PLANNED, ACTUAL), strict=False):
+        last = max(last, 1.6 * step.settling_s, 4.0 * step.rise_s)
+        axes.plot(step.time_s * 1e3, step.value, label=name, **style)
+    axes.axhline(1.02, **LIMIT, label="2 %")
+    axes.axhline(0.98, **LIMIT)
+    axes.set_xlim(0, last * 1e3)
+    axes.set_xlabel("time [ms]")
+    axes.set_ylabel("position per unit step")
+    axes.set_title(f"Axis {a.axis}: step response")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def _db(response: np.ndarray) -> np.ndarray:
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(response), _DB_FLOOR)))

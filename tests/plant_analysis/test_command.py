@@ -1,0 +1,113 @@
+"""``threadline analyse``: keys, exit codes, measured data, report, wrong input."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from threadline.cli.main import main
+from threadline.errors import RecordingError
+from threadline.plant.measured import read_response
+
+from . import reference as ref
+
+KEYS = {"bandwidth_hz", "gain_margin", "phase_margin_deg", "modes_hz", "dc_gain", "stable"}
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as left:
+        main(["analyse", *arguments])
+    out = capsys.readouterr()
+    return left.value.code or 0, out.out, out.err
+
+
+def test_json_has_the_keys_of_the_design(capsys):
+    code, out, _ = run(capsys, "stitcher-rigid", "--json")
+    content = json.loads(out)
+    assert code == 0 and set(content["axes"]) == {"X", "Y"} and content["stable"] is True
+    for axis, bandwidth in (("X", 33), ("Y", 36)):
+        found = content["axes"][axis]
+        assert set(found) >= KEYS
+        assert found["bandwidth_hz"] == pytest.approx(bandwidth, rel=0.08)
+        assert found["modes_hz"] == []
+    assert any("disagree by 15 %" in w for w in content["warnings"])
+
+
+def test_unstable_loop_exits_with_1_and_says_the_margin(capsys):
+    code, out, _ = run(capsys, "stitcher+head-feedback", "--axis", "X")
+    assert code == 1
+    assert "the loop is UNSTABLE (2 poles); it is at its limit at 0.623 times the gain" in out
+
+
+@pytest.fixture
+def measured_csv(tmp_path):
+    """What the thesis' analyser would show of X: 1-200 Hz, with the exact dead time, and noise."""
+    hertz = np.geomspace(1, 200, 150)
+    s = 2j * np.pi * hertz
+    speed = s * ref.motor_angle(ref.X, s) * np.exp(-s * ref.TAU)
+    still = ref.X["Ka"] * ref.KT
+    still /= ref.R * (ref.X["B"] + ref.X["b"] * ref.RATIO**2) + ref.KT * ref.KV
+    noise = np.random.default_rng(3).normal(scale=0.2, size=len(hertz))
+    file = tmp_path / "sweep.csv"
+    lines = ["frequency_hz,magnitude_db,phase_deg"]
+    lines += [
+        f"{f},{20 * np.log10(abs(g) / still) + n},{np.degrees(np.angle(g))}"
+        for f, g, n in zip(hertz, speed, noise, strict=True)
+    ]
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
+    """The model misses its own sweep by the noise put on it, and another mass by far more."""
+    folder = tmp_path / "report"
+    code, out, _ = run(
+        capsys, "stitcher", "--axis", "X", "--data", str(measured_csv),
+        "--report", str(folder), "--json",
+    )  # fmt: skip
+    content = json.loads(out)
+    found = content["axes"]["X"]["measured"]
+    assert code == 0 and found["points"] == 150
+    assert 0.1 < found["rms_db"] < 0.5 and found["rms_deg"] < 0.01
+    page = (folder / "analysis.html").read_text()
+    for name in ("bode", "plant", "nyquist", "nichols", "locus", "steps"):
+        assert f'id="{name}-X"' in page and (folder / f"analysis-{name}-X.png").exists()
+    assert "UNSTABLE" not in page
+    _, out, _ = run(
+        capsys, "stitcher+half-mass", "--axis", "X", "--data", str(measured_csv), "--json"
+    )
+    assert json.loads(out)["axes"]["X"]["measured"]["rms_db"] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["stitcher", "--axis", "Q"], "machine 'stitcher' has no axis 'Q'. It has: X, Y."),
+        (["no-such"], "no machine 'no-such'"),
+        (["stitcher", "--data", "sweep.csv"], "Name it with --axis"),
+    ],
+)
+def test_wrong_input_is_one_line(capsys, arguments, message):
+    code, out, err = run(capsys, *arguments)
+    assert code == 2 and message in err and err.count("\n") == 1 and not out
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "1: column 'frequency_hz' is missing"),
+        ("frequency_hz,phase_deg\n1,2\n", "1: column 'magnitude_db' is missing"),
+        ("frequency_hz,magnitude_db,phase_deg\n1,2\n", "2: '1,2' does not hold three numbers"),
+        ("frequency_hz,magnitude_db,phase_deg\n1,2,nan\n", "2: '1,2,nan' must hold finite"),
+        ("frequency_hz,magnitude_db,phase_deg\n2,0,0\n2,0,0\n", "3: frequency 2 Hz does not rise"),
+        ("frequency_hz,magnitude_db,phase_deg\n", "the file holds no points"),
+    ],
+)
+def test_wrong_data_names_the_line(text, message, tmp_path):
+    file = tmp_path / "sweep.csv"
+    file.write_text(text)
+    with pytest.raises(RecordingError) as caught:
+        read_response(file)
+    assert message in str(caught.value)
