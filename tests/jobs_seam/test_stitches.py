@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.errors import JobError
+from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, FeedMode, Job, Move, ToolEvent
 from threadline.jobs.seam import read_seam
 from threadline.jobs.seam.placement import stitch_lengths
@@ -280,3 +281,12 @@ def test_drawing_alone_needs_to_be_told_how(sewer: Machine, examples: Path) -> N
         read_seam(examples / "pocket.dxf", sewer)
     job = read_seam(examples / "pocket.dxf", sewer, **SPEED)
     assert {op.tags["seam"] for op in stitches(job)} == {"POCKET", "MARKS"}
+
+
+def test_read_job_knows_seams(sewer: Machine, examples: Path) -> None:
+    """By their endings, ``.seam.toml`` before ``.toml``; with the settings as options."""
+    assert read_job(examples / "pocket.seam.toml", sewer).name == "pocket.seam.toml"
+    job = read_job(examples / "strap.csv", sewer, **SPEED)
+    slower = read_job(examples / "strap.csv", sewer, **{**SPEED, "needle_speed": "25 stitch/s"})
+    assert tag(slower, "needle_s")[-1] > 1.9 * tag(job, "needle_s")[-1]
+    assert job.sha256 == slower.sha256

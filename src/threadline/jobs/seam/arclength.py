@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.jobs.seam.inverse import NODES, WEIGHTS, invert
 from threadline.jobs.seam.pieces import Pieces
 
 TOLERANCE_M = 1e-12  # per span of a table; a table of 1000 spans is good to 1e-9 m
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _MAX_HALVINGS = 48
-_MAX_ITERATIONS = 80
 _CHUNK = 1 << 15
 
 
@@ -55,43 +54,20 @@ class ArcTable:
     def locate(self, length_m: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the piece and the parameter on it at each ``length_m``, both (m,).
 
-        Newton's method inside a bracket that is halved where Newton leaves it; the length at the
-        parameter is within 1e-12 m of what was asked for. Lengths outside the curve are clamped.
+        The length at the parameter is within 1e-12 m of what was asked for, or as near as the
+        parameter's rounding lets it be. Lengths outside the curve are clamped.
         """
         wanted = np.clip(np.asarray(length_m, dtype=np.float64), 0.0, self.length_m)
-        piece = np.empty(len(wanted), dtype=np.int64)
-        u = np.empty(len(wanted))
-        for start in range(0, len(wanted), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            piece[part], u[part] = self._locate(wanted[part])
-        return piece, u
-
-    def _locate(self, wanted: FloatArray) -> tuple[IntArray, FloatArray]:
         span = np.searchsorted(self.begin_m, wanted, side="right") - 1
         span = np.clip(span, 0, len(self.piece) - 1)
-        piece = self.piece[span]
-        low, high = self.begin_u[span].copy(), self.end_u[span].copy()
-        rest = wanted - self.begin_m[span]
-        whole = self.begin_m[span + 1] - self.begin_m[span]
-        share = np.divide(rest, whole, out=np.zeros_like(rest), where=whole > 0.0)
-        u = low + np.clip(share, 0.0, 1.0) * (high - low)
-        todo = np.flatnonzero(~self.even[piece])
-        for _ in range(_MAX_ITERATIONS):
-            if not len(todo):
-                break
-            at = u[todo]
-            error = span_lengths(self.pieces, piece[todo], self.begin_u[span[todo]], at)
-            error -= rest[todo]
-            high[todo] = np.where(error > 0.0, at, high[todo])
-            low[todo] = np.where(error <= 0.0, at, low[todo])
-            speed = np.hypot(*self.pieces.evaluate(piece[todo], at, 1)[1].T)
-            step = np.divide(error, speed, out=np.full_like(error, np.inf), where=speed > 0.0)
-            fresh = at - step
-            inside = (fresh >= low[todo]) & (fresh <= high[todo])
-            going = np.abs(error) > TOLERANCE_M
-            u[todo] = np.where(~going, at, np.where(inside, fresh, 0.5 * (low[todo] + high[todo])))
-            todo = todo[going & (high[todo] - low[todo] > 0.0)]
-        return piece, u
+        p = self.pieces
+        u = invert(
+            (p.top, p.bottom, p.begin_rad, p.sweep_rad),
+            (self.piece, self.begin_u, self.end_u, self.begin_m, self.even),
+            span,
+            wanted,
+        )
+        return self.piece[span], u
 
     def points(self, length_m: FloatArray) -> FloatArray:
         """Return the (m, 2) points at ``length_m`` along the curve, m."""
@@ -112,11 +88,11 @@ def span_lengths(
 ) -> FloatArray:
     """Return the (m,) lengths of the pieces from ``begin_u`` to ``end_u`` by one quadrature."""
     half = 0.5 * (end_u - begin_u)
-    nodes = (0.5 * (begin_u + end_u))[:, None] + half[:, None] * _NODES
-    flat = np.repeat(piece, len(_NODES))
+    nodes = (0.5 * (begin_u + end_u))[:, None] + half[:, None] * NODES
+    flat = np.repeat(piece, len(NODES))
     tangent = pieces.evaluate(flat, nodes.ravel(), 1)[1]
     speed = np.hypot(*tangent.T).reshape(nodes.shape)
-    return np.asarray(half * (speed @ _WEIGHTS))
+    return np.asarray(half * (speed @ WEIGHTS))
 
 
 def arc_table(pieces: Pieces) -> ArcTable:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import JobError, Place, UnitError
 from threadline.jobs.seam.drawing import Drawing, Stroke, decode_text
 from threadline.jobs.seam.pieces import Pieces, join_pieces
@@ -51,15 +52,15 @@ def read_csv(content: bytes, file: str, unit: str | None = None) -> Drawing:
         raise JobError("the table has no rows", place=Place(file), remedy=_EXAMPLE) from None
     columns = _columns(heading, unit, Place(file, number))
     strokes: list[Stroke] = []
-    points: list[tuple[int, dict[str, float | str]]] = []
+    contour: list[tuple[int, list[str]]] = []
     for number, cells, _ in rows:
         if any(cells):
-            points.append((number, _point(cells, columns, separator, Place(file, number))))
-        elif points:
-            strokes.append(_stroke(points, file))
-            points = []
-    if points:
-        strokes.append(_stroke(points, file))
+            contour.append((number, cells))
+        elif contour:
+            strokes.append(_stroke(contour, columns, separator, file))
+            contour = []
+    if contour:
+        strokes.append(_stroke(contour, columns, separator, file))
     if not strokes:
         raise JobError("the table has no points", place=Place(file), remedy=_EXAMPLE)
     return Drawing(file=file, strokes=tuple(strokes))
@@ -114,59 +115,107 @@ def _columns(heading: list[str], unit: str | None, place: Place) -> list[tuple[s
     return found
 
 
-def _point(
-    cells: list[str], columns: list[tuple[str, float]], separator: str, place: Place
-) -> dict[str, float | str]:
-    if len(cells) != len(columns):
-        raise JobError(f"the row has {len(cells)} cells, the heading {len(columns)}", place=place)
-    point: dict[str, float | str] = {}
-    for cell, (name, factor) in zip(cells, columns, strict=True):
-        if name in ("turn", "layer"):
-            point[name] = cell
-            continue
-        if not cell and name not in ("x", "y"):
-            continue
-        try:
-            value = float(cell if separator == "," else cell.replace(",", ".")) * factor
-        except ValueError as error:
+def _stroke(
+    rows: list[tuple[int, list[str]]], columns: list[tuple[str, float]], separator: str, file: str
+) -> Stroke:
+    for number, cells in rows:
+        if len(cells) != len(columns):
             raise JobError(
-                f"{name} is {cell[:40]!r}, not a number", place=place, remedy="Correct the row."
-            ) from error
-        if not math.isfinite(value):
-            raise JobError(f"{name} is {cell[:40]!r}, not a finite number", place=place)
-        point[name] = value
-    return point
-
-
-def _stroke(points: list[tuple[int, dict[str, float | str]]], file: str) -> Stroke:
-    lines = np.array([number for number, _ in points])
-    if len(points) < 2:
+                f"the row has {len(cells)} cells, the heading {len(columns)}",
+                place=Place(file, number),
+            )
+    numbers = [number for number, _ in rows]
+    if len(rows) < 2:
         raise JobError(
             "a contour has one point only",
-            place=Place(file, points[0][0]),
+            place=Place(file, numbers[0]),
             remedy="Give it two or more points; a blank row ends a contour.",
         )
-    at = np.array([[point["x"], point["y"]] for _, point in points], dtype=np.float64)
-    layer = str(points[0][1].get("layer", ""))
-    for number, point in points:
-        if point.get("layer", "") != layer:
+    text: dict[str, list[str]] = {}
+    value: dict[str, FloatArray] = {}
+    for k, (name, factor) in enumerate(columns):
+        cells = [row[k] for _, row in rows]
+        if name in ("turn", "layer"):
+            text[name] = cells
+        else:
+            value[name] = factor * _numbers(name, cells, numbers, separator, file)
+    layer = _layer(text.get("layer", [""]), numbers, file)
+    at = np.column_stack([value["x"], value["y"]])
+    _refuse_unfinished(at, numbers, file)
+    if "cx" in value and np.isfinite(value["cx"]).any():
+        pieces = _arcs(at, value["cx"], value["cy"], text["turn"], numbers, file)
+    else:
+        bulge = np.nan_to_num(value.get("bulge", np.zeros(len(at))), nan=0.0)
+        pieces = bulges(at, bulge[:-1], np.array(numbers[:-1]))
+    return Stroke(pieces=pieces, layer=layer, colour="none")
+
+
+def _numbers(
+    name: str, cells: list[str], numbers: list[int], separator: str, file: str
+) -> FloatArray:
+    """Return a column; blank cells are NaN."""
+    if separator != ",":
+        cells = [cell.replace(",", ".") for cell in cells]
+    try:
+        found = np.array([cell or "nan" for cell in cells]).astype(np.float64)
+    except ValueError:
+        found = np.array([_number(cell) for cell in cells])
+    blank = np.array([not cell for cell in cells])
+    bad = np.flatnonzero(~np.isfinite(found) & ~blank)
+    if len(bad):
+        k = int(bad[0])
+        raise JobError(
+            f"{name} is {cells[k][:40]!r}, not a finite number",
+            place=Place(file, numbers[k]),
+            remedy="Correct the row.",
+        )
+    return found
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell or "nan")
+    except ValueError:
+        return math.inf
+
+
+def _layer(layers: list[str], numbers: list[int], file: str) -> str:
+    for number, layer in zip(numbers, layers, strict=False):
+        if layer != layers[0]:
             raise JobError(
-                f"the layer changes from {layer[:40]!r} within a contour",
+                f"the layer changes from {layers[0][:40]!r} within a contour",
                 place=Place(file, number),
                 remedy="Put a blank row between contours.",
             )
-    if not any("cx" in point for _, point in points):
-        bulge = np.array([point.get("bulge", 0.0) for _, point in points], dtype=np.float64)
-        pieces = bulges(at, bulge[:-1], lines[:-1])
-        return Stroke(pieces=pieces, layer=layer, colour="none")
+    return layers[0]
+
+
+def _refuse_unfinished(at: FloatArray, numbers: list[int], file: str) -> None:
+    blank = np.flatnonzero(np.isnan(at).any(axis=1))
+    if len(blank):
+        raise JobError(
+            "a point lacks x or y", place=Place(file, numbers[int(blank[0])]), remedy="Fill it in."
+        )
+
+
+def _arcs(
+    at: FloatArray,
+    cx: FloatArray,
+    cy: FloatArray,
+    turns: list[str],
+    numbers: list[int],
+    file: str,
+) -> Pieces:
     parts: list[Pieces] = []
-    for k, (number, point) in enumerate(points[:-1]):
-        if "cx" not in point:
+    for k, number in enumerate(numbers[:-1]):
+        centre = np.array([cx[k], cy[k]])
+        if np.isnan(centre).all():
             parts.append(chords(at[k : k + 2], number))
             continue
+        if np.isnan(centre).any():
+            raise JobError("an arc needs both cx and cy", place=Place(file, number))
         try:
-            centre = np.array([point["cx"], point["cy"]], dtype=np.float64)
-            parts.append(centre_segment(at[k], at[k + 1], centre, str(point["turn"]), number))
-        except (ValueError, KeyError) as error:
+            parts.append(centre_segment(at[k], at[k + 1], centre, turns[k], number))
+        except ValueError as error:
             raise JobError(f"the arc is wrong: {error}", place=Place(file, number)) from error
-    return Stroke(pieces=join_pieces(parts), layer=layer, colour="none")
+    return join_pieces(parts)
