@@ -8,6 +8,8 @@ from enum import StrEnum
 from itertools import repeat
 from typing import TypeAlias
 
+import numpy as np
+
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import Place
 from threadline.signals import Stream
@@ -89,7 +91,7 @@ class MoveRun:
 
     targets: FloatArray
     line: IntArray
-    feeds: tuple[tuple[int, Feed], ...]
+    feeds: tuple[tuple[int, Feed | None], ...]
     file: str
     passes: tuple[int, ...]
 
@@ -218,3 +220,38 @@ class Job:
         if isinstance(self.operations, OperationStream):
             return self.operations.runs()
         return iter(self.operations)
+
+
+def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
+    """Return the operations of ``job`` with every move in a run of at most about ``longest``.
+
+    Readers that give single moves have them gathered here; tags are left behind.
+    """
+    moves: list[Move] = []
+    for item in job.runs():
+        if isinstance(item, Move):
+            if moves and (len(moves) >= longest or item.source.file != moves[0].source.file):
+                yield _gathered(moves)
+                moves = []
+            moves.append(item)
+            continue
+        if moves:
+            yield _gathered(moves)
+            moves = []
+        yield item
+    if moves:
+        yield _gathered(moves)
+
+
+def _gathered(moves: list[Move]) -> MoveRun:
+    feeds = [(0, moves[0].feed)]
+    for index, move in enumerate(moves):
+        if move.feed is not feeds[-1][1]:
+            feeds.append((index, move.feed))
+    return MoveRun(
+        targets=np.array([move.target for move in moves], dtype=np.float64),
+        line=np.array([move.source.line for move in moves], dtype=np.int64),
+        feeds=tuple(feeds),
+        file=moves[0].source.file,
+        passes=moves[0].source.passes,
+    )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.errors import LimitError, PlanError
-from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import LimitError, Place, PlanError
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.path.feeds import check_feed, feed_time_s
 from threadline.path.types import ProgrammedPath, VertexBlock
@@ -60,53 +60,69 @@ def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> Pro
 
 @dataclass(slots=True)
 class _Pending:
-    """Vertices that are not yet in a block; the last may still get a rest."""
+    """Vertices that are not yet in a block; the last may still get a rest.
 
-    targets: list[tuple[float, ...]] = field(default_factory=list)
-    operation: list[int] = field(default_factory=list)
-    moves: list[Move | None] = field(default_factory=list)
-    rest: list[int] = field(default_factory=list)
-    dwell_s: list[float] = field(default_factory=list)
-    feeds: list[tuple[int, Feed | None]] = field(default_factory=list)
+    ``rests`` holds the pause at each vertex of rest, by its place; ``feeds`` the feed from a
+    vertex on, with the line of its first move (None for the start).
+    """
+
+    targets: list[FloatArray]
+    line: list[IntArray]
+    operation: list[IntArray]
+    rests: dict[int, float]
+    feeds: list[tuple[int, Feed | None]]
+    file: str
+    count: int = 1
+
+    def add(self, run: MoveRun, operation: int) -> None:
+        """Take in a run of moves whose first is ``operation``."""
+        self.file = run.file
+        for begin, feed in run.feeds:
+            if feed is not self.feeds[-1][1]:
+                self.feeds.append((self.count + begin, feed))
+        self.targets.append(run.targets)
+        self.line.append(run.line)
+        self.operation.append(np.arange(operation, operation + len(run), dtype=np.int64))
+        self.count += len(run)
+
+    def rest(self, dwell_s: float) -> None:
+        """Let the motion rest at the latest vertex."""
+        self.rests[self.count - 1] = self.rests.get(self.count - 1, 0.0) + dwell_s
+
+    def after(self, size: int) -> _Pending:
+        """Return what is left once the first ``size`` vertices are in a block."""
+        return _Pending(
+            [np.concatenate(self.targets)[size:]],
+            [np.concatenate(self.line)[size:]],
+            [np.concatenate(self.operation)[size:]],
+            {at - size: dwell_s for at, dwell_s in self.rests.items() if at >= size},
+            [(0, self.feeds[-1][1])],
+            self.file,
+            self.count - size,
+        )
 
 
 def _blocks(job: Job, machine: Machine, feed: Feed | None) -> Iterator[VertexBlock]:
-    pending = _Pending([job.start], [0], [None], [1], [0.0])
     _check_start(job, machine)
     previous = np.array(job.start)
-    latest: Feed | None = _NONE_YET
-    for index, operation in enumerate(job.operations):
-        if type(operation) is Move:
-            if len(pending.targets) > BLOCK:
-                block = _block(pending, BLOCK, previous, job, machine, feed)
+    zero = [np.zeros(1, dtype=np.int64)]
+    pending = _Pending([previous[None]], [*zero], [*zero], {0: 0.0}, [(0, _NONE_YET)], job.file)
+    index = 0
+    for item in move_runs(job):
+        if isinstance(item, MoveRun):
+            pending.add(item, index)
+            index += len(item)
+            if pending.count > BLOCK:
+                size = pending.count - 1
+                block = _block(pending, size, previous, job, machine, feed)
                 previous = block.positions[-1]
                 yield block
-                pending = _rest_of(pending, latest)
-            if operation.feed is not latest:
-                latest = operation.feed
-                pending.feeds.append((len(pending.targets), latest))
-            pending.targets.append(operation.target)
-            pending.operation.append(index)
-            pending.moves.append(operation)
-            pending.rest.append(0)
-            pending.dwell_s.append(0.0)
+                pending = pending.after(size)
             continue
-        pending.rest[-1] = 1
-        if isinstance(operation, Dwell):
-            pending.dwell_s[-1] += operation.duration_s
-    pending.rest[-1] = 1
-    yield _block(pending, len(pending.targets), previous, job, machine, feed)
-
-
-def _rest_of(pending: _Pending, latest: Feed | None) -> _Pending:
-    return _Pending(
-        pending.targets[BLOCK:],
-        pending.operation[BLOCK:],
-        pending.moves[BLOCK:],
-        pending.rest[BLOCK:],
-        pending.dwell_s[BLOCK:],
-        [(0, latest)],
-    )
+        pending.rest(item.duration_s if isinstance(item, Dwell) else 0.0)
+        index += 1
+    pending.rest(0.0)
+    yield _block(pending, pending.count, previous, job, machine, feed)
 
 
 def _block(
@@ -117,8 +133,9 @@ def _block(
     machine: Machine,
     feed: Feed | None,
 ) -> VertexBlock:
-    positions = np.array(pending.targets[:size], dtype=np.float64).reshape(size, len(job.axes))
-    _check_travel(positions, pending.moves, job, machine)
+    positions = np.concatenate(pending.targets)[:size]
+    line = np.concatenate(pending.line)[:size]
+    _check_travel(positions, line, pending.file, job, machine)
     displacement = np.diff(positions, axis=0, prepend=previous[None])
     nominal = np.zeros(size)
     slowed = 0
@@ -127,28 +144,35 @@ def _block(
         end = min(following, size)
         if begin >= end:
             continue
-        here = displacement[begin:end]
+        place = Place(pending.file, int(line[begin])) if line[begin] else None
         nominal[begin:end], late = _nominal(
-            here, _wanted(programmed, feed, pending.moves[begin], job, machine), feed, job, machine
+            displacement[begin:end],
+            _wanted(programmed, feed, place, job, machine),
+            feed,
+            job,
+            machine,
         )
         slowed += late
-    moves = pending.moves[:size]
+    rest = np.zeros(size, dtype=np.int64)
+    dwell_s = np.zeros(size)
+    for at, pause_s in pending.rests.items():
+        if at < size:
+            rest[at], dwell_s[at] = 1, pause_s
     return VertexBlock(
         positions=positions,
-        operation=np.array(pending.operation[:size], dtype=np.int64),
+        operation=np.concatenate(pending.operation)[:size],
         nominal_s=nominal,
-        rest=np.array(pending.rest[:size], dtype=np.int64),
-        dwell_s=np.array(pending.dwell_s[:size]),
-        line=np.array([0 if m is None else m.source.line for m in moves], dtype=np.int64),
+        rest=rest,
+        dwell_s=dwell_s,
+        line=line,
         slowed=slowed,
     )
 
 
 def _wanted(
-    programmed: Feed | None, feed: Feed | None, move: Move | None, job: Job, machine: Machine
+    programmed: Feed | None, feed: Feed | None, place: Place | None, job: Job, machine: Machine
 ) -> Feed:
     """Return the feed that counts for a move."""
-    place = None if move is None else move.source.place
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
     if feed is not None:
@@ -192,7 +216,7 @@ def _check_start(job: Job, machine: Machine) -> None:
 
 
 def _check_travel(
-    positions: FloatArray, moves: list[Move | None], job: Job, machine: Machine
+    positions: FloatArray, line: IntArray, file: str, job: Job, machine: Machine
 ) -> None:
     column = [machine.axis_names.index(axis) for axis in job.axes]
     low, high = machine.travel[column].T
@@ -200,7 +224,7 @@ def _check_travel(
     if inside.all():
         return
     row, j = np.argwhere(~inside)[0]
-    move, axis = moves[row], job.axes[j]
+    axis = job.axes[j]
     value = float(positions[row, j])
     limit = float(low[j] if value < low[j] else high[j])
     raise LimitError(
@@ -210,7 +234,7 @@ def _check_travel(
         quantity="travel",
         value_si=value,
         limit_si=limit,
-        place=None if move is None else move.source.place,
+        place=Place(file, int(line[row])),
         remedy="Shorten the move or shift the start of the job.",
     )
 
