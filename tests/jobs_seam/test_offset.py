@@ -93,6 +93,18 @@ def test_sharp_corner_is_rounded_past_the_mitre_limit() -> None:
     assert outer.pieces.ends()[0][:, 0].max() == pytest.approx(0.11, abs=NEAR_M)
 
 
+def test_mitres_that_would_meet_stay_round() -> None:
+    """Two sharp teeth side by side, offset outwards by more than their gap."""
+    teeth = [(0, 0), (0.08, 0), (0.08, 0.01), (0.042, 0.06), (0.04, 0.02), (0.038, 0.06), (0, 0.01)]
+    (outer,) = offset_contour(polygon(teeth), settings(0.02, "outside", "mitre"), "test")
+    begin, end = outer.pieces.ends()
+
+    assert not len(crossings(begin, end, True)[0])
+    # The outer corners below are square, and pointed; the tips above are round.
+    assert np.hypot(*(begin - [-0.02, -0.02]).T).min() < 1e-9
+    assert begin[:, 1].max() == pytest.approx(0.08, abs=2e-6)
+
+
 def test_narrow_waist_splits_into_two() -> None:
     """A dumbbell: two squares of 40 mm and a neck of 8 mm; 5 mm inside leaves two of 30 mm."""
     body = polygon(
@@ -112,15 +124,18 @@ def test_narrow_waist_splits_into_two() -> None:
         assert area_m2(part) == pytest.approx(30e-3**2 + mouth, abs=2e-8)
 
 
+@pytest.mark.parametrize("join", ["round", "mitre"])
 @given(st.integers(0, 10**6), st.floats(0.001, 0.02), st.sampled_from(["inside", "outside"]))
-def test_offset_of_any_star_keeps_its_distance(seed: int, distance: float, side: str) -> None:
+def test_offset_of_any_star_keeps_its_distance(
+    join: str, seed: int, distance: float, side: str
+) -> None:
     """No point nearer than the allowance, every vertex as near as its corner lets it be."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2 * np.pi, 17)[:-1]
     radius = rng.uniform(0.02, 0.06, 16)
     body = polygon(list(zip(radius * np.cos(angle), radius * np.sin(angle), strict=True)))
     try:
-        parts = offset_contour(body, settings(distance, side), "test")
+        parts = offset_contour(body, settings(distance, side, join), "test")
     except JobError as error:
         assert "leaves nothing" in str(error)
         return
@@ -134,7 +149,8 @@ def test_offset_of_any_star_keeps_its_distance(seed: int, distance: float, side:
         along = np.clip((q * d).sum(-1) / (d * d).sum(-1), 0, 1)[..., None]
         nearest = np.sqrt(((q - along * d) ** 2).sum(-1)).min(axis=1)
         assert nearest.min() > distance - 1e-8
-        assert nearest.max() < distance + NEAR_M
+        # A mitre's point is up to four allowances away, a round's nowhere.
+        assert nearest.max() < distance * (4.0 if join == "mitre" else 1.0) + NEAR_M
 
 
 def test_parallel_of_an_open_curve_has_the_radius_plus_the_distance() -> None:

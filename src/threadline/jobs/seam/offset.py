@@ -10,6 +10,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import JobError, Place
 from threadline.jobs.seam.contour import Contour
 from threadline.jobs.seam.crossing import crossings, flatten
+from threadline.jobs.seam.offset_mitre import Mitre, sharpen
 from threadline.jobs.seam.offset_parts import clear_of, stitch_parts
 from threadline.jobs.seam.settings import Stitching
 from threadline.jobs.seam.shapes import chords
@@ -32,9 +33,9 @@ def offset_contour(contour: Contour, settings: Stitching, file: str) -> list[Con
 
     Notes
     -----
-    Every chord is moved sideways; outer corners get a mitre or a round, inner corners overlap.
-    The chain is cut wherever it crosses itself, and what is nearer to the contour than the
-    allowance is taken away: the rest is the offset.
+    Every chord is moved sideways; outer corners get a round, inner corners overlap. The chain is
+    cut wherever it crosses itself, and what is nearer to the contour than the allowance is taken
+    away: the rest is the offset. Last, rounds become mitres where those are wanted and fit.
     """
     distance_m = settings.allowance_m
     if distance_m == 0.0:
@@ -55,8 +56,11 @@ def offset_contour(contour: Contour, settings: Stitching, file: str) -> list[Con
     signed_m = _side(points, contour.closed, settings, place) * distance_m
     first, last = contour.pieces.end_directions()
     tangents = None if contour.closed else (first[0], last[-1])
-    raw, raw_lines = _raw_offset(points, lines, tangents, signed_m, settings)
-    parts = _valid_parts(raw, raw_lines, points, contour.closed, distance_m)
+    raw, chord, mitres = _raw_offset(points, tangents, signed_m, settings)
+    parts = [
+        (*sharpen(line, labels, closed, mitres), closed)
+        for line, labels, closed in _valid_parts(raw, points, contour.closed, distance_m)
+    ]
     if not parts:
         raise JobError(
             f"an allowance of {distance_m * 1e3:g} mm leaves nothing of the contour",
@@ -65,12 +69,12 @@ def offset_contour(contour: Contour, settings: Stitching, file: str) -> list[Con
         )
     return [
         Contour(
-            pieces=chords(line, numbers),
+            pieces=chords(line, lines[chord[labels]]),
             closed=closed,
             layer=contour.layer,
             colour=contour.colour,
         )
-        for line, numbers, closed in parts
+        for line, labels, closed in parts
     ]
 
 
@@ -101,14 +105,15 @@ def _side(points: FloatArray, closed: bool, settings: Stitching, place: Place) -
 
 def _raw_offset(
     points: FloatArray,
-    lines: IntArray,
     tangents: tuple[FloatArray, FloatArray] | None,
     signed_m: float,
     settings: Stitching,
-) -> tuple[FloatArray, IntArray]:
-    """Return the chain of moved chords, joined, before anything is cut; and lines of its chords.
+) -> tuple[FloatArray, IntArray, list[Mitre]]:
+    """Return the chain of moved chords, joined, before anything is cut.
 
-    ``tangents`` are those of the curve at the ends of an open chain, None for a closed one.
+    ``tangents`` are those of the curve at the ends of an open chain, None for a closed one. The
+    second result names the chord of the contour behind each chord of the chain, the third the
+    rounds that may become mitres.
     """
     closed = tangents is None
     direction = np.diff(points, axis=0)
@@ -117,6 +122,7 @@ def _raw_offset(
     count = len(direction)
     chain: list[FloatArray] = []
     owner: list[int] = []
+    mitres: list[Mitre] = []
 
     def add(point: FloatArray, chord: int) -> None:
         chain.append(point)
@@ -133,13 +139,26 @@ def _raw_offset(
         before, corner = (k - 1) % count, points[k]
         d1, d2 = direction[before], direction[k]
         turn = math.atan2(d1[0] * d2[1] - d1[1] * d2[0], float(d1 @ d2))
-        for point in _corner(corner, shift[before], shift[k], turn, signed_m, settings):
+        found = _corner(corner, shift[before], shift[k], turn, signed_m)
+        sharp = settings.join == "mitre" and settings.mitre_limit * math.cos(turn / 2.0) >= 1.0
+        if len(found) > 1 and turn * signed_m < 0.0 and sharp:
+            first = len(chain)
+            mitres.append(
+                Mitre(
+                    first=first,
+                    last=first + len(found) - 2,
+                    begin=found[0],
+                    apex=corner + (shift[before] + shift[k]) / 2.0 / math.cos(turn / 2.0) ** 2,
+                    end=found[-1],
+                )
+            )
+        for point in found:
             add(point, k)
     if tangents is None:
         add(chain[0], 0)
     else:
         add(end(points[-1], tangents[1], shift[-1]), count - 1)
-    return np.array(chain), lines[np.array(owner[:-1])]
+    return np.array(chain), np.array(owner[:-1]), mitres
 
 
 def _corner(
@@ -148,7 +167,6 @@ def _corner(
     after: FloatArray,
     turn: float,
     signed_m: float,
-    settings: Stitching,
 ) -> list[FloatArray]:
     """Return the points of the chain at a vertex; ``before`` and ``after`` are the two shifts."""
     inner = turn * signed_m > 0.0
@@ -156,8 +174,7 @@ def _corner(
     if inner and abs(turn) > _SLIGHT_RAD:
         # By way of the vertex itself, so that what overlaps is surely too near and cut away.
         return [corner + before, corner, corner + after]
-    sharp = settings.join == "mitre" and mitre <= settings.mitre_limit
-    if inner or sharp or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
+    if inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
         return [corner + (before + after) / 2.0 * mitre**2]
     radius = abs(signed_m)
     step = 2.0 * math.acos(radius / (radius + _ROUND_M))
@@ -171,10 +188,15 @@ def _corner(
 
 
 def _valid_parts(
-    raw: FloatArray, lines: IntArray, points: FloatArray, closed: bool, distance_m: float
+    raw: FloatArray, points: FloatArray, closed: bool, distance_m: float
 ) -> list[tuple[FloatArray, IntArray, bool]]:
+    """Return what of the raw chain keeps its distance, joined.
+
+    Of each chain: its points, which chord of the raw chain each chord is part of, and whether
+    it closes.
+    """
     first, second, at_first, at_second, _ = crossings(raw[:-1], raw[1:], closed)
-    parts = stitch_parts(raw, lines, closed, (first, second, at_first, at_second))
+    parts = stitch_parts(raw, np.arange(len(raw) - 1), closed, (first, second, at_first, at_second))
     probes = np.array([part.probe for part in parts])
     good = clear_of(probes, points[:-1], points[1:], distance_m - 1e-9)
     kept = [part for part, ok in zip(parts, good, strict=True) if ok]
@@ -194,10 +216,10 @@ def _valid_parts(
                 break
             chain.append(unused.pop(following[0]))
         joined = np.concatenate([chain[0].points, *(part.points[1:] for part in chain[1:])])
-        numbers = np.concatenate([part.lines for part in chain])
+        labels = np.concatenate([part.labels for part in chain])
         step = np.hypot(*np.diff(joined, axis=0).T) > 1e-10
         joined = np.concatenate([joined[:1], joined[1:][step]])
         loops = bool(np.hypot(*(joined[-1] - joined[0])) < 1e-9) and len(joined) > 3
         if len(joined) > 1 and (loops or not closed):
-            found.append((joined, numbers[step], loops))
+            found.append((joined, labels[step], loops))
     return found

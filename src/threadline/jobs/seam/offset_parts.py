@@ -20,7 +20,7 @@ class Part:
     """
 
     points: FloatArray
-    lines: IntArray
+    labels: IntArray
     begin: int
     end: int
 
@@ -35,7 +35,7 @@ class Part:
 
 def stitch_parts(
     chain: FloatArray,
-    lines: IntArray,
+    labels: IntArray,
     closed: bool,
     cuts: tuple[IntArray, IntArray, FloatArray, FloatArray],
 ) -> list[Part]:
@@ -43,8 +43,8 @@ def stitch_parts(
 
     Parameters
     ----------
-    chain, lines
-        (n + 1, 2) points and (n,) lines of the chords.
+    chain, labels
+        (n + 1, 2) points and (n,) a number for each chord.
     closed
         The chain ends where it begins.
     cuts
@@ -58,31 +58,31 @@ def stitch_parts(
     chord, at, name = chord[order], at[order], name[order]
     if not len(chord):
         ends = (0, 0) if closed else (-1, -2)
-        return [Part(points=chain, lines=lines, begin=ends[0], end=ends[1])]
+        return [Part(points=chain, labels=labels, begin=ends[0], end=ends[1])]
     places = chain[chord] + at[:, None] * (chain[chord + 1] - chain[chord])
     parts = []
     for k in range(len(chord) - 1):
         inner = slice(chord[k] + 1, chord[k + 1] + 1)
         points = np.concatenate([places[k : k + 1], chain[inner], places[k + 1 : k + 2]])
-        numbers = lines[chord[k] : chord[k + 1] + 1]
-        parts.append(Part(points=points, lines=numbers, begin=int(name[k]), end=int(name[k + 1])))
+        names = labels[chord[k] : chord[k + 1] + 1]
+        parts.append(Part(points=points, labels=names, begin=int(name[k]), end=int(name[k + 1])))
     head = np.concatenate([chain[: chord[0] + 1], places[:1]])
     tail = np.concatenate([places[-1:], chain[chord[-1] + 1 :]])
-    head_lines, tail_lines = lines[: chord[0] + 1], lines[chord[-1] :]
+    head_labels, tail_labels = labels[: chord[0] + 1], labels[chord[-1] :]
     if closed:
         parts.append(
             Part(
                 points=np.concatenate([tail, head[1:]]),
-                lines=np.concatenate([tail_lines, head_lines]),
+                labels=np.concatenate([tail_labels, head_labels]),
                 begin=int(name[-1]),
                 end=int(name[0]),
             )
         )
         return parts
     return [
-        Part(points=head, lines=head_lines, begin=-1, end=int(name[0])),
+        Part(points=head, labels=head_labels, begin=-1, end=int(name[0])),
         *parts,
-        Part(points=tail, lines=tail_lines, begin=int(name[-1]), end=-2),
+        Part(points=tail, labels=tail_labels, begin=int(name[-1]), end=-2),
     ]
 
 
