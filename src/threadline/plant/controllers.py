@@ -33,6 +33,8 @@ class DigitalFilter:
         Polynomials in s, highest power first, of the continuous form in V/count.
     period_s
         Of its clock.
+    volt_per_level
+        Of its DAC.
     """
 
     numerator: FloatArray
@@ -40,6 +42,7 @@ class DigitalFilter:
     continuous_numerator: FloatArray
     continuous_denominator: FloatArray
     period_s: float
+    volt_per_level: float = 1.0
 
     def __post_init__(self) -> None:
         for name in (
@@ -132,4 +135,5 @@ def digital_filter(machine: Machine, name: str, values: Values | None = None) ->
         else np.zeros(1),
         continuous_denominator=np.array(bottom),
         period_s=period,
+        volt_per_level=float(volts),
     )

@@ -1,0 +1,21 @@
+"""Gains and filters designed from the plant, and feed-forward through its exact inverse."""
+
+from threadline.control.feedforward import FeedForward, feed_forward
+from threadline.control.inverse import Followed, Inverse, Motion, inverse_of
+from threadline.control.lead import LeadDesign, design_lead, lead_from_response, required_lead_deg
+from threadline.control.smooth import SmoothMotion, smooth_motion
+
+__all__ = [
+    "FeedForward",
+    "Followed",
+    "Inverse",
+    "LeadDesign",
+    "Motion",
+    "SmoothMotion",
+    "design_lead",
+    "feed_forward",
+    "inverse_of",
+    "lead_from_response",
+    "required_lead_deg",
+    "smooth_motion",
+]
