@@ -41,6 +41,20 @@ def test_unstable_loop_exits_with_1_and_says_the_margin(capsys):
     assert "the loop is UNSTABLE (2 poles); it is at its limit at 0.623 times the gain" in out
 
 
+def test_lead_filters_are_designed_on_the_way(capsys):
+    """The printed 13.5 Hz and 65.8 deg give back 0.89 (z - 0.976)/(z + 0.004), within 10 %."""
+    code, out, _ = run(
+        capsys, "stitcher-rigid", "--axis", "X", "--lead", "13.5 Hz, 65.8 deg", "--json"
+    )
+    found = json.loads(out)["axes"]["X"]
+    assert code == 0
+    assert found["crossover_hz"] == pytest.approx(13.5, rel=1e-9)
+    assert found["phase_margin_deg"] == pytest.approx(65.8, abs=1e-6)
+    assert found["lead"]["gain_dac_per_count"] == pytest.approx(0.89, rel=0.1)
+    assert 1 - found["lead"]["zero"] == pytest.approx(1 - 0.976, rel=0.1)
+    assert found["lead"]["pole"] == pytest.approx(0.004, rel=0.1)
+
+
 @pytest.fixture
 def measured_csv(tmp_path):
     """What the thesis' analyser would show of X: 1-200 Hz, with the exact dead time, and noise."""
@@ -87,6 +101,9 @@ def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
         (["stitcher", "--axis", "Q"], "machine 'stitcher' has no axis 'Q'. It has: X, Y."),
         (["no-such"], "no machine 'no-such'"),
         (["stitcher", "--data", "sweep.csv"], "Name it with --axis"),
+        (["stitcher", "--lead", "13 Hz"], "is not a crossover and a margin"),
+        (["stitcher", "--lead", "13 mm, 60 deg"], "not a unit of the kind of 'Hz'"),
+        (["lathe-winder", "--lead", "3 Hz, 60 deg"], "controllers.a of axis A is no lead filter"),
     ],
 )
 def test_wrong_input_is_one_line(capsys, arguments, message):

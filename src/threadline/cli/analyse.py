@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,12 +10,19 @@ import typer
 
 from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import note, print_json, print_table
+from threadline.control import LeadDesign, design_lead
 from threadline.errors import OptionError
-from threadline.machine import load_machine
+from threadline.machine import Machine, load_machine
+from threadline.machine.controllers import LeadController
 from threadline.plant.analysis import AxisAnalysis, analyse_axis
+from threadline.plant.loop import axis_loop
 from threadline.plant.measured import MeasuredResponse, read_response
 from threadline.plant.suspicions import suspicions
+from threadline.plant.values import Values
 from threadline.report.analysis import analysis_tables, write_analysis
+from threadline.units import parse_quantity
+
+_LEAD_EXAMPLE = 'Write it like --lead "13.5 Hz, 65 deg".'
 
 
 def analyse(
@@ -28,13 +36,18 @@ def analyse(
             help="Measured speed per volt (CSV: frequency_hz, magnitude_db, phase_deg) of --axis."
         ),
     ] = None,
+    lead: Annotated[
+        str | None,
+        typer.Option(help='Design lead filters first: crossover and margin, "13.5 Hz, 65 deg".'),
+    ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
     """Analyse the loops of MACHINE: margins, bandwidth, poles, modes, actuators, steps.
 
-    Both the true sampled loop and the continuous one with its exact dead time. Exit status: 0
-    when every loop is stable, 1 when one is not, 2 wrong input.
+    Both the true sampled loop and the continuous one with its exact dead time. With --lead the
+    axes get the filters that give them that crossover and phase margin. Exit status: 0 when every
+    loop is stable, 1 when one is not, 2 wrong input.
 
     Example: threadline analyse stitcher --axis X --report reports/stitcher
     """
@@ -51,18 +64,31 @@ def analyse(
         )
     measured = None if data is None else read_response(data)
     names = list(chosen.axes) if axis is None else [axis]
-    analyses = {name: analyse_axis(chosen, name) for name in names}
+    designs = {} if lead is None else _designs(chosen, names, lead)
+    replaced = {k: v for design, name in designs.values() for k, v in design.replaced(name).items()}
+    values = Values.of(chosen, replaced)
+    analyses = {name: analyse_axis(chosen, name, values) for name in names}
     warnings = suspicions(chosen)
     written = (
         None if report is None else write_analysis(chosen, analyses, warnings, report, measured)
     )
     if json:
-        print_json(_content(chosen.name, analyses, warnings, measured, written))
+        content = _content(chosen.name, analyses, warnings, measured, written)
+        for name, (design, _) in designs.items():
+            content["axes"][name]["lead"] = _lead_json(design)
+        print_json(content)
     else:
         for warning in warnings:
             note(f"warning: {warning}")
         for table in analysis_tables(analyses):
             print_table(table.title, table.header, table.rows)
+        for name, (design, controller) in designs.items():
+            k, a, b = design.continuous
+            typer.echo(
+                f"axis {name}: controllers.{controller} gain {design.gain:.4f} dac/count, zero "
+                f"{design.zero:.4f}, pole {design.pole:.4f}; {k:.4g} (s + {a:.1f})/(s + {b:.0f}) "
+                "V/count"
+            )
         for analysis in analyses.values():
             typer.echo(analysis.verdict())
             if measured is not None:
@@ -98,6 +124,37 @@ def _content(
     if written is not None:
         content["report"] = str(written)
     return content
+
+
+def _designs(machine: Machine, axes: list[str], text: str) -> dict[str, tuple[LeadDesign, str]]:
+    """Return the lead filter of every axis and the name of its controller."""
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2:
+        raise OptionError(f"--lead {text!r} is not a crossover and a margin", remedy=_LEAD_EXAMPLE)
+    crossover = parse_quantity(parts[0], "Hz")
+    margin = math.degrees(parse_quantity(parts[1], "rad"))
+    found = {}
+    for axis in axes:
+        name = machine.axes[axis].controller
+        if not isinstance(machine.controllers[name], LeadController):
+            raise OptionError(
+                f"--lead: controllers.{name} of axis {axis} is no lead filter",
+                remedy='Give it kind = "lead" in the machine file.',
+            )
+        found[axis] = (design_lead(axis_loop(machine, axis), crossover, margin), name)
+    return found
+
+
+def _lead_json(design: LeadDesign) -> dict[str, float]:
+    k, a, b = design.continuous
+    return {
+        "gain_dac_per_count": design.gain,
+        "zero": design.zero,
+        "pole": design.pole,
+        "continuous_gain_v_per_count": k,
+        "continuous_zero_per_s": a,
+        "continuous_pole_per_s": b,
+    }
 
 
 def register(app: typer.Typer) -> None:
