@@ -22,7 +22,7 @@ from threadline.signals import (
     Stream,
 )
 from threadline.signals.files import read_recording, write_plt, write_recording
-from threadline.signals.files_grid import simplest_between
+from threadline.signals.files.grid import simplest_between
 
 from .makers import recording_of, story
 

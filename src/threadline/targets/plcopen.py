@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET  # written only, never parsed
 from pathlib import Path
 
 from threadline import __version__
-from threadline.signals.files_common import Written, atomic_file, written
+from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
 from threadline.targets.schedule import Scheduled
 from threadline.targets.structured_text import plc_program

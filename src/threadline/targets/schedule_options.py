@@ -6,7 +6,7 @@ from threadline.errors import OptionError, UnitError
 from threadline.machine import Machine
 from threadline.plant.pneumatic import frame_mode
 from threadline.shaping import FlexibleMode, ShaperKind, convolve, design
-from threadline.signals.files_common import nearest
+from threadline.signals.files.common import nearest
 from threadline.targets.schedule_moves import AxisShaping
 from threadline.units import parse_quantity
 

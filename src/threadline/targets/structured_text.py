@@ -11,7 +11,7 @@ from pathlib import Path
 
 from threadline.errors import PlanError
 from threadline.machine import Machine
-from threadline.signals.files_common import Written, atomic_file, written
+from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import PetriNet, petri_net
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable

@@ -9,9 +9,9 @@ from typing import Protocol
 
 from threadline.errors import OptionError
 from threadline.signals import Commands, SwitchSchedule, TickTable
-from threadline.signals.files_array import write_array
-from threadline.signals.files_common import Written, atomic_file, nearest, written
-from threadline.signals.files_table import write_table_csv, write_table_npz
+from threadline.signals.files.array import write_array
+from threadline.signals.files.common import Written, atomic_file, nearest, written
+from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.calculate import CompiledPlan
 from threadline.targets.nc import NcStyle, part_program_lines
 from threadline.targets.planned_job import planned_job

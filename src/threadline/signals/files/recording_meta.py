@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from threadline import __version__
 from threadline.errors import Place, RecordingError
 from threadline.signals.clock import Clock
-from threadline.signals.files_common import (
+from threadline.signals.files.common import (
     FractionText,
     Hash,
     Label,

@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from threadline.errors import Place, RecordingError
-from threadline.signals.files_common import MAX_META_BYTES, parse_json
+from threadline.signals.files.common import MAX_META_BYTES, parse_json
 
 META = "meta.json"
 MAX_MEMBERS = 512

@@ -17,15 +17,15 @@ import numpy as np
 from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
 from threadline.signals.commands import Event, TickBlock, TickTable
-from threadline.signals.files_common import (
+from threadline.signals.files.common import (
     Written,
     atomic_file,
     clear_errors,
     meta_lines,
     written,
 )
-from threadline.signals.files_events import events_cell, parse_events_cell
-from threadline.signals.files_table import (
+from threadline.signals.files.events import events_cell, parse_events_cell
+from threadline.signals.files.table import (
     END,
     READ_ROWS,
     checked_counts,
@@ -33,7 +33,7 @@ from threadline.signals.files_table import (
     table_from,
     table_meta,
 )
-from threadline.signals.files_table_text import (
+from threadline.signals.files.table_text import (
     body_lines,
     check_columns,
     check_end,

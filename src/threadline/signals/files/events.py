@@ -10,8 +10,8 @@ import numpy as np
 
 from threadline.errors import Place, RecordingError
 from threadline.signals.commands import Event, EventKind
-from threadline.signals.files_common import MAX_COUNTS, nearest, parse_json
-from threadline.signals.files_zip import ColumnArchive, ColumnReader, ColumnSpool
+from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
+from threadline.signals.files.common import MAX_COUNTS, nearest, parse_json
 
 KINDS: tuple[EventKind, ...] = get_args(EventKind)
 _MAX_NAMES = 10_000

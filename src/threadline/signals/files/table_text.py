@@ -11,15 +11,15 @@ import numpy as np
 
 from threadline.errors import Place, RecordingError
 from threadline.signals.commands import Event, TickBlock, TickTable
-from threadline.signals.files_common import (
+from threadline.signals.files.common import (
     MAX_COUNTS,
     clear_errors,
     nearest,
     parse_meta_lines,
     text_lines,
 )
-from threadline.signals.files_events import parse_events_cell
-from threadline.signals.files_table import (
+from threadline.signals.files.events import parse_events_cell
+from threadline.signals.files.table import (
     END,
     READ_ROWS,
     TITLE,

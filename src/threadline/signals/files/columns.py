@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from threadline.errors import Place, RecordingError, UnitError
-from threadline.signals.files_common import nearest
+from threadline.signals.files.common import nearest
 from threadline.signals.recording import ChannelKind
 from threadline.units import same_dimension, unit_factor
 

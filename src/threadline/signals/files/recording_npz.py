@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import Place, RecordingError
-from threadline.signals.files_common import Written, atomic_file, clear_errors, written
-from threadline.signals.files_events import EventColumns, EventSpool
-from threadline.signals.files_recording_meta import TITLE, recording_from, recording_meta
-from threadline.signals.files_zip import ColumnArchive, ColumnReader, ColumnSpool
+from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
+from threadline.signals.files.common import Written, atomic_file, clear_errors, written
+from threadline.signals.files.events import EventColumns, EventSpool
+from threadline.signals.files.recording_meta import TITLE, recording_from, recording_meta
 from threadline.signals.recording import Channel, Recording, RecordingBlock
 from threadline.signals.stream import Stream
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from threadline.errors import RecordingError
 from threadline.signals.commands import TickTable
-from threadline.signals.files_array import read_array, write_array
-from threadline.signals.files_common import Written, clear_errors
-from threadline.signals.files_plt import read_plt, write_plt
-from threadline.signals.files_recording_csv import read_recording_csv, write_recording_csv
-from threadline.signals.files_recording_npz import read_recording_npz, write_recording_npz
-from threadline.signals.files_table import read_table_npz, write_table_csv, write_table_npz
-from threadline.signals.files_table_text import read_table_csv
+from threadline.signals.files.array import read_array, write_array
+from threadline.signals.files.common import Written, clear_errors
+from threadline.signals.files.plt import read_plt, write_plt
+from threadline.signals.files.recording_csv import read_recording_csv, write_recording_csv
+from threadline.signals.files.recording_npz import read_recording_npz, write_recording_npz
+from threadline.signals.files.table import read_table_npz, write_table_csv, write_table_npz
+from threadline.signals.files.table_text import read_table_csv
 from threadline.signals.recording import Recording
 
 __all__ = [

@@ -14,8 +14,8 @@ import numpy as np
 from threadline.errors import Place, RecordingError
 from threadline.signals.clock import Clock
 from threadline.signals.commands import Event
-from threadline.signals.files_columns import TIME, Column, parse_column
-from threadline.signals.files_common import (
+from threadline.signals.files.columns import TIME, Column, parse_column
+from threadline.signals.files.common import (
     MAX_COUNTS,
     Written,
     atomic_file,
@@ -25,10 +25,10 @@ from threadline.signals.files_common import (
     text_lines,
     written,
 )
-from threadline.signals.files_events import events_cell, parse_events_cell
-from threadline.signals.files_grid import check_on_grid, find_grid
-from threadline.signals.files_recording_meta import TITLE, recording_from, recording_meta
-from threadline.signals.files_table import READ_ROWS
+from threadline.signals.files.events import events_cell, parse_events_cell
+from threadline.signals.files.grid import check_on_grid, find_grid
+from threadline.signals.files.recording_meta import TITLE, recording_from, recording_meta
+from threadline.signals.files.table import READ_ROWS
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.signals.stream import Stream
 

@@ -17,16 +17,16 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError, UnitError
 from threadline.signals.clock import Clock
-from threadline.signals.files_columns import AXES, parse_column
-from threadline.signals.files_common import (
+from threadline.signals.files.columns import AXES, parse_column
+from threadline.signals.files.common import (
     Written,
     atomic_file,
     clear_errors,
     text_lines,
     written,
 )
-from threadline.signals.files_recording_csv import parse_number
-from threadline.signals.files_table import READ_ROWS
+from threadline.signals.files.recording_csv import parse_number
+from threadline.signals.files.table import READ_ROWS
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.signals.stream import Stream
 from threadline.units import parse_exact_time_s, unit_factor

@@ -14,7 +14,8 @@ from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
 from threadline.signals.clock import Clock
 from threadline.signals.commands import Event, TickBlock, TickTable
-from threadline.signals.files_common import (
+from threadline.signals.files.archive import ColumnArchive, ColumnSpool
+from threadline.signals.files.common import (
     Counts,
     Finite,
     FractionText,
@@ -29,8 +30,7 @@ from threadline.signals.files_common import (
     positive_fraction,
     written,
 )
-from threadline.signals.files_events import EventColumns, EventSpool, events_cell
-from threadline.signals.files_zip import ColumnArchive, ColumnSpool
+from threadline.signals.files.events import EventColumns, EventSpool, events_cell
 from threadline.signals.stream import Stream
 
 READ_ROWS = 1 << 16
