@@ -14,6 +14,16 @@ import numpy as np
 from numba import njit
 
 from threadline.twin.compiled import stays_apart
+from threadline.twin.modes import (
+    AT_HOLD,
+    AT_LOW,
+    AT_RATE,
+    AT_STEP,
+    COLUMNS,
+    GUARDS,
+    N_STATES,
+    WATCHED,
+)
 
 TERMS = 12
 _MOST_EVENTS = 2000
@@ -73,9 +83,10 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
     fraction ``1 - q[-1]``. ``cells`` = 0 only leaves modes that don't hold at z.
     """
     stays_apart()
-    n = t.generator.shape[1]
-    size = len(z)
-    guards = t.guard.shape[1]
+    f, sizes = t.values, t.sizes
+    n, size, guards = sizes[N_STATES], sizes[COLUMNS], sizes[GUARDS]
+    guard, rate, low, hold = n * size, sizes[AT_RATE], sizes[AT_LOW], sizes[AT_HOLD]
+    high = low + guards
     changes = 0
     while True:
         row = t.slot_of[v, where[MODE]]
@@ -85,17 +96,17 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
         for w in range(guards):
             value = 0.0
             for j in range(size):
-                value += t.guard[row, w, j] * z[j]
-            if value > t.high[row, w]:
+                value += f[row, guard + w * size + j] * z[j]
+            if value > f[row, high + w]:
                 event = w + 1
-            elif value < t.low[row, w]:
+            elif value < f[row, low + w]:
                 event = -w - 1
             if event != 0:
                 break
         if event == 0:
             if where[DONE] >= cells:
                 return True
-            level = t.watched[0] - 1 if q[-1] == 1.0 else -1
+            level = sizes[WATCHED] - 1 if q[-1] == 1.0 else -1
             while level >= 0:
                 inside = where[DONE] + (1 << level) <= cells
                 if inside:
@@ -103,20 +114,20 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
                     for i in range(n):
                         total = 0.0
                         for j in range(size):
-                            total += t.step[row, level, i, j] * z[j]
+                            total += f[row, sizes[AT_STEP] + (level * n + i) * size + j] * z[j]
                         y[i] = total
                     for j in range(n, size):
                         y[j] = z[j]
                     for w in range(guards):
                         start, end, last = 0.0, 0.0, 0.0
                         for j in range(size):
-                            bend = t.rate[row, w, j] * third
-                            start += (t.guard[row, w, j] + bend) * z[j]
-                            end += (t.guard[row, w, j] - bend) * y[j]
-                            last += t.guard[row, w, j] * y[j]
+                            bend = f[row, rate + w * size + j] * third
+                            start += (f[row, guard + w * size + j] + bend) * z[j]
+                            end += (f[row, guard + w * size + j] - bend) * y[j]
+                            last += f[row, guard + w * size + j] * y[j]
                         most = max(start, end, last)
                         least = min(start, end, last)
-                        inside = inside and most <= t.high[row, w] and least >= t.low[row, w]
+                        inside = inside and most <= f[row, high + w] and least >= f[row, low + w]
                 if inside:
                     break
                 level -= 1
@@ -131,26 +142,26 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
                 D[0, i] = z[i]
                 total = 0.0
                 for j in range(size):
-                    total += t.generator[row, i, j] * z[j]
+                    total += f[row, i * size + j] * z[j]
                 D[1, i] = total * span
             for k in range(2, TERMS + 1):
                 for i in range(n):
                     total = 0.0
                     for j in range(n):
-                        total += t.generator[row, i, j] * D[k - 1, j]
+                        total += f[row, i * size + j] * D[k - 1, j]
                     D[k, i] = total * span / k
             until = 1.0
             for w in range(guards):
-                if t.low[row, w] == -np.inf and t.high[row, w] == np.inf:
+                if f[row, low + w] == -np.inf and f[row, high + w] == np.inf:
                     continue
                 for k in range(TERMS + 1):
                     total = 0.0
                     for i in range(n):
-                        total += t.guard[row, w, i] * D[k, i]
+                        total += f[row, guard + w * size + i] * D[k, i]
                     q[k] = total
                 for j in range(n, size):
-                    q[0] += t.guard[row, w, j] * z[j]
-                s, side = _first_exit(q, t.low[row, w], t.high[row, w], until)
+                    q[0] += f[row, guard + w * size + j] * z[j]
+                s, side = _first_exit(q, f[row, low + w], f[row, high + w], until)
                 if side != 0:
                     until, event = s, side * (w + 1)
             for i in range(n):
@@ -165,11 +176,11 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
         if event != 0:
             w = abs(event) - 1
             side = 1 if event > 0 else 0
-            if t.latch[row, w] >= 0:
-                tripped[t.latch[row, w]] = 1
-            if t.hold_state[row, w, side] >= 0:
-                z[t.hold_state[row, w, side]] = t.hold_value[row, w, side]
-            where[MODE] = t.next_mode[row, w, side]
+            if t.plan[row, 1 + w] >= 0:
+                tripped[t.plan[row, 1 + w]] = 1
+            if t.plan[row, 1 + 3 * guards + 2 * w + side] >= 0:
+                z[t.plan[row, 1 + 3 * guards + 2 * w + side]] = f[row, hold + 2 * w + side]
+            where[MODE] = t.plan[row, 1 + guards + 2 * w + side]
             where[EVENTS] += 1
             changes += 1
             if changes > _MOST_EVENTS:

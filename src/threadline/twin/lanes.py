@@ -28,7 +28,19 @@ from threadline.twin.events import (
     TERMS,
     advance_watched,
 )
-from threadline.twin.modes import meet
+from threadline.twin.modes import (
+    AT_CURRENT,
+    AT_FAST,
+    AT_LENGTHS,
+    AT_LOW,
+    COLUMNS,
+    DRIVES,
+    GUARDS,
+    LENGTHS,
+    N_STATES,
+    PARTS,
+    meet,
+)
 
 
 class Shape(NamedTuple):
@@ -110,31 +122,46 @@ def _leave(w, u, L, v, offsets, cells, plant, t, modes, where, z, y, D, q, tripp
     where[MODE] = max(before, 0)
     where[DONE] = 0
     q[-1] = 1.0
-    n = t.generator.shape[1]
-    size = len(z)
+    n, size, guards = t.sizes[N_STATES], t.sizes[COLUMNS], t.sizes[GUARDS]
     for j in range(size):
         z[j] = w[j * L + u]
     while not advance_watched(t, v, where, z, y, D, q, cells, tripped):
-        meet(plant, v, t, where[MODE])  # type: ignore[call-arg]
+        meet(plant, v, t, where[MODE])
     for i in range(n):
         w[(size + i) * L + u] = z[i]
     if where[MODE] == before:
         return
     modes[u] = where[MODE]
     row = t.slot_of[v, where[MODE]]
-    for g in range(t.low.shape[1]):
-        w[(offsets[0] + g) * L + u] = t.low[row, g]
-        w[(offsets[1] + g) * L + u] = t.high[row, g]
-    for d in range(t.current.shape[1]):
-        for j in range(size):
-            w[(offsets[2] + d * size + j) * L + u] = t.current[row, d, j]
-    checks = t.fast.shape[2] - n
-    for x in range(t.fast.shape[1]):
-        for j in range(size):
-            for i in range(n):
-                w[(offsets[3] + (x * n + i) * size + j) * L + u] = t.fast[row, x, i, j]
-            for i in range(checks):
-                w[(offsets[4] + (x * checks + i) * size + j) * L + u] = t.fast[row, x, n + i, j]
+    f = t.values
+    for g in range(2 * guards):
+        w[(offsets[0] + g) * L + u] = f[row, t.sizes[AT_LOW] + g]
+    for d in range(t.sizes[DRIVES] * size):
+        w[(offsets[2] + d) * L + u] = f[row, t.sizes[AT_CURRENT] + d]
+    checks = guards * (1 + 3 * t.sizes[PARTS])
+    for x in range(t.sizes[LENGTHS]):
+        fast = t.sizes[AT_FAST] + x * (n + checks) * size
+        for i in range(n * size):
+            w[(offsets[3] + x * n * size + i) * L + u] = f[row, fast + i]
+        for i in range(checks * size):
+            w[(offsets[4] + x * checks * size + i) * L + u] = f[row, fast + n * size + i]
+
+
+@njit
+def _is_outside(w, u, L, sizes, offsets, x):  # type: ignore[no-untyped-def]
+    """Whether an advance of length x might leave a guard of lane u."""
+    stays_apart()
+    size, guards = sizes[COLUMNS], sizes[GUARDS]
+    per = 1 + 3 * sizes[PARTS]
+    for g in range(guards):
+        for p in range(per):
+            at = offsets[4] + ((x * guards + g) * per + p) * size
+            total = w[at * L + u] * w[u]
+            for j in range(1, size):
+                total += w[(at + j) * L + u] * w[j * L + u]
+            if total > w[(offsets[1] + g) * L + u] or total < w[(offsets[0] + g) * L + u]:
+                return True
+    return False
 
 
 @njit
@@ -397,25 +424,10 @@ def lanes_kernel(shape: Shape) -> Callable[..., None]:  # noqa: PLR0915
                                     outside += np.int64(total < w[(LO + g) * L + u])
                         if outside > 0:
                             for u in range(L):
-                                leaves = False
-                                for g in range(W):
-                                    for p in range(P):
-                                        o = WX + ((x * W + g) * P + p) * N
-                                        total = w[o * L + u] * w[u]
-                                        for j in range(1, N):
-                                            total += w[(o + j) * L + u] * w[j * L + u]
-                                        if (
-                                            total > w[(HI + g) * L + u]
-                                            or total < w[(LO + g) * L + u]
-                                        ):
-                                            leaves = True
-                                            break
-                                    if leaves:
-                                        break
-                                if leaves:
+                                if _is_outside(w, u, L, t.sizes, offsets, x):
                                     where[SLOW] += 1
                                     v = b * L + u
-                                    _leave(w, u, L, v, offsets, t.lengths[x], plant, t,
+                                    _leave(w, u, L, v, offsets, t.sizes[AT_LENGTHS + x], plant, t,
                                            mode[b], where, z, y, D, q, tripped[v])  # fmt: skip
                 for i in range(n * L):
                     w[i] = w[Y * L + i]

@@ -13,7 +13,7 @@ from threadline.machine import Machine
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
 from threadline.twin import lanes as k
-from threadline.twin.modes import Modes
+from threadline.twin.modes import Modes, Plant, new_modes, pack_plant
 from threadline.twin.schedule import Schedule, make_schedule
 from threadline.twin.tables import (
     ControlTables,
@@ -95,6 +95,12 @@ def prepare(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prepare
     """
     schedule = make_schedule(machine, piece.group)
     grid_s, longest = float(schedule.grid_s), int(schedule.lengths.max())
+    if longest > _MOST_CELLS:
+        raise MachineError(
+            f"clocks and dead times meet only on a grid of {grid_s:.4g} s, {longest} of which make "
+            f"a tick, limit {_MOST_CELLS}",
+            remedy="Choose clock periods and dead times with a coarser common grid.",
+        )
     rate = _fastest_rate(piece)
     halvings = max(0, int(np.ceil(np.log2(max(grid_s * rate / _CELL_PER_RATE, 1.0)))))
     if longest << halvings > _MOST_CELLS:
@@ -152,7 +158,7 @@ class State:
 
     shape: k.Shape
     prepared: Prepared
-    plant: PlantTables
+    plant: Plant
     frame: FloatArray
     kernel: Callable[..., None]
     modes: Modes
@@ -224,16 +230,24 @@ def new_state(
     variants = prepared.piece.variants
     blocks = -(-variants // lanes)
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
-    plant = _padded(prepared.plant, which)
     schedule = prepared.schedule
-    modes = _new_modes(prepared, shape, len(which), min(slots, int(np.prod(plant.modes))))
+    modes = new_modes(
+        prepared.plant,
+        len(which),
+        slots=min(slots, int(np.prod(prepared.plant.modes))),
+        guards=guards,
+        lengths=schedule.lengths << prepared.halvings,
+        parts=prepared.intervals,
+        watched=prepared.watched,
+        cell_s=prepared.cell_s,
+    )
     layout = shape.layout()
     work = np.zeros((blocks, layout["rows"], lanes))
 
     def put(row: int, values: FloatArray) -> None:
         work[:, row] = np.broadcast_to(values, (variants,))[which].reshape(blocks, lanes)
 
-    put(layout["z"] + plant.base.shape[2] - 1, np.ones(1))
+    put(layout["z"] + prepared.plant.base.shape[2] - 1, np.ones(1))
     control = prepared.control
     for c in range(shape.controllers):
         o = layout["control"] + 19 * c
@@ -266,7 +280,7 @@ def new_state(
     return State(
         shape=shape,
         prepared=prepared,
-        plant=plant,
+        plant=pack_plant(prepared.plant, which),
         frame=np.ascontiguousarray(prepared.piece.frame_rows[which]),
         kernel=k.lanes_kernel(shape),
         modes=modes,
@@ -283,50 +297,4 @@ def new_state(
         clock=clock,
         tripped=np.zeros((len(which), len(prepared.piece.group.inputs)), dtype=np.int64),
         counts=np.zeros((blocks, 5), dtype=np.int64),
-    )
-
-
-def _padded(plant: PlantTables, which: IntArray) -> PlantTables:
-    shared = {
-        "modes",
-        "holds",
-        "guard_kind",
-        "guard_to",
-        "guard_switch",
-        "guards",
-        "drive_element",
-    }
-    return PlantTables(
-        **{
-            name: part if name in shared else np.ascontiguousarray(part[which])
-            for name, part in plant._asdict().items()
-        }
-    )
-
-
-def _new_modes(prepared: Prepared, shape: k.Shape, variants: int, slots: int) -> Modes:
-    rows, n = variants * slots, shape.states
-    size = n + shape.drives + 1
-    lengths = np.array(prepared.schedule.lengths << prepared.halvings)
-    per_length = n + shape.guards * shape.checks
-    return Modes(
-        slot_of=np.full((variants, int(np.prod(prepared.plant.modes))), -1, dtype=np.int64),
-        used=np.zeros((variants, 2), dtype=np.int64),
-        mode_of=np.zeros(rows, dtype=np.int64),
-        generator=np.zeros((rows, n, size)),
-        guard=np.zeros((rows, shape.guards, size)),
-        rate=np.zeros((rows, shape.guards, size)),
-        low=np.zeros((rows, shape.guards)),
-        high=np.zeros((rows, shape.guards)),
-        next_mode=np.zeros((rows, shape.guards, 2), dtype=np.int64),
-        hold_state=np.full((rows, shape.guards, 2), -1, dtype=np.int64),
-        hold_value=np.zeros((rows, shape.guards, 2)),
-        latch=np.full((rows, shape.guards), -1, dtype=np.int64),
-        step=np.zeros((rows, int(lengths.max()).bit_length(), n, size)),
-        current=np.zeros((rows, shape.drives, size)),
-        fast=np.zeros((rows, len(lengths), per_length, size)),
-        lengths=lengths,
-        intervals=np.array([prepared.intervals], dtype=np.int64),
-        watched=np.array([prepared.watched], dtype=np.int64),
-        cell_s=np.array([prepared.cell_s]),
     )

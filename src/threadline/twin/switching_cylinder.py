@@ -1,0 +1,210 @@
+"""One cylinder of an on/off machine, step by step: exact between events, events located.
+
+It slides, sticks, or stands at an end stop. In each state the equations are linear with constant
+input, so that a step is one product with a matrix exponential; the instant at which a state ends
+is found by halving the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import expm
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.plant.pneumatic import CylinderPlant, cylinder_plant
+
+SLIDES, STICKS, AT_START, AT_END = 0, 1, 2, 3
+_RAMP_STEPS = 8
+_HALVINGS = 30
+_STANDSTILL_M_S = 1e-3
+_MAX_EVENTS = 50
+
+
+@dataclass(slots=True)
+class CylinderTwin:
+    """A cylinder that is being simulated.
+
+    Parameters
+    ----------
+    machine, axis
+        What it is.
+    step_s
+        Length of a step.
+    """
+
+    machine: Machine
+    axis: str
+    step_s: float
+    plant: CylinderPlant = field(init=False)
+    state: FloatArray = field(init=False)
+    mode: int = SLIDES
+    sense: float = 0.0
+    start_m: float = 0.0
+    _steps: dict[tuple[object, ...], FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.plant = cylinder_plant(self.machine, self.axis)
+        self.state = np.zeros(len(self.plant.states) + 2)
+        # Behind the states: the level and a constant 1.
+        self.state[-1] = 1.0
+        if self._friction:
+            self.mode = STICKS
+
+    @property
+    def _friction(self) -> float:
+        part = self.machine.cylinders[self.axis].friction
+        return 0.0 if part is None else part.si
+
+    @property
+    def _stiction(self) -> float:
+        part = self.machine.cylinders[self.axis].stiction
+        return self._friction if part is None else part.si
+
+    @property
+    def stroke_m(self) -> float:
+        """Where the piston is."""
+        return float(self.plant.stroke @ self.state[:-2])
+
+    @property
+    def frame_m(self) -> float:
+        """Where the frame is."""
+        return float(self.plant.frame @ self.state[:-2])
+
+    def advance(self, level: float) -> None:
+        """Go one step with ``level`` at the valves (delay already applied)."""
+        self.state[-2] = level
+        left = self.step_s
+        for _ in range(_MAX_EVENTS):
+            left = self._until_event(left)
+            if left <= 0.0:
+                return
+
+    def _until_event(self, span_s: float) -> float:
+        """Advance by ``span_s`` or up to the next event; return what is left."""
+        key = self._key()
+        ahead = self._transition(key, span_s) @ self.state
+        if not self._ended(ahead, key):
+            self.state = ahead
+            return 0.0
+        low, high = 0.0, span_s
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            if self._ended(self._transition(key, middle, keep=False) @ self.state, key):
+                high = middle
+            else:
+                low = middle
+        self.state = self._transition(key, high, keep=False) @ self.state
+        self._change()
+        return span_s - high
+
+    def _key(self) -> tuple[object, ...]:
+        cylinder = self.machine.cylinders[self.axis]
+        rate = float(self.plant.stroke_rate @ self.state[:-2])
+        place = self.stroke_m
+        if abs(rate) < _STANDSTILL_M_S or self.mode != SLIDES:
+            self.start_m = place
+        ramp = _RAMP_STEPS
+        if cylinder.air_ramp is not None:
+            gone = abs(place - self.start_m) / cylinder.air_ramp.si
+            ramp = min(_RAMP_STEPS, 1 + int(gone * _RAMP_STEPS))
+        cushioned = cylinder.cushion is not None and (
+            (rate > 0 and place > cylinder.stroke.si - cylinder.cushion.length.si)
+            or (rate < 0 and place < cylinder.cushion.length.si)
+        )
+        return self.mode, ramp, cushioned, self.sense if self.mode == SLIDES else 0.0
+
+    def _air(self, ramp: int, cushioned: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the row of the force of the air, and that of the cushion."""
+        cylinder = self.machine.cylinders[self.axis]
+        air = self.plant.air_force(
+            cylinder.air_stiffness.si, cylinder.air_damping.si * ramp / _RAMP_STEPS
+        )
+        extra = np.zeros_like(air)
+        if cushioned and cylinder.cushion is not None:
+            extra = -cylinder.cushion.damping.si * self.plant.stroke_rate
+        return air, extra
+
+    def _matrix(self, key: tuple[object, ...]) -> FloatArray:
+        mode, ramp, cushioned, sense = key
+        assert isinstance(ramp, int) and isinstance(sense, float)
+        n = len(self.plant.states)
+        full = np.zeros((n + 2, n + 2))
+        matrix = self.plant.matrix.copy()
+        if mode == SLIDES:
+            air, extra = self._air(ramp, bool(cushioned))
+            matrix += np.outer(self.plant.force, air + extra)
+            full[:n, -1] = -sense * self._friction * self.plant.force
+        else:
+            piston, housing, share = self._locked()
+            together = share * matrix[piston] + (1.0 - share) * matrix[housing]
+            matrix[piston] = matrix[housing] = together
+        full[:n, :n] = matrix
+        full[:n, -2] = self.plant.level
+        return full
+
+    def _locked(self) -> tuple[int, int, float]:
+        cylinder = self.machine.cylinders[self.axis]
+        masses = [
+            self.machine.bodies[b].inertia.si for b in (cylinder.pushes, cylinder.reacts_on)
+        ]
+        piston = self.plant.states.index(f"{cylinder.pushes}'")
+        housing = self.plant.states.index(f"{cylinder.reacts_on}'")
+        return piston, housing, masses[0] / sum(masses)
+
+    def _transition(
+        self, key: tuple[object, ...], span_s: float, *, keep: bool = True
+    ) -> FloatArray:
+        if not keep or span_s != self.step_s:
+            return np.asarray(expm(self._matrix(key) * span_s))
+        if key not in self._steps:
+            self._steps[key] = np.asarray(expm(self._matrix(key) * span_s))
+        return self._steps[key]
+
+    def _ended(self, state: FloatArray, key: tuple[object, ...]) -> bool:
+        x = state[:-2]
+        if self.mode == SLIDES:
+            rate = float(self.plant.stroke_rate @ x)
+            place = float(self.plant.stroke @ x)
+            stroke = self.machine.cylinders[self.axis].stroke.si
+            at_stop = (place >= stroke and rate > 0) or (place <= 0.0 and rate < 0)
+            return at_stop or (self.sense != 0.0 and rate * self.sense < 0.0)
+        return self._released(x) != 0.0
+
+    def _holding_n(self, x: FloatArray) -> float:
+        """Return the force that would have to hold the piston still against the housing."""
+        piston, housing, share = self._locked()
+        cylinder = self.machine.cylinders[self.axis]
+        mass = self.machine.bodies[cylinder.pushes].inertia.si
+        matrix = self.plant.matrix
+        together = share * matrix[piston] + (1.0 - share) * matrix[housing]
+        air, _ = self._air(1, False)
+        return float((mass * (together - matrix[piston]) - air) @ x)
+
+    def _released(self, x: FloatArray) -> float:
+        """Return the sense in which a standing piston breaks away, 0 if it stands."""
+        holding = self._holding_n(x)
+        if holding < -self._stiction and self.mode != AT_END:
+            return 1.0
+        if holding > self._stiction and self.mode != AT_START:
+            return -1.0
+        return 0.0
+
+    def _change(self) -> None:
+        x = self.state[:-2]
+        if self.mode != SLIDES:
+            self.sense = self._released(x) if self._friction else 0.0
+            self.mode = SLIDES
+            return
+        piston, housing, share = self._locked()
+        # Standing: both go on with their common momentum.
+        self.state[[piston, housing]] = share * x[piston] + (1.0 - share) * x[housing]
+        place, stroke = self.stroke_m, self.machine.cylinders[self.axis].stroke.si
+        if place >= stroke - 1e-9:
+            self.mode = AT_END
+        elif place <= 1e-9:
+            self.mode = AT_START
+        else:
+            self.mode = STICKS
