@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from threadline.errors import JobError, Place
-from threadline.jobs.operations import (
-    Dwell,
-    Feed,
-    FeedMode,
-    Job,
-    Move,
-    Operation,
-    Source,
-    ToolEvent,
-)
+from threadline.jobs.operations import Job
 from threadline.jobs.seam.checks import (
     StitchCheck,
     corner_warnings,
@@ -34,14 +24,13 @@ from threadline.jobs.seam.read_dxf import read_dxf
 from threadline.jobs.seam.read_svg import read_svg
 from threadline.jobs.seam.read_toml import MAX_TOML_BYTES, SeamFile, read_seam_file
 from threadline.jobs.seam.settings import stitching
-from threadline.jobs.seam.sewing import SewnContour, StitchBlock, sewn_contour
+from threadline.jobs.seam.sewing import SewnContour, sewn_contour
+from threadline.jobs.seam.stream import StitchStream
 from threadline.machine import Machine
-from threadline.signals import Stream
 
 AXES = ("X", "Y")
 _READERS = {".csv": read_csv, ".dxf": read_dxf, ".svg": read_svg}
 SUFFIXES = (".seam.toml", *_READERS)
-_RAPID = Feed(FeedMode.RAPID, 0.0)
 
 
 def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
@@ -114,7 +103,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         sha256=digest,
         axes=AXES,
         start=(0.0, 0.0),
-        operations=Stream(lambda: _operations(sewn)),
+        operations=StitchStream(sewn),
         warnings=tuple(warnings),
     )
 
@@ -150,55 +139,3 @@ def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
     with np.errstate(all="ignore"):
         drawing = reader(content, str(drawn), seam_file.unit)
     return seam_file, drawing, digest.hexdigest()
-
-
-def _operations(sewn: list[SewnContour]) -> Iterator[Operation]:
-    for number, contour in enumerate(sewn):
-        file = contour.place.file
-        source = Source(file, contour.place.line)
-        x, y = contour.start().tolist()
-        yield Move((x, y), _RAPID, source, {"kind": "travel", "seam": contour.seam})
-        yield ToolEvent("sew", 1.0, source)
-        settings = contour.settings
-        even = Feed(FeedMode.INVERSE_TIME, settings.needle_speed_hz)
-        stitch, needle_s = 0, 0.0
-        constant = settings.needle == "constant"
-        for block in contour.blocks():
-            base: dict[str, float | str] = {
-                "kind": "lock" if block.leg.lock else "sew",
-                "seam": contour.seam,
-                "contour": number,
-                "target_m": settings.stitch_length_m,
-            }
-            corner_at = len(block.lengths_m) - 1 if block.leg.end_turn_rad is not None else -1
-            for k, (x, y, length, time, exempt, line) in enumerate(_rows(block)):
-                needle_s += time
-                tags = {
-                    **base,
-                    "stitch": stitch,
-                    "exempt": exempt,
-                    "corner": int(k == corner_at),
-                    # Whole turns of the needle are counted, so that no rounding adds up.
-                    "needle_s": (stitch + 1) / settings.needle_speed_hz if constant else needle_s,
-                    "length_m": length,
-                }
-                feed = even if constant else Feed(FeedMode.INVERSE_TIME, 1.0 / time)
-                if line != source.line:
-                    source = Source(file, line)
-                yield Move((x, y), feed, source, tags)
-                stitch += 1
-            if block.rests and block.leg is not contour.legs[-1]:
-                yield Dwell(0.0, source)
-        yield ToolEvent("trim", 1.0, source)
-
-
-def _rows(block: StitchBlock) -> Iterator[tuple[float, float, float, float, int, int]]:
-    return zip(
-        block.points[1:, 0].tolist(),
-        block.points[1:, 1].tolist(),
-        block.lengths_m.tolist(),
-        block.times_s.tolist(),
-        block.exempt.astype(np.int64).tolist(),
-        block.line.tolist(),
-        strict=True,
-    )
