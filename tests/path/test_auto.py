@@ -124,7 +124,7 @@ def test_tolerance_is_used_and_held_as_it_shrinks():
 def test_summary_tells_points_added_and_the_worst_place():
     programmed, path = planned([[0, 0], [0.1, 0], [0.1, 0.1], [0.2, 0.1]], ("X", "Y"), 1e-4)
     measured = path_deviation(programmed, path, WINDER)
-    assert path.summary["points_added"] == 8  # two on either side of both corners
+    assert path.summary["points_added"] == 4  # one on either side of both corners
     assert path.summary["largest_deviation_m"] == pytest.approx(measured.at_tool_m)
     assert path.summary["largest_deviation_line"] == measured.line
 

@@ -15,18 +15,18 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.path.polygon import (
-    EVEN_SPACING,
+    EVEN_CUT,
     LEAST_SPACING_M,
     Controls,
     control_polygon,
     join_controls,
-    spacings,
     turns,
 )
 from threadline.path.runs import Chunk, Vertices, join_vertices, runs
 from threadline.path.spans import pieces_of
 from threadline.path.types import PieceBlock, ProgrammedPath
 
+_AHEAD = 1  # vertex beyond a chord that its control points depend on
 _CARRIED = 2  # control points before and after a span that its shape depends on
 
 
@@ -67,7 +67,7 @@ class _Run:
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m)
             # A corner that leaves no room for a curve within the tolerance is met at rest.
-            tight = np.flatnonzero(EVEN_SPACING * self.cut_m < LEAST_SPACING_M * turn)
+            tight = np.flatnonzero(self.cut_m < EVEN_CUT * LEAST_SPACING_M * turn)
             tight = tight[tight >= max(self.first_chord, 1)]
             if not len(tight):
                 break
@@ -75,8 +75,8 @@ class _Run:
         count = len(self.vertices)
         if chunk.ends:
             yield from self._advance(count - 1, length, turn, ends=True, dwell_s=chunk.dwell_s)
-        elif count - 2 > self.first_chord:
-            yield from self._advance(count - 2, length, turn, ends=False, dwell_s=0.0)
+        elif count - 1 - _AHEAD > self.first_chord:
+            yield from self._advance(count - 1 - _AHEAD, length, turn, ends=False, dwell_s=0.0)
 
     def _advance(
         self, stop: int, length: FloatArray, turn: FloatArray, *, ends: bool, dwell_s: float
@@ -92,19 +92,16 @@ class _Run:
             return
         if self.controls is None:
             self.controls = _start_of(vertices)
-        here = slice(self.first_chord, stop + 1)
         if stop > self.first_chord:
-            spacing = spacings(length, turn, self.cut_m)
-            fresh = control_polygon(
-                vertices.take(here), length[self.first_chord : stop], turn[here], spacing[here]
-            )
+            fresh = control_polygon(vertices, length, turn, self.cut_m, self.first_chord, stop)
             self.controls = join_controls(self.controls, fresh)
             self.added += int(fresh.added.sum())
         yield from self._settle(ends, dwell_s)
         if ends:
             self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0
         else:
-            self.vertices, self.first_chord = vertices.take(slice(stop - 1, None)), 1
+            kept = max(stop - _AHEAD, 0)
+            self.vertices, self.first_chord = vertices.take(slice(kept, None)), stop - kept
 
     def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
         controls = self.controls

@@ -6,12 +6,16 @@ import difflib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.path import bspline, linear
 from threadline.path.auto import auto_pieces
+from threadline.path.blends import blended_pieces
+from threadline.path.polynomial import polynomial_pieces
 from threadline.path.smoothing import smoothing_for, smoothing_share
-from threadline.path.summary import LazySummary, auto_summary
+from threadline.path.summary import LazySummary, auto_summary, deviation_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import Stream
 
@@ -44,7 +48,8 @@ def plan_path(
         One of ``interpolation_names()``.
     tolerance_m
         Largest distance between planned and programmed path, per axis, rotary axes at the
-        radius of the tool. The historical interpolations and point-to-point ignore it.
+        radius of the tool. The historical interpolations ignore it; the cubic keeps it at the
+        points only and the quintic meets them.
 
     Raises
     ------
@@ -135,10 +140,60 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
     return replace(path, summary=LazySummary(lambda: auto_summary(programmed, path, cut_m)))
 
 
+def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    smoothing = smoothing_for(machine, programmed.axes)
+    share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
+    smoothing_m = share * options.tolerance_m
+    cut_m = options.tolerance_m - smoothing_m
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="parabolic",
+        timing=Timing.GEOMETRIC,
+        historical=False,
+        blocks=Stream(lambda: blended_pieces(programmed, cut_m)),
+        smoothing_m=smoothing_m,
+    )
+    return replace(path, summary=LazySummary(lambda: deviation_summary(programmed, path)))
+
+
+def _polynomial(name: str) -> Planner:
+    quintic = name == "quintic"
+
+    def planner(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+        column = [machine.axis_names.index(axis) for axis in programmed.axes]
+        limits = [
+            getattr(machine, f"{limit}_limit")[column]
+            for limit in ("velocity", "acceleration", "jerk")
+        ]
+        if not quintic:
+            # The acceleration of a cubic steps; what the smoothing misses the points by is half
+            # its variance times the acceleration.
+            variance = smoothing_for(machine, programmed.axes).variance_s2
+            room = 2.0 * options.tolerance_m / (variance * programmed.radius_m)
+            limits = [limits[0], np.minimum(limits[1], room)]
+        bounds = tuple(limits)
+        path = PlannedPath(
+            axes=programmed.axes,
+            radius_m=programmed.radius_m,
+            interpolation=name,
+            timing=Timing.TIME,
+            historical=False,
+            blocks=Stream(lambda: polynomial_pieces(programmed, bounds, quintic=quintic)),
+            smoothing_m=0.0 if quintic else options.tolerance_m,
+        )
+        return replace(path, summary=LazySummary(lambda: deviation_summary(programmed, path)))
+
+    return planner
+
+
 _PLANNERS: dict[str, Planner] = {
     "auto": _auto,
     "point-to-point": _point_to_point,
     "linear": _linear,
+    "parabolic": _parabolic,
+    "cubic": _polynomial("cubic"),
+    "quintic": _polynomial("quintic"),
     "b-spline": _bspline("b-spline", bspline.plain),
     "b-spline-pulled": _bspline("b-spline-pulled", bspline.pulled_by_repetition),
 }

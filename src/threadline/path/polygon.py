@@ -1,7 +1,8 @@
 """Programmed vertices -> control polygon of a cubic B-spline that stays within a tolerance.
 
-The control points are the vertices themselves, and points added on the chords where the spline
-would cut a corner too far. Everything is measured at the tool: rotary axes at their radius.
+Where the program turns so little that the spline cuts a vertex by less than the tolerance, the
+vertices alone are the control points. Elsewhere points are added on the chords beside the vertex,
+nearer the tighter the tolerance. Everything is measured at the tool: rotary axes at their radius.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from numba import njit
 from threadline.arrays import FloatArray, IntArray
 from threadline.path.runs import Vertices
 
-# Corner cut |h1 t1 - h2 t2| w for neighbours at the distances h: w = 1/6 where the spacing is
-# even on both sides, and never above 1/4 while neither neighbour is farther than the longer h.
-EVEN_SPACING = 6.0
-ANY_SPACING = 4.0
-MAX_ADDED = 4
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
 LEAST_SPACING_M = 1e-7  # below this a corner is met at rest instead
+# With neighbours at h1 and h2 a vertex is cut by at most |dt| max(h1, h2) / 4, whatever the
+# spacing beyond them; with even spacing l on both sides by |dt| l / 6.
+ANY_CUT = 1.0 / 4.0
+EVEN_CUT = 1.0 / 6.0
+TOUCH = 1e-9  # of the chord: points of the two ends that are nearer become one
+EXTRA = 1.75  # of the spacing: room for another point before a vertex without points
+MOST_POINTS = 4  # of a chord, the vertex at its end included
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,42 +76,48 @@ def turns(positions: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, Floa
     return length, turn
 
 
-def spacings(length_m: FloatArray, turn: FloatArray, cut_m: float) -> FloatArray:
-    """Return the (n,) largest distance from each vertex to its neighbouring control points.
+def corner_spacing(length_m: FloatArray, turn: FloatArray, cut_m: float) -> FloatArray:
+    """Return the (n,) distance of the points to be added beside each vertex, 0 for none.
 
     ``cut_m`` is the largest distance at the tool between the spline and the vertex, and between
-    the spline and the chords. Where both chords are long the points stand evenly on both sides.
+    the spline and the chords. The points stand at most half way to the next vertex.
     """
     with np.errstate(divide="ignore"):
         unit = np.where(turn > 0, cut_m / turn, np.inf)
-    shorter = np.minimum(np.append(length_m, 0.0), np.insert(length_m, 0, 0.0))
-    even = shorter > MAX_ADDED * EVEN_SPACING * unit
-    return np.asarray(unit * np.where(even, EVEN_SPACING, ANY_SPACING))
+    before, after = np.insert(length_m, 0, 0.0), np.append(length_m, 0.0)
+    spacing = np.minimum(unit / EVEN_CUT, 0.5 * np.minimum(before, after))
+    return np.where(np.maximum(before, after) * ANY_CUT <= unit, 0.0, spacing)
 
 
 def control_polygon(
-    vertices: Vertices, length_m: FloatArray, turn: FloatArray, spacing_m: FloatArray
+    vertices: Vertices,
+    length_m: FloatArray,
+    turn: FloatArray,
+    cut_m: float,
+    first: int,
+    stop: int,
 ) -> Controls:
-    """Return the control points of the chords between ``vertices``, the first vertex left out.
+    """Return the control points of chords ``first`` to ``stop``, the first vertex left out.
 
     Parameters
     ----------
     vertices
-        n of one run.
-    length_m, turn, spacing_m
-        (n - 1,), (n,) and (n,), as ``turns`` and ``spacings`` give them for the whole run.
+        n of one run, with one more on either side of the chords unless the run ends there.
+    length_m, turn
+        (n - 1,) and (n,), as ``turns`` gives them.
+    cut_m
+        As for ``corner_spacing``.
     """
-    fraction, owner, added = _insert(length_m, spacing_m)
-    begin = vertices.positions[owner]
-    end = vertices.positions[owner + 1]
-    # The end is written out so that a vertex is met bit for bit.
-    positions = np.where(added[:, None] == 1, begin + fraction[:, None] * (end - begin), end)
-    before = np.where(np.diff(owner, prepend=-1) == 0, np.roll(fraction, 1), 0.0)
-    share = fraction - before
+    spacing = corner_spacing(length_m, turn, cut_m)
+    fraction, owner, vertex = _insert(length_m, turn, spacing, first, stop)
+    begin, end = vertices.positions[owner], vertices.positions[owner + 1]
+    opens = np.diff(owner, prepend=-1) > 0
+    share = fraction - np.where(opens, 0.0, np.roll(fraction, 1))
     return Controls(
-        positions=positions,
-        turn=np.where(added == 1, 0.0, turn[owner + 1]),
-        added=added,
+        # The end is written out so that a vertex is met bit for bit.
+        positions=np.where(vertex[:, None] == 1, end, begin + fraction[:, None] * (end - begin)),
+        turn=np.where(vertex == 1, turn[owner + 1], 0.0),
+        added=1 - vertex,
         length_m=share * length_m[owner],
         nominal_s=share * vertices.nominal_s[owner + 1],
         operation=vertices.operation[owner + 1],
@@ -117,37 +126,37 @@ def control_polygon(
 
 
 @njit(cache=True)
-def _insert(length: FloatArray, spacing: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-    chords = len(length)
-    fraction = np.empty(chords * (MAX_ADDED + 1))
-    owner = np.empty(chords * (MAX_ADDED + 1), dtype=np.int64)
-    added = np.zeros(chords * (MAX_ADDED + 1), dtype=np.int64)
+def _insert(
+    length: FloatArray, turn: FloatArray, spacing: FloatArray, first: int, stop: int
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return place on its chord, chord and 0/1 vertex of every control point."""
+    fraction = np.empty((stop - first) * MOST_POINTS)
+    owner = np.empty((stop - first) * MOST_POINTS, dtype=np.int64)
+    vertex = np.zeros((stop - first) * MOST_POINTS, dtype=np.int64)
     n = 0
-    for c in range(chords):
-        whole, near, far = length[c], spacing[c], spacing[c + 1]
-        first = n
-        equal = np.ceil(whole / min(near, far))
-        if equal <= MAX_ADDED:
-            for k in range(1, int(equal)):
-                fraction[n] = k / equal
-                n += 1
+    for c in range(first, stop):
+        near, far = spacing[c] / length[c], spacing[c + 1] / length[c]
+        begin = n
+        room = 1.0 - near - far
+        if near > 0.0 and far > 0.0 and room < TOUCH:
+            fraction[n] = 0.5
+            n += 1
         else:
-            begins, ends = near < whole, far < whole
-            most = 0.25 if begins and ends else 1.0 / 3.0
-            after = min(near / whole, most) if begins else 0.0
-            if begins:
-                fraction[n] = after
-                fraction[n + 1] = 2.0 * after
-                n += 2
-            if ends:
-                back = min(far / whole, most)
-                if 1.0 - 2.0 * back > 2.0 * after * (1.0 + 1e-9):
-                    fraction[n] = 1.0 - 2.0 * back
-                    n += 1
-                fraction[n] = 1.0 - back
+            # Towards a curve that has no added points a second one keeps the spacing even.
+            if near > 0.0:
+                fraction[n] = near
                 n += 1
-        added[first:n] = 1
+                if far == 0.0 and turn[c + 1] > 0.0 and room > EXTRA * near:
+                    fraction[n] = 2.0 * near
+                    n += 1
+            if far > 0.0:
+                if near == 0.0 and turn[c] > 0.0 and room > EXTRA * far:
+                    fraction[n] = 1.0 - 2.0 * far
+                    n += 1
+                fraction[n] = 1.0 - far
+                n += 1
         fraction[n] = 1.0
+        vertex[n] = 1
         n += 1
-        owner[first:n] = c
-    return fraction[:n], owner[:n], added[:n]
+        owner[begin:n] = c
+    return fraction[:n], owner[:n], vertex[:n]

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TypeAlias
+
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.path.polygon import Controls
 from threadline.path.types import PieceBlock
+
+BoolArray: TypeAlias = NDArray[np.bool_]
 
 
 def pieces_of(
@@ -30,23 +36,26 @@ def pieces_of(
     H = h[k-1] + h[k] + h[k+1]; the joint at point k divides the last of leg k - 1 and the first
     of leg k as h[k-1] : h[k].
     """
-    h = controls.length_m[1:]
-    d0, d1, d2 = _differences(np.diff(controls.positions, axis=0), h, begins, ends)
-    t0, t1, t2 = _differences(controls.nominal_s[1:, None], h, begins, ends)
-    lead = (np.concatenate([h[:1], h[:-1]]) / _reach(h))[:, None] * np.diff(
-        controls.positions, axis=0
-    )
-    joints = (controls.positions[:-1] + (lead - d0))[first:stop]
-    if begins:
-        joints[0] = controls.positions[0]
+    even = (controls.turn[:-1] == 0.0) & (controls.turn[1:] == 0.0)
+    knots = _knots(controls.length_m[1:], even)
+    leg = np.diff(controls.positions, axis=0)
+    d0, d1, d2 = _differences(leg, knots, begins, ends)
+    t0, t1, t2 = _differences(controls.nominal_s[1:, None], knots, begins, ends)
+    joints = controls.positions.copy()
+    bent = np.flatnonzero(~(even[1:] & even[:-1])) + 1  # a vertex amid a straight line is met
+    joints[bent] += (knots.lead[:, None] * leg - d0)[bent]
     d0, d1, d2, t0, t1, t2 = (part[first:stop] for part in (d0, d1, d2, t0, t1, t2))
-    coefficients = np.stack([joints, 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1)
+    coefficients = np.stack(
+        [joints[first:stop], 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1
+    )
     nominal = 3.0 * np.maximum(np.maximum(t0, t1), t2)[:, 0]
-    straight = (controls.turn[first:stop] == 0.0) & (controls.turn[first + 1 : stop + 1] == 0.0)
-    chord = d0 + d1 + d2
-    coefficients[straight, 1] = chord[straight]
+    straight = even[first:stop]
+    chord = np.diff(joints[first : stop + 1], axis=0)[straight]
+    coefficients[straight, 1] = chord
     coefficients[straight, 2:] = 0.0
-    nominal = np.where(straight, (t0 + t1 + t2)[:, 0], nominal)
+    along = leg[first:stop][straight]
+    share = (chord * along).sum(axis=1) / (along**2).sum(axis=1)
+    nominal[straight] = share * controls.nominal_s[first + 1 : stop + 1][straight]
     operation = controls.operation[first + 1 : stop + 1]
     # Straight spans of one move are one piece.
     same = straight[1:] & straight[:-1] & (operation[1:] == operation[:-1])
@@ -67,30 +76,55 @@ def pieces_of(
     )
 
 
-def _reach(h: FloatArray) -> FloatArray:
-    return np.asarray(np.concatenate([h[:1], h[:-1]]) + h + np.concatenate([h[1:], h[-1:]]))
+@dataclass(frozen=True, slots=True)
+class _Knots:
+    """(n,) knot spans of each leg as its left and its right neighbour see it, and of these.
+
+    ``lead`` and ``trail`` are the parts of a leg before its first and behind its second inner
+    Bezier point.
+    """
+
+    left: FloatArray
+    right: FloatArray
+    before: FloatArray
+    after: FloatArray
+    lead: FloatArray
+    trail: FloatArray
+
+
+def _knots(h: FloatArray, even: BoolArray) -> _Knots:
+    """Return the spans of the knots: the lengths of the legs, but for ``even`` legs.
+
+    The span of an even leg is straight, whatever its knots, so that the splines on either side
+    of it may each have their own: to its neighbour the leg counts as long as the neighbour
+    itself, which keeps the parameter even up to where the curve ends.
+    """
+    left = np.where(even, np.concatenate([h[:1], h[:-1]]), h)
+    right = np.where(even, np.concatenate([h[1:], h[-1:]]), h)
+    before = np.concatenate([left[:1], right[:-1]])
+    after = np.concatenate([left[1:], right[-1:]])
+    total = before + h + after
+    lead = np.where(even, left / h * before / (before + 2.0 * left), before / total)
+    trail = np.where(even, right / h * after / (after + 2.0 * right), after / total)
+    return _Knots(left, right, before, after, lead, trail)
 
 
 def _differences(
-    leg: FloatArray, h: FloatArray, begins: bool, ends: bool
+    leg: FloatArray, knots: _Knots, begins: bool, ends: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the three (n, axes) differences of the Bezier points of every span.
 
     ``leg`` may be any quantity that adds up along the polygon: with nominal times for vectors
     the differences bound the time at the feed.
     """
-    before = np.concatenate([h[:1], h[:-1]])
-    after = np.concatenate([h[1:], h[-1:]])
-    total = before + h + after
-    lead = (before / total)[:, None] * leg
-    trail = (after / total)[:, None] * leg
+    lead, trail = knots.lead[:, None] * leg, knots.trail[:, None] * leg
     around = np.zeros((len(leg) + 1, leg.shape[1]))
     around[:-1] += lead
     around[1:] += trail
-    d0 = around[:-1] * (h / (before + h))[:, None]
-    d2 = around[1:] * (h / (h + after))[:, None]
+    d0 = around[:-1] * (knots.left / (knots.before + knots.left))[:, None]
+    d2 = around[1:] * (knots.right / (knots.right + knots.after))[:, None]
     if begins:
         d0[0] *= 2.0  # the mirror image of the leg
     if ends:
         d2[-1] *= 2.0
-    return d0, (h / total)[:, None] * leg, d2
+    return d0, leg - lead - trail, d2

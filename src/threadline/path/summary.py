@@ -34,9 +34,14 @@ def auto_summary(
     programmed: ProgrammedPath, planned: PlannedPath, cut_m: float
 ) -> dict[str, float]:
     """Return points added, largest deviation and the program line where it is."""
+    added = {"points_added": float(points_added(programmed, cut_m))}
+    return added | deviation_summary(programmed, planned)
+
+
+def deviation_summary(programmed: ProgrammedPath, planned: PlannedPath) -> dict[str, float]:
+    """Return the largest deviation and the program line where it is."""
     deviation = path_deviation(programmed, planned)
     return {
-        "points_added": float(points_added(programmed, cut_m)),
         "largest_deviation_m": deviation.at_tool_m,
         "largest_deviation_line": float(deviation.line),
     }

@@ -16,6 +16,7 @@ from threadline.path.smoothing import Smoothing, smoothing_for
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.trajectory import profile
 from threadline.trajectory.smoothing import Smoother
+from threadline.trajectory.timed import held_block
 from threadline.trajectory.types import TrajectoryBlock
 
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -23,7 +24,8 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 SAMPLES = 16384  # in hand at once
 MOST_PENDING = 200_000  # pieces that wait for what follows; a longer wait is cut short by a stop
 _TAILS = 20.0  # times what the tails of the smoothing may cut: a tolerance below is fine
-_ALONG = 0.04  # least weight of the part of q_uu along the path, squared
+_ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
+_HAT = 0.25  # of the larger curvature: the smaller one at the end of a corner's piece
 _CUSP = 1e-5  # of the piece's size: a slower end is a cusp
 
 
@@ -100,7 +102,7 @@ class _Run:
         self.begin_s += self.done * self.smoothing.step_s
         dwell = float(block.dwell_s[stop - 1])
         if dwell > 0:
-            yield _held(last, self.begin_s, dwell, int(block.operation[stop - 1]))
+            yield held_block(last, self.begin_s, dwell, int(block.operation[stop - 1]))
             self.begin_s += dwell
         self.pending, self.smoother = None, None
         self.speed, self.time_s, self.done = 0.0, 0.0, 0
@@ -128,8 +130,8 @@ class _Run:
         That is half the variance of its weights times q_uu u'^2.
         """
         smoothing = self.smoothing
-        bend = _cutting(c, self.radius)
-        bend[straight] = 0.0
+        first, last = _cutting(c, self.radius)
+        bend = np.where(straight, 0.0, np.maximum(first, last))
         tail = smoothing.tail_s2 * float(_size(self.limit_a[None], self.radius)[0])
         fine = self.slack_m < _TAILS * tail
         slack = self.slack_m if fine else self.slack_m - tail
@@ -138,7 +140,9 @@ class _Run:
         # In a corner between straight pieces the acceleration rises and falls evenly over the
         # time 2 / u', of which the average sees the fraction 1 - width u' / 8 (3/4 at least).
         lone = np.zeros(len(c), dtype=bool)
+        rises, falls = first < _HAT * last, last < _HAT * first
         lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
+        lone[1:-2] &= rises[1:-2] & falls[2:-1]
         lone[2:-1] |= lone[1:-2]
         seen = 1.0 - np.minimum(smoothing.width_s * np.sqrt(cap) / 8.0, 0.25)
         cap = np.where(lone, cap / seen, cap)
@@ -234,17 +238,6 @@ class _Run:
         self.done += count
 
 
-def _held(position: FloatArray, begin_s: float, dwell_s: float, operation: int) -> TrajectoryBlock:
-    coefficients = np.zeros((1, 4, len(position)))
-    coefficients[0, 0] = position
-    return TrajectoryBlock(
-        start_s=np.array([begin_s]),
-        duration_s=np.array([dwell_s]),
-        coefficients=coefficients,
-        operation=np.array([operation]),
-    )
-
-
 def _slope(c: FloatArray) -> FloatArray:
     """Return the (n, axes) derivative at the end of each piece."""
     return np.asarray(c[:, 1] + 2.0 * c[:, 2] + 3.0 * c[:, 3])
@@ -259,24 +252,25 @@ def _size(vectors: FloatArray, radius: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(((vectors * radius) ** 2).sum(axis=-1)))
 
 
-def _cutting(c: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the (n,) largest q_uu at the tool, its part along the path at a discount.
+def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (n,) q_uu at the tool at both ends, its part along the path at a discount.
 
-    What the smoothing shifts along the path is no deviation, unless the path turns back there:
-    then the derivative is small beside that at the other end.
+    What the smoothing shifts along the path is no deviation, unless the path turns back there.
     """
     first, last = c[:, 1] * radius, _slope(c) * radius
-    fast = np.maximum(_size(c[:, 1], radius), _size(_slope(c), radius))[:, None]
-    worst = np.zeros(len(c))
+    size = np.sqrt((first**2).sum(axis=1)), np.sqrt((last**2).sum(axis=1))
+    fast = np.maximum(*size)
+    sound = np.minimum(*size) > _CUSP * fast
+    ahead = (first * last).sum(axis=1) / np.where(sound, size[0] * size[1], 1.0)
+    share = (1.0 - np.where(sound, np.clip(ahead, 0.0, 1.0), 0.0)) ** 2 + _ALONG
+    ends = []
     for slope, bend in ((first, 2.0 * c[:, 2] * radius), (last, _bend(c) * radius)):
         square = (slope**2).sum(axis=1, keepdims=True)
-        along = (
-            (slope * bend).sum(axis=1, keepdims=True) / np.where(square > 0, square, 1.0) * slope
-        )
+        part = (slope * bend).sum(axis=1, keepdims=True) / np.where(square > 0, square, 1.0)
+        along = part * slope
         across = ((bend - along) ** 2).sum(axis=1)
-        share = (1.0 - np.sqrt(square) / fast)[:, 0] ** 2 + _ALONG
-        worst = np.maximum(worst, np.sqrt(across + share * (along**2).sum(axis=1)))
-    return worst
+        ends.append(np.sqrt(across + share * (along**2).sum(axis=1)))
+    return ends[0], ends[1]
 
 
 def _factors(c: FloatArray, radius: FloatArray) -> FloatArray:
