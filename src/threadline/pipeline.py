@@ -15,6 +15,7 @@ from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
 from threadline.path import plan_path, programmed_path
 from threadline.plan import Plan
+from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.signals import Recording, RecordingBlock, Stream, TickTable
 from threadline.targets import compile_ticks
 from threadline.trajectory import plan_trajectory
@@ -45,12 +46,16 @@ class Options:
         Largest deviation of the planned from the programmed path, at the tool.
     limit_share
         Share of the machine's acceleration and jerk limits that the planner uses, in (0, 1].
+    shaper
+        Text of the shaper, or of one per axis, that the trajectory is convolved with; None
+        leaves it as it was planned.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
     feed: Feed | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
+    shaper: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,7 +145,10 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         interpolation=options.interpolation,
         tolerance_m=options.tolerance_m,
     )
-    trajectory = plan_trajectory(path, limited)
+    planned = trajectory = plan_trajectory(path, limited)
+    if options.shaper is not None:
+        shaper = parse_shaper(options.shaper)
+        trajectory = shape_trajectory(planned, shaper, machine, centroid_shift=True)
     commands = compile_ticks(trajectory, machine, job)
     return Plan(
         job=job,
@@ -149,6 +157,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         path=path,
         trajectory=trajectory,
         commands=commands,
+        unshaped=None if options.shaper is None else planned,
         options=describe(job, machine, options),
     )
 
@@ -166,6 +175,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         "feed": feed,
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
+        **({} if options.shaper is None else {"shaper": options.shaper}),
     }
 
 
@@ -184,6 +194,7 @@ def options_from(description: dict[str, str]) -> Options:
             feed=None if feed_text == "programmed" else parse_feed(feed_text),
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),
+            shaper=description.get("shaper"),
         )
     except KeyError as error:
         raise OptionError(

@@ -28,6 +28,8 @@ class Plan:
         The path over time.
     commands
         What the controller is given.
+    unshaped
+        The trajectory before it was shaped; None where it is not shaped.
     options
         How it was planned (interpolation, feed, tolerance), as text, for people and recordings.
     """
@@ -38,4 +40,5 @@ class Plan:
     path: PlannedPath
     trajectory: Trajectory
     commands: Commands
+    unshaped: Trajectory | None = None
     options: Mapping[str, str] = field(default_factory=dict)

@@ -61,6 +61,13 @@ RecordingOption = Annotated[
     Path | None,
     typer.Option(help="Write the recording to this file: .npz, .csv or .plt."),
 ]
+ShaperOption = Annotated[
+    str | None,
+    typer.Option(
+        help='Shape the motion: "zv:12Hz:0.02" is kind, frequency, damping ratio; "*" convolves, '
+        '"X=..., Y=..." gives axes their own.'
+    ),
+]
 DEFAULT_INTERPOLATION_TEXT = DEFAULT_INTERPOLATION
 DEFAULT_LIMITS_TEXT = "100 %"
 DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
@@ -73,7 +80,11 @@ def machine_from(reference: str, par: Path | None) -> Machine:
 
 
 def options_of(
-    interpolation: str, feed: str | None, tolerance: str, limits: str = DEFAULT_LIMITS_TEXT
+    interpolation: str,
+    feed: str | None,
+    tolerance: str,
+    limits: str = DEFAULT_LIMITS_TEXT,
+    shaper: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text."""
     return Options(
@@ -81,4 +92,5 @@ def options_of(
         feed=None if feed is None else parse_feed(feed),
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
+        shaper=shaper,
     )

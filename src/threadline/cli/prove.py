@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -19,6 +20,7 @@ from threadline.cli.options import (
     ParOption,
     RecordingOption,
     ReportOption,
+    ShaperOption,
     SpecOption,
     ToleranceOption,
     machine_from,
@@ -30,7 +32,7 @@ from threadline.pipeline import prove as prove_job
 from threadline.report import write_report
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
-from threadline.verdict import load_spec, verdict_json, verdict_rows
+from threadline.verdict import Criterion, load_spec, verdict_json, verdict_rows
 
 
 def prove(
@@ -41,6 +43,7 @@ def prove(
     feed: FeedOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    shaper: ShaperOption = None,
     par: ParOption = None,
     report: ReportOption = None,
     recording: RecordingOption = None,
@@ -59,9 +62,13 @@ def prove(
     Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
     """
     chosen = machine_from(machine, par)
-    options = options_of(interpolation, feed, tolerance, limits)
+    options = options_of(interpolation, feed, tolerance, limits, shaper)
+    asked = load_spec(spec, chosen)
+    if shaper is not None and all(c.name != "shaping_deviation" for c in asked.criteria):
+        # What the shaper does to the path is always said, with or without a limit.
+        asked = replace(asked, criteria=(*asked.criteria, Criterion(name="shaping_deviation")))
     with progress_bar(not json) as progress:
-        proof = prove_job(job, chosen, load_spec(spec, chosen), options, progress, repeats)
+        proof = prove_job(job, chosen, asked, options, progress, repeats)
         if recording is not None:
             write_recording(proof.recording, recording)
         written = None if report is None else write_report(proof, report)

@@ -1,4 +1,4 @@
-"""Path deviation: the planned path against the programmed one, geometry only."""
+"""Path deviation: planned path against programmed, and shaped motion against planned."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from threadline.arrays import IntArray
 from threadline.path.types import PieceBlock
 from threadline.plan import Plan
+from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
 from threadline.verdict.measure import Block, Finding
 from threadline.verdict.window import PathWindow
@@ -27,6 +28,23 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     for block in _blocks(plan, PathWindow(plan.programmed)):
         contour.feed(block)
     return [replace(finding, time_s=None) for finding in contour.finish()]
+
+
+def measure_shaping_deviation(plan: Plan) -> list[Finding]:
+    """Return how far the shaper takes the motion from the planned path, at the tool."""
+    planned, text = plan.unshaped, plan.options.get("shaper")
+    if planned is None or text is None:
+        return [Finding(value=0.0, note="the motion is not shaped")]
+    longest = longest_delay_s(planned.axes, parse_shaper(text), centroid_shift=True)
+    found = shaping_deviation(planned, plan.trajectory, plan.machine, longest)
+    return [
+        Finding(
+            value=found.at_tool_m,
+            operation=found.operation,
+            position=found.position,
+            note="a planned place is missed" if found.missed else "",
+        )
+    ]
 
 
 def _blocks(plan: Plan, path: PathWindow) -> Iterator[Block]:

@@ -19,7 +19,7 @@ from threadline.verdict.blocks import (
     sample_interval_s,
 )
 from threadline.verdict.demands import measure_demands
-from threadline.verdict.deviation import measure_path_deviation
+from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.measure import Finding, Measure, MeasureKind, Setting
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
@@ -155,6 +155,8 @@ def _of_plan(plan: Plan, keys: Mapping[_Key, Criterion]) -> dict[str, list[Findi
         found |= measure_demands(plan)
     if "path_deviation" in names:
         found["path_deviation"] = measure_path_deviation(plan)
+    if "shaping_deviation" in names:
+        found["shaping_deviation"] = measure_shaping_deviation(plan)
     return {name: found[name] for name in names & set(found)}
 
 

@@ -46,6 +46,7 @@ _KINDS = (
     MeasureKind(name="acceleration", dimension="axis/s^2", per_axis=True, slack=demands.SLACK),
     MeasureKind(name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK),
     MeasureKind(name="path_deviation", dimension="tool", per_axis=False),
+    MeasureKind(name="shaping_deviation", dimension="tool", per_axis=False),
     MeasureKind(
         name="tracking_error",
         dimension="axis",

@@ -1,0 +1,236 @@
+"""``threadline shaper``: design an input shaper, and say what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from threadline.cli.options import JsonOption, ReportOption
+from threadline.cli.output import note, print_json, print_table
+from threadline.cli.shaper_text import (
+    KINDS,
+    curve_lines,
+    designed,
+    modes_of,
+    seconds,
+    suspicions,
+)
+from threadline.errors import OptionError
+from threadline.report.document import Table
+from threadline.report.shaper import write_shaper
+from threadline.shaping import (
+    ControllerLimits,
+    FlexibleMode,
+    Insensitivity,
+    KlipperExport,
+    Realised,
+    Shaper,
+    check_higher_modes,
+    insensitivity,
+    klipper_export,
+    realise,
+    vibration_of,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    shaper: Shaper
+    modes: tuple[FlexibleMode, ...]
+    tolerance: float
+    realised: Realised | None
+    widths: tuple[Insensitivity, ...]
+    klipper: KlipperExport | None
+    warnings: tuple[str, ...]
+
+
+def shaper(
+    mode: Annotated[
+        list[str], typer.Option(help='Undamped frequency, "3.04 Hz"; again for each mode.')
+    ],
+    damping: Annotated[
+        list[float] | None, typer.Option(help="Damping ratio: one for all modes, or one for each.")
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Vibration allowed, of one unit impulse's: 0.05 is 5 %.")
+    ] = 0.05,
+    kind: Annotated[str, typer.Option(help=", ".join(KINDS) + ".")] = "zv",
+    band: Annotated[
+        float, typer.Option(help="Half width of the band of frequency for si and --tick: 0.2.")
+    ] = 0.0,
+    tick: Annotated[
+        str | None, typer.Option(help='Impulses on whole ticks of the controller: "10 ms".')
+    ] = None,
+    dwell: Annotated[
+        str | None, typer.Option(help='Shortest time between switchings, with --tick: "20 ms".')
+    ] = None,
+    max_impulses: Annotated[
+        int | None, typer.Option(help="Longest train that the controller takes, with --tick.")
+    ] = None,
+    free: Annotated[
+        bool, typer.Option(help="With --tick: amplitudes may be set anew (flow valves, axes).")
+    ] = False,
+    klipper: Annotated[bool, typer.Option("--klipper", help="Print Klipper's section.")] = False,
+    report: ReportOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Design a shaper: its table, its sensitivity, its cost, and warnings.
+
+    Frequencies are undamped, vibration is normalised to one unit impulse, and insensitivity is
+    (f_hi - f_lo) / f within the tolerance. Exit status: 0, or 2 for wrong input.
+
+    Example: threadline shaper --mode 3.04Hz --damping 0.17 --tolerance 0.05 --kind um-2ei
+    """
+    modes = modes_of(mode, damping)
+    made = designed(kind, modes, tolerance, band)
+    realised = None
+    if tick is None:
+        for name, given in (("--dwell", dwell), ("--max-impulses", max_impulses)):
+            if given is not None:
+                raise OptionError(f"{name} needs the controller's tick", remedy="Add --tick.")
+    else:
+        limits = ControllerLimits(
+            tick_s=seconds(tick, "--tick"),
+            dwell_s=0.0 if dwell is None else seconds(dwell, "--dwell"),
+            max_impulses=max_impulses,
+            amplitudes_free=free,
+        )
+        realised = realise(made, modes, limits, relative=band)
+        made = realised.shaper
+    warnings = list(suspicions(modes))
+    for one in modes:
+        others = [other for other in modes if other is not one]
+        warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
+    answer = _Answer(
+        shaper=made,
+        modes=modes,
+        tolerance=tolerance,
+        realised=realised,
+        widths=tuple(insensitivity(made, one, tolerance) for one in modes),
+        klipper=klipper_export(made, modes[0]) if klipper and len(modes) == 1 else None,
+        warnings=tuple(warnings),
+    )
+    if klipper and len(modes) > 1:
+        raise OptionError(
+            f"Klipper shapes one mode per axis, {len(modes)} are given",
+            remedy="Give one --mode.",
+        )
+    written = (
+        None
+        if report is None
+        else write_shaper(made, modes, tolerance, _tables(answer), warnings, report)
+    )
+    if json:
+        print_json(_content(answer, written))
+        return
+    for warning in warnings:
+        note(f"warning: {warning}")
+    for table in _tables(answer):
+        print_table(table.title, table.header, table.rows)
+    for line in curve_lines(made, modes, tolerance):
+        typer.echo(line)
+    if answer.klipper is not None:
+        typer.echo(answer.klipper.explanation)
+        if answer.klipper.section:
+            typer.echo(answer.klipper.section, nl=False)
+    if written is not None:
+        typer.echo(f"Report: {written}")
+
+
+def _tables(answer: _Answer) -> list[Table]:
+    train = answer.shaper
+    impulses = [
+        [str(i), f"{t:.6f}", f"{a:.6f}", f"{level:.6f}"]
+        for i, (t, a, level) in enumerate(
+            zip(train.times_s, train.amplitudes, train.levels, strict=True), start=1
+        )
+    ]
+    modes = [
+        [
+            f"{m.frequency_hz:g}",
+            f"{m.damping_ratio:g}",
+            f"{vibration_of(train, m) * 100:.3g} %",
+            f"{width.low_hz:.4g} to {width.high_hz:.4g}",
+            f"{width.value:.4f}",
+        ]
+        for m, width in zip(answer.modes, answer.widths, strict=True)
+    ]
+    return [
+        Table(
+            title=f"Shaper {train.name}",
+            header=("impulse", "time s", "amplitude", "level after"),
+            rows=impulses,
+        ),
+        Table(
+            title=f"Vibration, and where it stays within {answer.tolerance * 100:g} %",
+            header=("mode Hz", "damping ratio", "vibration", "Hz", "insensitivity"),
+            rows=modes,
+        ),
+        Table(title="Cost", header=("", ""), rows=_cost(answer)),
+    ]
+
+
+def _cost(answer: _Answer) -> list[list[str]]:
+    train = answer.shaper
+    period = max(m.damped_period_s for m in answer.modes)
+    rows = [
+        ["every move takes longer by", f"{train.duration_s:.6f} s"],
+        ["in periods of the slowest mode", f"{train.duration_s / period:.4f}"],
+        ["mean delay (centroid)", f"{train.centroid_s:.6f} s"],
+        ["step leaves [0, 1] by", f"{train.over_level:.4g}"],
+    ]
+    if answer.realised is not None:
+        made = answer.realised
+        rows += [
+            ["on ticks", " ".join(map(str, made.ticks))],
+            ["price of the controller in time", f"{made.time_price_s * 1e3:+.3f} ms"],
+            ["price of the controller in vibration", f"{made.vibration_price * 100:+.3g} %"],
+        ]
+    return rows
+
+
+def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
+    train = answer.shaper
+    vibrations = [vibration_of(train, m) for m in answer.modes]
+    content: dict[str, Any] = {
+        "kind": train.name,
+        "times_s": train.times_s.tolist(),
+        "amplitudes": train.amplitudes.tolist(),
+        "duration_s": train.duration_s,
+        "centroid_s": train.centroid_s,
+        "over_level": train.over_level,
+        # Of several modes the worst counts; each is in "modes".
+        "vibration": max(vibrations),
+        "insensitivity": min(width.value for width in answer.widths),
+        "tolerance": answer.tolerance,
+        "modes": [
+            {
+                "frequency_hz": m.frequency_hz,
+                "damping_ratio": m.damping_ratio,
+                "vibration": v,
+                "insensitivity": width.value,
+                "low_hz": width.low_hz,
+                "high_hz": width.high_hz,
+            }
+            for m, v, width in zip(answer.modes, vibrations, answer.widths, strict=True)
+        ],
+        "warnings": list(answer.warnings),
+    }
+    if answer.realised is not None:
+        content["ticks"] = list(answer.realised.ticks)
+        content["time_price_s"] = answer.realised.time_price_s
+        content["vibration_price"] = answer.realised.vibration_price
+    if answer.klipper is not None:
+        content["klipper"] = answer.klipper.section or None
+        content["klipper_note"] = answer.klipper.explanation
+    if written is not None:
+        content["report"] = str(written)
+    return content
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("shaper")(shaper)

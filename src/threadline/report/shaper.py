@@ -1,0 +1,106 @@
+"""The report of a shaper: its impulses, its step and how far the machine may differ."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from threadline import __version__
+from threadline.report.document import Document, Table, write_document
+from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_style
+from threadline.shaping import FlexibleMode, Shaper, residual_vibration
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SPAN = (0.4, 1.6)
+_POINTS = 601
+
+
+def write_shaper(
+    shaper: Shaper,
+    modes: Sequence[FlexibleMode],
+    tolerance: float,
+    tables: Sequence[Table],
+    warnings: Sequence[str],
+    folder: Path,
+) -> Path:
+    """Write the report of ``shaper`` into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    with figure_style():
+        figures = {"sensitivity": _sensitivity(shaper, modes, tolerance), "step": _step(shaper)}
+        named = ", ".join(f"{m.frequency_hz:g} Hz at {m.damping_ratio:g}" for m in modes)
+        document = Document(
+            title=f"Shaper {shaper.name}",
+            subtitle=f"modes: {named} (undamped frequency at damping ratio)",
+            verdicts=(),
+            warnings=tuple(warnings),
+            tables=tables,
+            figures=figures,
+            captions={
+                "sensitivity": "Residual vibration over frequency, 1 being what one unit impulse "
+                "leaves; the damping ratio is held. Dashed upright: the modes.",
+                "step": "The impulses, and the levels that a unit step passes through.",
+            },
+            facts=[
+                ("threadline", __version__),
+                ("Python", platform.python_version()),
+                ("times, s", ", ".join(f"{t:.9g}" for t in shaper.times_s)),
+                ("amplitudes", ", ".join(f"{a:.9g}" for a in shaper.amplitudes)),
+            ],
+        )
+        return write_document(document, folder, "shaper")
+
+
+def _sensitivity(shaper: Shaper, modes: Sequence[FlexibleMode], tolerance: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 4.2))
+    axes = figure.subplots()
+    low = _SPAN[0] * min(m.frequency_hz for m in modes)
+    high = _SPAN[1] * max(m.frequency_hz for m in modes)
+    f = np.linspace(low, high, _POINTS)
+    # Every curve has its own dash and, at a few places, its own mark: colour is not needed.
+    dashes = ("-", (0, (6, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
+    for i, damping in enumerate(dict.fromkeys((*(m.damping_ratio for m in modes), 0.0))):
+        curve = {**ACTUAL, "linestyle": dashes[i % len(dashes)], "color": str(0.18 * min(i, 3))}
+        label = f"damping ratio {damping:g}"
+        axes.plot(f, residual_vibration(shaper, f, damping), label=label, **curve)
+    axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
+    for m in modes:
+        axes.axvline(m.frequency_hz, **{**PLANNED, "linewidth": 0.9})
+        axes.annotate(
+            f" {m.frequency_hz:g} Hz",
+            (m.frequency_hz, 0.96),
+            xycoords=axes.get_xaxis_transform(),
+        )
+    axes.set(xlabel="undamped frequency, Hz", ylabel="residual vibration V", xlim=(low, high))
+    axes.set_ylim(0.0, None)
+    axes.legend(loc="upper right")
+    axes.set_title("Sensitivity")
+    return figure
+
+
+def _step(shaper: Shaper) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.4))
+    axes = figure.subplots()
+    margin = 0.15 * max(shaper.duration_s, 1e-9)
+    edges = np.concatenate([[-margin], shaper.times_s, [shaper.duration_s + margin]])
+    axes.stairs(np.concatenate([[0.0], shaper.levels]), edges, baseline=None, label="shaped step")
+    axes.plot(shaper.times_s, shaper.amplitudes, label="impulses", **PROGRAMMED)
+    axes.vlines(shaper.times_s, 0.0, shaper.amplitudes, colors="black", linewidth=0.8)
+    axes.set(xlabel="time, s", ylabel="amplitude, level")
+    axes.legend(loc="best")
+    axes.set_title("Impulses and shaped step")
+    return figure

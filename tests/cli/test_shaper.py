@@ -1,0 +1,136 @@
+"""``threadline shaper`` and ``prove --shaper`` as a shell sees them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.cli.main import main
+from threadline.shaping.oscillator import simulated_vibration
+from threadline.shaping.types import Shaper
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    """Run the program in this process; returns exit status, output and errors."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    code = stopped.value.code
+    return (0 if code is None else int(code)), captured.out, captured.err
+
+
+def made(content: dict[str, list[float]]) -> Shaper:
+    return Shaper(amplitudes=np.array(content["amplitudes"]), times_s=np.array(content["times_s"]))
+
+
+def test_json_of_the_published_shaper(capsys: pytest.CaptureFixture[str]) -> None:
+    """Eq 14 of the paper to its four digits and the two-hump height by simulation."""
+    code, out, err = run(
+        capsys, "shaper", "--mode", "3.04Hz", "--damping", "0.17", "--kind", "um-2ei", "--json"
+    )  # fmt: skip
+    content = json.loads(out)
+    assert (code, err) == (0, "")
+    published = [0.0, 0.0428, 0.1311, 0.2220, 0.2608, 0.3869, 0.3964]
+    # The paper's own digits cut off instead of rounding; 0.1 ms.
+    assert content["times_s"] == pytest.approx(published, abs=1.01e-4)
+    assert content["amplitudes"] == [1, -1, 1, -1, 1, -1, 1]
+    assert content["duration_s"] == content["times_s"][-1]
+    found = simulated_vibration(made(content), 3.04, 0.17)
+    assert content["vibration"] == pytest.approx(found, abs=1e-9)
+    assert 0.5 < content["insensitivity"] < 1.0
+    # The misread damping ratio is named with the right one and its cost.
+    assert any("0.0089" in w and "24.8 %" in w for w in content["warnings"])
+    assert any("amplifies" in w for w in content["warnings"])
+
+
+def test_several_modes_directly_and_convolved(capsys: pytest.CaptureFixture[str]) -> None:
+    both = ["--mode", "3.04 Hz", "--mode", "9 Hz", "--damping", "0.01", "--json"]
+    durations = {}
+    for kind in ("zv", "direct"):
+        code, out, _ = run(capsys, "shaper", *both, "--kind", kind)
+        content = json.loads(out)
+        assert code == 0
+        for f in (3.04, 9.0):
+            assert simulated_vibration(made(content), f, 0.01) < 1e-9
+        assert [m["frequency_hz"] for m in content["modes"]] == [3.04, 9.0]
+        durations[kind] = content["duration_s"]
+    assert durations["direct"] < durations["zv"]
+
+
+def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["shaper", "--mode", "40Hz", "--damping", "0.05", "--kind", "mzv"]
+    code, out, _ = run(capsys, *common, "--klipper", "--report", tmp_path / "r")
+    assert code == 0
+    assert "shaper_type_x: mzv\nshaper_freq_x: 40\n" in out
+    assert "insensitivity" in out
+    page = (tmp_path / "r" / "shaper.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    code, out, _ = run(capsys, *common, "--tick", "1ms", "--dwell", "5 ms", "--json", "--klipper")
+    content = json.loads(out)
+    assert np.diff(content["ticks"]).min() >= 5
+    assert content["times_s"] == pytest.approx(np.array(content["ticks"]) * 1e-3, abs=1e-12)
+    assert content["vibration"] > 1e-6
+    code, out, _ = run(capsys, "shaper", "--mode", "40Hz", "--kind", "um-zv", "--klipper")
+    assert code == 0
+    assert "no type of Klipper's plays" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--mode", "3 mm"], ["mode '3 mm'"]),
+        (["--mode", "3Hz", "--kind", "zw"], ["'zw' is unknown", "um-zv"]),
+        (["--mode", "3Hz", "--damping", "0.5"], ["damping_ratio", "real part"]),
+        (["--mode", "3Hz", "--damping", "0.1", "--damping", "0.2"], ["2 damping ratios"]),
+        (["--mode", "3Hz", "--kind", "si"], ["band"]),
+        (["--mode", "3Hz", "--dwell", "5ms"], ["--tick"]),
+        (["--mode", "3Hz", "--tick", "5"], ["--tick '5'"]),
+        (["--mode", "3Hz", "--mode", "4Hz", "--klipper"], ["one mode per axis"]),
+        (["--mode", "3Hz", "--kind", "ei", "--tolerance", "2"], ["tolerance"]),
+    ],
+)
+def test_wrong_options_exit_with_two_and_one_line(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, "shaper", *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = run(capsys, "shaper", "--help")
+    assert "Example: threadline shaper" in " ".join(out.split())
+
+
+def test_a_shaped_proof_says_what_it_costs_and_is_judged_again_the_same(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trace = tmp_path / "run.npz"
+    common = ["prove", examples / "x-180.prg", "-m", "lathe-winder", "--json"]
+    _, out, _ = run(capsys, *common)
+    plain = json.loads(out)
+    _, out, _ = run(capsys, *common, "--shaper", "zv:12Hz:0.02", "--recording", trace)
+    shaped = json.loads(out)
+    # The train is played to its end once more, at the end of the program.
+    assert shaped["duration_s"] == pytest.approx(plain["duration_s"] + 0.5 / 12, abs=2e-5)
+
+    def of(content: dict[str, list[dict[str, float]]], name: str) -> list[dict[str, float]]:
+        return [c for c in content["criteria"] if c["name"] == name]
+
+    assert of(plain, "shaping_deviation") == []
+    (deviation,) = of(shaped, "shaping_deviation")
+    # A ZV at half speed around a reversal from 36 mm/s: a part of v T / 2 = 0.75 mm is cut.
+    assert 0.1e-3 < deviation["measured"] < 0.75e-3
+    _, out, _ = run(capsys, "judge", trace, "--json")
+    again = {(c["name"], c["axis"]): c["measured"] for c in json.loads(out)["criteria"]}
+    for c in shaped["criteria"]:
+        if c["name"] != "shaping_deviation":
+            assert again[c["name"], c["axis"]] == c["measured"]
+    code, _, err = run(capsys, *common, "--shaper", "zv")
+    assert (code, err.count("\n")) == (2, 1)

@@ -1,0 +1,439 @@
+"""Shaped trajectories against dense superposition, scipy's oscillator, and the machine's limits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from threadline.errors import LimitError, OptionError, PlanError
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.path import plan_path, programmed_path
+from threadline.shaping import (
+    UNSHAPED,
+    FlexibleMode,
+    Shaper,
+    convolve,
+    design,
+    longest_delay_s,
+    on_tick_grid,
+    parse_shaper,
+    shape_trajectory,
+    shaping_deviation,
+    vibration_of,
+)
+from threadline.signals import Stream
+from threadline.targets import compile_ticks
+from threadline.trajectory import Trajectory, TrajectoryBlock, limit_peaks, plan_trajectory
+
+MODE = FlexibleMode(12.0, 0.02)
+MACHINE = load_machine("lathe-winder")
+
+
+def made(
+    durations: list[float],
+    coefficients: np.ndarray,
+    operation: list[int] | None = None,
+    cuts: list[int] | None = None,
+    axes: tuple[str, ...] = ("X", "Y"),
+) -> Trajectory:
+    """Pieces as a trajectory in blocks that end at ``cuts``."""
+    d = np.array(durations)
+    start = np.concatenate([[0.0], np.cumsum(d)[:-1]])
+    label = np.arange(len(d)) if operation is None else np.array(operation)
+    edges = [0, *(cuts or []), len(d)]
+
+    def blocks() -> Iterator[TrajectoryBlock]:
+        for a, b in itertools.pairwise(edges):
+            if b > a:
+                yield TrajectoryBlock(
+                    start_s=start[a:b],
+                    duration_s=d[a:b],
+                    coefficients=coefficients[a:b],
+                    operation=label[a:b],
+                )
+
+    return Trajectory(axes=axes, blocks=Stream(blocks))
+
+
+def random_pieces(rng: np.random.Generator, n: int) -> tuple[list[float], np.ndarray]:
+    """Continuous quintic pieces of two axes."""
+    c = rng.normal(size=(n, 6, 2)) * 0.01
+    for i in range(1, n):
+        c[i, 0] = c[i - 1].sum(axis=0)
+    return rng.uniform(0.003, 0.3, n).tolist(), c
+
+
+def rest_to_rest(way: float = 0.1, duration: float = 0.25, axes: int = 2) -> Trajectory:
+    """A quintic from rest to rest along all axes."""
+    c = np.zeros((1, 6, axes))
+    c[0, 3:] = np.outer([10.0, -15.0, 6.0], np.arange(1, axes + 1)) * way
+    return made([duration], c, axes=("X", "Y")[:axes])
+
+
+def test_ramp_through_two_impulses_has_a_closed_form() -> None:
+    """A ramp v t held at its ends: y = v sum A clip(t - t_k, 0, T)."""
+    c = np.zeros((1, 2, 1))
+    c[0, 1] = 0.2
+    shaper = Shaper(amplitudes=np.array([0.6, 0.4]), times_s=np.array([0.0, 0.05]))
+    shaped = shape_trajectory(made([0.2], c, axes=("X",)), shaper, None)
+    assert shaped.duration_s == pytest.approx(0.25, abs=1e-15)
+    pieces = [tuple(b.start_s) for b in shaped]
+    assert np.concatenate(pieces) == pytest.approx([0.0, 0.05, 0.2], abs=1e-15)
+    t = np.linspace(0.0, 0.3, 61)
+    expected = 0.6 * np.clip(t, 0, 0.2) + 0.4 * np.clip(t - 0.05, 0, 0.2)
+    assert shaped(t)[:, 0] == pytest.approx(expected, abs=1e-15)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000))
+def test_superposition_and_any_cut_into_blocks(seed: int) -> None:
+    """Position to 1e-12 of a dense sum; velocity likewise; the same pieces however it is cut."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 40))
+    durations, c = random_pieces(rng, n)
+    k = int(rng.integers(1, 6))
+    times = np.concatenate([[0.0], np.cumsum(rng.uniform(0.01, 0.2, k))])
+    amplitudes = rng.normal(size=k + 1)
+    amplitudes[-1] += 1.0 - amplitudes.sum()
+    shaper = Shaper(amplitudes=amplitudes, times_s=times)
+    plain = made(durations, c)
+    shaped = shape_trajectory(plain, shaper, None)
+
+    assert shaped.duration_s == pytest.approx(plain.duration_s + times[-1], abs=1e-12)
+    t = rng.uniform(0.0, shaped.duration_s + 0.1, 300)
+    for order in (0, 1):
+        expected = np.zeros((len(t), 2))
+        for a, d in zip(amplitudes, times, strict=True):
+            # Before its start the trajectory stands.
+            expected += a * plain(t - d, order) * ((t >= d) | (order == 0))[:, None]
+        scale = np.abs(expected).max() + 1.0
+        assert np.abs(shaped(t, order) - expected).max() <= 1e-12 * scale * 10.0**order
+    cuts = sorted(rng.integers(0, n + 1, int(rng.integers(0, 6))).tolist())
+    again = shape_trajectory(made(durations, c, cuts=cuts), shaper, None)
+    for name in ("start_s", "duration_s", "coefficients", "operation"):
+        one, other = (
+            np.concatenate([getattr(b, name) for b in trajectory]) for trajectory in (shaped, again)
+        )
+        assert np.array_equal(one, other), name
+
+
+def test_memory_holds_only_what_the_train_reaches() -> None:
+    """A long trajectory, block by block: the shaped blocks stay small and come as it is read."""
+    rng = np.random.default_rng(3)
+    read = []
+
+    def blocks() -> Iterator[TrajectoryBlock]:
+        position = np.zeros(2)
+        for i in range(50):
+            c = rng.normal(size=(100, 4, 2))
+            for row in c:
+                row[0] = position
+                position = row.sum(axis=0)
+            read.append(i)
+            yield TrajectoryBlock(
+                start_s=(np.arange(100) + 100 * i) * 0.01,
+                duration_s=np.full(100, 0.01),
+                coefficients=c,
+                operation=np.full(100, i),
+            )
+
+    shaped = shape_trajectory(
+        Trajectory(axes=("X", "Y"), blocks=Stream(blocks)), design("zvd", MODE), None
+    )
+    longest = 0
+    for count, block in enumerate(shaped, start=1):
+        longest = max(longest, len(block))
+        assert len(read) <= count + 2
+    assert longest <= 3 * 110
+
+
+def oscillator_ring(trajectory: Trajectory, mode: FlexibleMode) -> float:
+    """Envelope of x'' + 2 z w (x' - y') + w^2 (x - y) = 0 after the end, by DOP853."""
+    w, z = 2 * math.pi * mode.frequency_hz, mode.damping_ratio
+    state = np.zeros(2)  # deviation from the command and its rate: e'' + 2zw e' + w^2 e = -y''
+    for block in trajectory:
+        for start, duration in zip(block.start_s, block.duration_s, strict=True):
+
+            def rate(t: float, e: np.ndarray, block: TrajectoryBlock = block) -> list[float]:
+                return [
+                    e[1],
+                    -2 * z * w * e[1]
+                    - w * w * e[0]
+                    - float(block.evaluate(np.array([t]), 2)[0, 0]),
+                ]
+
+            # Within its piece, so that the integrator never steps over a jump.
+            state = solve_ivp(
+                rate,
+                (start + 1e-12 * duration, start + duration * (1 - 1e-12)),
+                state,
+                method="DOP853",
+                rtol=1e-12,
+                atol=1e-15,
+            ).y[:, -1]
+    return math.hypot(state[0], (state[1] / w + z * state[0]) / math.sqrt(1 - z * z))
+
+
+@pytest.mark.parametrize("kind", ["zv", "zvd", "um-zv"])
+def test_a_shaped_move_leaves_an_oscillator_at_rest(kind: str) -> None:
+    move = rest_to_rest(duration=0.12, axes=1)
+    plain = oscillator_ring(move, MODE)
+    assert plain > 0.01  # of 0.1 m: or the shaper had nothing to do
+    shaped = shape_trajectory(move, design(kind, MODE), None)
+    assert oscillator_ring(shaped, MODE) < 1e-9
+
+
+def test_two_modes_are_silenced_by_a_convolution() -> None:
+    other = FlexibleMode(31.0, 0.01)
+    move = rest_to_rest(duration=0.06, axes=1)
+    shaper = parse_shaper("zv:12Hz:0.02*zv:31Hz:0.01")
+    assert isinstance(shaper, Shaper)
+    shaped = shape_trajectory(move, shaper, None)
+    for mode in (MODE, other):
+        assert oscillator_ring(move, mode) > 1e-4
+        assert oscillator_ring(shaped, mode) < 1e-9
+
+
+def winder_trajectory(examples: Path, name: str = "x-180.prg") -> Trajectory:
+    job = read_job(examples / name, MACHINE)
+    programmed = programmed_path(job, MACHINE, feed=None)
+    path = plan_path(programmed, MACHINE, interpolation="auto", tolerance_m=1e-4)
+    return plan_trajectory(path, MACHINE)
+
+
+def test_positive_shapers_keep_every_limit_and_switched_ones_are_refused(examples: Path) -> None:
+    plain = winder_trajectory(examples)
+    before = {(p.axis, p.quantity): p for p in limit_peaks(plain, MACHINE)}
+    shaped = shape_trajectory(plain, design("ei", MODE), MACHINE)
+    for peak in limit_peaks(shaped, MACHINE):
+        was = before[peak.axis, peak.quantity]
+        assert peak.ratio <= was.ratio * (1 + 1e-9) + 1e-12, (peak, was)
+    assert shaped.duration_s > plain.duration_s
+    over = Shaper(amplitudes=np.array([3.0, -5.0, 3.0]), times_s=np.array([0.0, 0.02, 0.04]))
+    with pytest.raises(LimitError, match="limit is"):
+        shape_trajectory(plain, over, MACHINE)
+
+
+def test_centroid_shift_keeps_a_straight_line_at_constant_speed() -> None:
+    c = np.zeros((1, 2, 2))
+    c[0, 1] = 0.3, -0.2
+    line = made([1.0], c)
+    shapers = {"X": design("zv", MODE), "Y": design("zvd", FlexibleMode(20.0))}
+    t = np.linspace(0.2, 0.9, 30)
+
+    def off_line(trajectory: Trajectory) -> float:
+        y = trajectory(t)
+        return float(np.abs(y[:, 0] / 0.3 + y[:, 1] / 0.2).max())
+
+    assert off_line(shape_trajectory(line, shapers, None)) > 1e-3
+    aligned = shape_trajectory(line, shapers, None, centroid_shift=True)
+    assert off_line(aligned) < 1e-14
+    # Both axes are late by the later centroid, exactly.
+    late = max(one.centroid_s for one in shapers.values())
+    assert aligned(t)[:, 0] == pytest.approx(0.3 * (t - late), abs=1e-14)
+    # An axis that is not named is delayed, not shaped.
+    alone = shape_trajectory(line, {"X": shapers["X"]}, None, centroid_shift=True)
+    assert alone(t)[:, 1] == pytest.approx(-0.2 * (t - shapers["X"].centroid_s), abs=1e-14)
+
+
+def test_rests_that_something_needs_are_rests_still() -> None:
+    """Move, output, move: the train ends before the second begins; move, move: it does not."""
+    one = rest_to_rest(0.1, 0.2)
+    (block,) = list(one)
+    back = -block.coefficients[0].copy()
+    back[0] = block.coefficients[0].sum(axis=0)
+    c = np.stack([block.coefficients[0], back])
+    shaper = design("zvd", MODE)
+    for operations, extra in (([0, 2], 1), ([0, 1], 0)):
+        shaped = shape_trajectory(made([0.2, 0.2], c, operations), shaper, None)
+        assert shaped.duration_s == pytest.approx(0.4 + (1 + extra) * shaper.duration_s)
+        end_of_first = 0.2 + shaper.duration_s
+        speed = np.abs(shaped(end_of_first, 1)).max()
+        assert speed < 1e-12 if extra else speed > 0.01
+        if extra:
+            start = np.concatenate([b.start_s for b in shaped])
+            operation = np.concatenate([b.operation for b in shaped])
+            first = int(np.searchsorted(operation, 2))
+            assert start[first] == pytest.approx(end_of_first, abs=1e-12)
+
+
+def test_a_dwell_is_one_standing_piece_of_its_own_length() -> None:
+    one = rest_to_rest(0.1, 0.2)
+    (block,) = list(one)
+    held = np.zeros((6, 2))
+    held[0] = block.coefficients[0].sum(axis=0)
+    back = -block.coefficients[0].copy()
+    back[0] = held[0]
+    c = np.stack([block.coefficients[0], held, back])
+    for cuts in ([], [1], [1, 2], [2]):
+        plain = made([0.2, 0.07, 0.2], c, [0, 0, 2], cuts)
+        shaped = list(shape_trajectory(plain, design("zvd", MODE), None))
+        start, length, still = (
+            np.concatenate(part)
+            for part in zip(
+                *(
+                    (b.start_s, b.duration_s, (b.coefficients[:, 1:] == 0).all(axis=(1, 2)))
+                    for b in shaped
+                ),
+                strict=True,
+            )
+        )
+        assert length[still] == pytest.approx([0.07], rel=1e-9)
+        assert start[still] == pytest.approx([0.2 + design("zvd", MODE).duration_s])
+
+
+def test_outputs_of_a_job_wait_for_the_shaped_motion(tmp_path: Path) -> None:
+    """A dwell and an end are placed where the shaped command stands, not in its middle."""
+    job_file = tmp_path / "job.prg"
+    job_file.write_text("%\nO 1;\nN 10 G01 F 2160;\nN 15 G91;\nN 20 X 40;\nN 30 G04 P 0.3;\n"
+                        "N 40 X -40;\nN 50 M30;\n%\n")  # fmt: skip
+    job = read_job(job_file, MACHINE)
+    programmed = programmed_path(job, MACHINE, feed=None)
+    path = plan_path(programmed, MACHINE, interpolation="auto", tolerance_m=1e-4)
+    plain = plan_trajectory(path, MACHINE)
+    shaper = design("zvd", FlexibleMode(3.0))
+    shaped = shape_trajectory(plain, shaper, MACHINE)
+    table = compile_ticks(shaped, MACHINE, job)
+    blocks = list(table)
+    counts = np.concatenate([b.counts for b in blocks])
+    (dwell,) = [e for b in blocks for e in b.events if e.kind == "dwell"]
+    ticks = round(dwell.value / float(table.clock.period_s))
+    assert ticks > 10
+    assert (counts[dwell.tick : dwell.tick + ticks] == 0).all()
+    assert counts[dwell.tick - 2].any()
+    assert counts[: dwell.tick].sum(axis=0).tolist() == (-counts[dwell.tick :].sum(axis=0)).tolist()
+
+
+def brute_deviation(planned: np.ndarray, shaped: np.ndarray) -> float:
+    """Both ways, all places against all: right where a path does not cross itself."""
+
+    def far(points: np.ndarray, chain: np.ndarray) -> float:
+        a, way = chain[:-1], np.diff(chain, axis=0)
+        square = (way**2).sum(axis=1)
+        u = np.einsum("nja,ja->nj", points[:, None] - a[None], way)
+        u = np.clip(u / np.where(square > 0, square, 1.0), 0.0, 1.0)
+        off = points[:, None] - a[None] - u[:, :, None] * way[None]
+        return float(np.sqrt((off**2).sum(axis=2).min(axis=1)).max())
+
+    return max(far(shaped, planned), far(planned, shaped))
+
+
+def corner() -> Trajectory:
+    """X, then Y, each from rest to rest and no operation between."""
+    c = np.zeros((2, 6, 2))
+    c[0, 3:, 0] = c[1, 3:, 1] = np.array([10.0, -15.0, 6.0]) * 0.1
+    c[1, 0, 0] = 0.1
+    return made([0.5, 0.5], c, [0, 1])
+
+
+@pytest.mark.parametrize("blend", [0.5, 1.0])
+def test_deviation_of_a_corner_is_that_of_a_dense_search(blend: float) -> None:
+    shaper = design("zvd", FlexibleMode(6.0 / blend))
+    planned = corner()
+    shaped = shape_trajectory(planned, shaper, MACHINE)
+    found = shaping_deviation(planned, shaped, MACHINE, shaper.duration_s)
+    t = np.linspace(0.0, shaped.duration_s, 1500)
+    expected = brute_deviation(planned(t), shaped(t))
+    assert expected > 1e-4
+    # Samples a hundredth of the train apart: chords of 0.1 m in 0.5 s at the corner.
+    assert found.at_tool_m == pytest.approx(expected, rel=0.02, abs=2e-6)
+    assert found.within(expected * 1.05)
+    assert not found.within(expected * 0.9)
+
+
+def test_one_shaper_leaves_a_straight_line_and_two_do_not() -> None:
+    line = rest_to_rest(duration=0.6)
+    shared = design("zvd", MODE)
+    shaped = shape_trajectory(line, shared, MACHINE)
+    assert shaping_deviation(line, shaped, MACHINE, shared.duration_s).at_tool_m < 1e-12
+    own = {"X": shared, "Y": design("zv", FlexibleMode(25.0))}
+    shaped = shape_trajectory(line, own, MACHINE)
+    longest = longest_delay_s(line.axes, own)
+    apart = shaping_deviation(line, shaped, MACHINE, longest)
+    assert apart.at_tool_m > 1e-3
+    aligned = shape_trajectory(line, own, MACHINE, centroid_shift=True)
+    longest = longest_delay_s(line.axes, own, centroid_shift=True)
+    assert shaping_deviation(line, aligned, MACHINE, longest).at_tool_m < 0.5 * apart.at_tool_m
+
+
+def test_a_turning_point_that_is_cut_is_a_planned_place_missed() -> None:
+    """There and back without a rest: the shaped motion turns early."""
+    c = np.zeros((2, 3, 2))
+    c[0, 1, 0], c[0, 2, 0] = 0.2, -0.1  # reaches 0.1 m at rest and goes back
+    c[1, 0, 0], c[1, 2, 0] = 0.1, -0.1
+    planned = made([0.2, 0.2], c, [0, 1])
+    shaper = design("zv", FlexibleMode(10.0))
+    shaped = shape_trajectory(planned, shaper, None)
+    found = shaping_deviation(planned, shaped, MACHINE, shaper.duration_s)
+    top = float(shaped(np.linspace(0.0, shaped.duration_s, 20001))[:, 0].max())
+    assert found.missed
+    assert found.at_tool_m == pytest.approx(0.1 - top, abs=2e-6)
+    assert found.at_tool_m > 1e-4
+
+
+def test_tick_grid_keeps_sum_and_centroid() -> None:
+    shaper = design("ei", MODE)
+    ticked = on_tick_grid(shaper, 0.005)
+    assert ticked.amplitudes.sum() == pytest.approx(1.0, abs=1e-14)
+    assert ticked.centroid_s == pytest.approx(shaper.centroid_s, abs=1e-15)
+    assert ticked.times_s / 0.005 == pytest.approx(np.rint(ticked.times_s / 0.005), abs=1e-9)
+    bound = (2 * math.pi * MODE.frequency_hz * 0.005) ** 2 / 8
+    assert abs(vibration_of(ticked, MODE) - vibration_of(shaper, MODE)) <= bound
+    again = on_tick_grid(ticked, 0.005)
+    assert again.times_s.tolist() == ticked.times_s.tolist()
+    # A controller that holds its reference plays the convolution of what it holds.
+    move = rest_to_rest()
+    shaped = shape_trajectory(move, shaper, None, tick_s=0.005)
+    t = np.arange(0, 60) * 0.005
+    expected = sum(a * move(t - d) for a, d in zip(ticked.amplitudes, ticked.times_s, strict=True))
+    assert shaped(t) == pytest.approx(np.asarray(expected), abs=1e-14)
+    with pytest.raises(OptionError, match="tick_s"):
+        on_tick_grid(shaper, 0.0)
+
+
+def test_wrong_shapers_are_refused() -> None:
+    line = rest_to_rest()
+    with pytest.raises(OptionError, match="axis 'A'"):
+        shape_trajectory(line, {"A": UNSHAPED}, None)
+    half = Shaper(amplitudes=np.array([0.5, 0.4]), times_s=np.array([0.0, 0.1]))
+    with pytest.raises(OptionError, match=r"sum to 0\.9"):
+        shape_trajectory(line, half, None)
+    other = made([0.1], np.zeros((1, 2, 1)), axes=("X",))
+    with pytest.raises(PlanError, match="axes"):
+        shaping_deviation(line, other, MACHINE, 0.1)
+
+
+def test_text_of_shapers() -> None:
+    one = parse_shaper("ei:12Hz:0.02:0.1")
+    assert isinstance(one, Shaper)
+    assert one.amplitudes.tolist() == design("ei", MODE, tolerance=0.1).amplitudes.tolist()
+    two = parse_shaper("zv : 12 Hz * zvd:3Hz")
+    assert isinstance(two, Shaper)
+    wanted = convolve(design("zv", FlexibleMode(12.0)), design("zvd", FlexibleMode(3.0)))
+    assert two.times_s.tolist() == wanted.times_s.tolist()
+    axes = parse_shaper("X=zv:12Hz:0.02, Y=um-zv:9Hz")
+    assert isinstance(axes, dict)
+    assert {k: v.name for k, v in axes.items()} == {"X": "zv", "Y": "um-zv"}
+    wrong: list[tuple[str, str]] = [
+        ("zv", "kind:frequency"),
+        ("zv:12", "mode '12'"),
+        ("zv:12Hz:x", "damping ratio 'x'"),
+        ("zx:12Hz", "unknown"),
+        ("X=zv:12Hz,zv:9Hz", "no axis before"),
+        ("X=zv:12Hz,X=zv:9Hz", "has two"),
+        ("zv:12Hz:0.5", "damping_ratio"),
+        ("zv:12mm", "mode '12mm'"),
+        ("", "kind:frequency"),
+    ]
+    for text, words in wrong:
+        with pytest.raises(OptionError, match=words):
+            parse_shaper(text)
