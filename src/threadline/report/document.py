@@ -166,7 +166,7 @@ def _draw_table(
         y = top - 0.027 * number
         for column, cell in enumerate(row):
             width = 0.9 * widths[column] / total
-            left = column == 0 or len(header) == 2
+            left = column == 0 or len(header) == 2 or header[column] == "note"
             figure.text(
                 at if left else at + width,
                 y,

@@ -194,7 +194,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     along.set_xlabel("time [s]")
     along.set_ylabel("actual - commanded [mm]")
     along.margins(y=0.12)
-    along.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
+    figure.legend(*along.get_legend_handles_labels(), loc="outside upper right", ncols=4)
     along.set_title("Tracking error at the tool", loc="left")
     _bars(proof, bars)
     return figure
