@@ -106,11 +106,10 @@ class _Run:
     def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
         controls = self.controls
         assert controls is not None
-        begins = not self.begun
-        first = 0 if begins else _CARRIED
+        first = _CARRIED if self.begun else 0
         stop = len(controls) - 1 - (0 if ends else _CARRIED)
         if stop > first:
-            yield pieces_of(controls, first, stop, begins=begins, ends=ends, dwell_s=dwell_s)
+            yield pieces_of(controls, first, stop, ends=ends, dwell_s=dwell_s)
             self.controls = controls.take(slice(stop - _CARRIED, None))
             self.begun = True
         if ends:

@@ -16,16 +16,15 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 
 
 def pieces_of(
-    controls: Controls, first: int, stop: int, *, begins: bool, ends: bool, dwell_s: float
+    controls: Controls, first: int, stop: int, *, ends: bool, dwell_s: float
 ) -> PieceBlock:
     """Return the pieces between control points ``first`` and ``stop``.
 
     Parameters
     ----------
     controls
-        With at least two points more on either side, unless the run ``begins`` at the first or
-        ``ends`` at the last; there the polygon goes on as its own mirror image, so that the
-        spline starts in the point, straight and without curvature.
+        With at least two points more on either side, unless the run begins at the first or ends
+        at the last.
     dwell_s
         Pause at the end of the run.
 
@@ -34,28 +33,27 @@ def pieces_of(
     Boehm's construction: leg k, from point k to k + 1 of length h[k], carries the two inner
     Bezier points of its span at the fractions h[k-1] / H and (h[k-1] + h[k]) / H,
     H = h[k-1] + h[k] + h[k+1]; the joint at point k divides the last of leg k - 1 and the first
-    of leg k as h[k-1] : h[k].
+    of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a
+    line, and the spline beside it ends in their common point like a run: mirrored, so that it
+    leaves straight, without curvature and evenly, however long the line is.
     """
-    even = (controls.turn[:-1] == 0.0) & (controls.turn[1:] == 0.0)
-    knots = _knots(controls.length_m[1:], even)
+    line = (controls.turn[:-1] == 0.0) & (controls.turn[1:] == 0.0)
     leg = np.diff(controls.positions, axis=0)
-    d0, d1, d2 = _differences(leg, knots, begins, ends)
-    t0, t1, t2 = _differences(controls.nominal_s[1:, None], knots, begins, ends)
+    knots = _knots(controls.length_m[1:], line)
+    d0, d1, d2 = _differences(leg, knots)
+    t0, t1, t2 = _differences(controls.nominal_s[1:, None], knots)
     joints = controls.positions.copy()
-    bent = np.flatnonzero(~(even[1:] & even[:-1])) + 1  # a vertex amid a straight line is met
-    joints[bent] += (knots.lead[:, None] * leg - d0)[bent]
+    inner = np.flatnonzero(~(knots.opens[1:] | knots.closes[:-1]))
+    joints[inner + 1] += (knots.lead[:, None] * leg - d0)[inner + 1]
     d0, d1, d2, t0, t1, t2 = (part[first:stop] for part in (d0, d1, d2, t0, t1, t2))
     coefficients = np.stack(
         [joints[first:stop], 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1
     )
     nominal = 3.0 * np.maximum(np.maximum(t0, t1), t2)[:, 0]
-    straight = even[first:stop]
-    chord = np.diff(joints[first : stop + 1], axis=0)[straight]
-    coefficients[straight, 1] = chord
+    straight = line[first:stop]
+    coefficients[straight, 1] = leg[first:stop][straight]
     coefficients[straight, 2:] = 0.0
-    along = leg[first:stop][straight]
-    share = (chord * along).sum(axis=1) / (along**2).sum(axis=1)
-    nominal[straight] = share * controls.nominal_s[first + 1 : stop + 1][straight]
+    nominal[straight] = controls.nominal_s[first + 1 : stop + 1][straight]
     operation = controls.operation[first + 1 : stop + 1]
     # Straight spans of one move are one piece.
     same = straight[1:] & straight[:-1] & (operation[1:] == operation[:-1])
@@ -78,40 +76,32 @@ def pieces_of(
 
 @dataclass(frozen=True, slots=True)
 class _Knots:
-    """(n,) knot spans of each leg as its left and its right neighbour see it, and of these.
+    """(n,) of each leg: its span, those before and after it, and where its spline begins and ends.
 
     ``lead`` and ``trail`` are the parts of a leg before its first and behind its second inner
     Bezier point.
     """
 
-    left: FloatArray
-    right: FloatArray
+    h: FloatArray
     before: FloatArray
     after: FloatArray
+    opens: BoolArray
+    closes: BoolArray
     lead: FloatArray
     trail: FloatArray
 
 
-def _knots(h: FloatArray, even: BoolArray) -> _Knots:
-    """Return the spans of the knots: the lengths of the legs, but for ``even`` legs.
-
-    The span of an even leg is straight, whatever its knots, so that the splines on either side
-    of it may each have their own: to its neighbour the leg counts as long as the neighbour
-    itself, which keeps the parameter even up to where the curve ends.
-    """
-    left = np.where(even, np.concatenate([h[:1], h[:-1]]), h)
-    right = np.where(even, np.concatenate([h[1:], h[-1:]]), h)
-    before = np.concatenate([left[:1], right[:-1]])
-    after = np.concatenate([left[1:], right[-1:]])
+def _knots(h: FloatArray, line: BoolArray) -> _Knots:
+    """Return the knot spans, which are the lengths of the legs; beside a line their mirror."""
+    opens = np.concatenate([[True], line[:-1]]) | line
+    closes = np.concatenate([line[1:], [True]]) | line
+    before = np.where(opens, h, np.concatenate([h[:1], h[:-1]]))
+    after = np.where(closes, h, np.concatenate([h[1:], h[-1:]]))
     total = before + h + after
-    lead = np.where(even, left / h * before / (before + 2.0 * left), before / total)
-    trail = np.where(even, right / h * after / (after + 2.0 * right), after / total)
-    return _Knots(left, right, before, after, lead, trail)
+    return _Knots(h, before, after, opens, closes, before / total, after / total)
 
 
-def _differences(
-    leg: FloatArray, knots: _Knots, begins: bool, ends: bool
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _differences(leg: FloatArray, knots: _Knots) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the three (n, axes) differences of the Bezier points of every span.
 
     ``leg`` may be any quantity that adds up along the polygon: with nominal times for vectors
@@ -121,10 +111,8 @@ def _differences(
     around = np.zeros((len(leg) + 1, leg.shape[1]))
     around[:-1] += lead
     around[1:] += trail
-    d0 = around[:-1] * (knots.left / (knots.before + knots.left))[:, None]
-    d2 = around[1:] * (knots.right / (knots.right + knots.after))[:, None]
-    if begins:
-        d0[0] *= 2.0  # the mirror image of the leg
-    if ends:
-        d2[-1] *= 2.0
+    d0 = around[:-1] * (knots.h / (knots.before + knots.h))[:, None]
+    d2 = around[1:] * (knots.h / (knots.h + knots.after))[:, None]
+    d0 = np.where(knots.opens[:, None], lead, d0)
+    d2 = np.where(knots.closes[:, None], trail, d2)
     return d0, leg - lead - trail, d2
