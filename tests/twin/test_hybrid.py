@@ -390,6 +390,40 @@ def test_batch_is_the_scalar_twin(belt_axis, table):
     assert np.ptp(batch.end) > 1e-5
 
 
+def test_specialised_kernel_is_the_same(belt_axis, table):
+    """Compiled for one shape or for all: the same samples to the bit."""
+    machine = belt_axis(bodies_head='friction = "4 N exact, assumed"')
+    commands = table(machine, {"X": ROWS}, 50)
+    one, other = (simulate(commands, machine, specialised=s) for s in (False, True))
+    for channel in one.channels:
+        first, second = one.samples(channel.name)[1], other.samples(channel.name)[1]
+        np.testing.assert_array_equal(first, second)
+    assert np.ptp(one.samples("X.load")[1]) > 1e-3
+
+
+def test_wide_batch_is_the_scalar_twin(belt_axis, table):
+    """Sixteen variants side by side give what each gives alone, to 1e-9 counts."""
+    machine = belt_axis(
+        drives_m='amplifier = { mode = "voltage", gain = "1 exact, assumed", '
+        'current_limit = "1.5 A exact, assumed" }'
+    )
+    inertia = np.linspace(1.0, 2.0, 70)
+    commands = table(machine, {"X": ROWS})
+    batch = simulate_batch(
+        commands, machine, {"bodies.head.inertia": inertia}, channels=("X.load",), quantised=False
+    )
+    assert batch.events > 500
+    for index in (0, 7, 33, 69):
+        alone = belt_axis(
+            drives_m='amplifier = { mode = "voltage", gain = "1 exact, assumed", '
+            'current_limit = "1.5 A exact, assumed" }',
+            bodies_head=f'inertia = "{float(inertia[index])!r} kg exact, assumed"',
+        )
+        recording = simulate(commands, alone, quantised=False)
+        _, load = recording.samples("X.load")
+        np.testing.assert_allclose(batch.samples["X.load"][:, index], load, atol=1e-9 / 4e4)
+
+
 def test_batch_measures(belt_axis, table):
     """Worst error, end, window and current peak are those of the recording."""
     machine = belt_axis()

@@ -23,6 +23,8 @@ from threadline.twin.prepare import Prepared, State, common_guards, new_state, p
 from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases
 
 LANES = 16
+_FEW = 64
+"""Fewer variants aren't worth a kernel of their own: they run one by one."""
 _SLOTS = 16
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 14
@@ -183,6 +185,7 @@ class _Batch:
         wanted = self._columns(pieces)
         owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
         guards = common_guards(pieces)
+        lanes, fixed = (LANES, True) if values.count >= _FEW else (1, False)
         states = []
         for piece in pieces:
             at = [owner.get(c) for c in piece.piece.group.controllers]
@@ -192,9 +195,9 @@ class _Batch:
             )
             states.append(
                 new_state(
-                    machine, piece, phase, LANES, guards,
+                    machine, piece, phase, lanes, guards,
                     peak=self.watch_current or any(".current" in c for c in self.channels),
-                    quantised=self.quantised, slots=_SLOTS,
+                    quantised=self.quantised, slots=_SLOTS, fixed=fixed,
                 )
             )  # fmt: skip
         window = ceil(self.window_s / float(machine.tick_clock.period_s))
@@ -225,7 +228,7 @@ class _Batch:
                 prepared.piece.group.axes, prepared.axis_controller, strict=True
             ):
                 references[:, controller] = position[:, names.index(axis)]
-            shape = (blocks, samples if columns else 0, prepared.columns, LANES)
+            shape = (blocks, samples if columns else 0, prepared.columns, state.shape.lanes)
             records = np.zeros(shape)
             cuts = np.linspace(0, blocks, workers + 1).astype(int)
             jobs = [

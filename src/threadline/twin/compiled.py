@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 
 
 def _stays_apart(_typing_context: Any) -> Any:
-    """Keep LLVM from copying the calling function into its callers.
+    """Keep LLVM from copying the calling function into its callers, and from unrolling it.
 
     Without it the rare paths (a mode met for the first time, an advance with events) would be
     optimised anew in every kernel, several times over: minutes instead of seconds.
@@ -18,6 +18,7 @@ def _stays_apart(_typing_context: Any) -> Any:
 
     def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         builder.function.attributes.add("noinline")
+        builder.function.attributes.add("optsize")
         return context.get_dummy_value()
 
     return types.void(), generate

@@ -85,6 +85,26 @@ class Shape(NamedTuple):
         offsets["rows"] = at
         return offsets
 
+    def numbers(self) -> tuple[int, ...]:
+        """Return all that a kernel has to know, as integers: sizes, switches, places."""
+        at = self.layout()
+        names = ("next", "control", "sensor", "measure", "load", "peak", "current", "low", "high")
+        return (
+            self.states,
+            self.drives,
+            self.controllers,
+            self.axes,
+            self.guards,
+            self.checks,
+            self.lengths,
+            int(self.feedback),
+            int(self.second),
+            int(self.peak),
+            int(self.quantised),
+            int(self.delayed),
+            *(at[name] for name in (*names, "matrix", "watch")),
+        )
+
 
 # Rows of a controller in the workspace.
 (
@@ -218,51 +238,89 @@ def _sources() -> str:
     return digest.hexdigest()
 
 
-@cache
-def lanes_kernel(shape: Shape) -> Callable[..., None]:  # noqa: PLR0915
+def lanes_kernel(shape: Shape, *, fixed: bool) -> Callable[..., None]:
     """Return the kernel for one shape; compiled code is kept on disk.
 
-    Its arguments: first and last block of lanes; work (blocks, rows * L); ring (blocks, K, R, L)
-    levels in the dead times; modes (blocks, L); clock (blocks, 3 + 2K); first_action, actions,
-    length of the schedule; references (ticks, K) counts; every; window: first tick of which
-    lowest and highest load are kept; plant and tables; frame (V, axes, N); drive (K,) and
-    axis_controller (A,) indices; records (blocks, samples, columns, L), none are
+    Parameters
+    ----------
+    fixed
+        True compiles for this very shape: several times as fast, and seconds of compilation for
+        each. False gives the kernel that is compiled once for all shapes with as many lanes.
+
+    Notes
+    -----
+    Its arguments: first and last block of lanes; the shape's numbers; work (blocks, rows * L); ring
+    (blocks, K, R, L) levels in the dead times; modes (blocks, L); clock (blocks, 3 + 2K);
+    first_action, actions, length of the schedule; references (ticks, K) counts; every; window:
+    first tick of which lowest and highest load are kept; plant and tables; frame (V, axes, N);
+    drive (K,) and axis_controller (A,) indices; records (blocks, samples, columns, L), none are
     taken when ``every`` is 0; tripped (V, inputs); counts (blocks, 5), see ``events``.
     """
-    n, nu, K, A, W = (
-        shape.states,
-        shape.drives,
-        shape.controllers,
-        shape.axes,
-        shape.guards,
-    )
-    P, T, L = shape.checks, shape.lengths, shape.lanes
-    feedback, second, peak, quantised = (
-        shape.feedback,
-        shape.second,
-        shape.peak,
-        shape.quantised,
-    )
-    N = n + nu + 1
-    at = shape.layout()
-    Y, C, S, M, F = at["next"], at["control"], at["sensor"], at["measure"], at["load"]
-    PK, CU, LO, HI, MX, WX = (
-        at["peak"],
-        at["current"],
-        at["low"],
-        at["high"],
-        at["matrix"],
-        at["watch"],
-    )
-    delayed = shape.delayed
+    return _kernel(shape.lanes, shape.numbers() if fixed else None)
+
+
+@cache
+def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # noqa: PLR0915
+    fixed = numbers is not None
+    (
+        _n,
+        _nu,
+        _K,
+        _A,
+        _W,
+        _P,
+        _T,
+        _feedback,
+        _second,
+        _peak,
+        _quantised,
+        _delayed,
+        _Y,
+        _C,
+        _S,
+        _M,
+        _F,
+        _PK,
+        _CU,
+        _LO,
+        _HI,
+        _MX,
+        _WX,
+    ) = numbers or (0,) * 23
     sources = _sources()
 
     @njit(cache=True, nogil=True)
     def run(  # type: ignore[no-untyped-def]  # noqa: PLR0915
-        begin, end, work, ring, mode, clock, first_action, actions, length, references, every,
-        window, plant, t, frame, drive, axis_controller, records, tripped, counts,
+        begin, end, numbers, work, ring, mode, clock, first_action, actions, length, references,
+        every, window, plant, t, frame, drive, axis_controller, records, tripped, counts,
     ):  # fmt: skip
         _ = sources
+        if not fixed:
+            stays_apart()
+        n = _n if fixed else numbers[0]
+        nu = _nu if fixed else numbers[1]
+        K = _K if fixed else numbers[2]
+        A = _A if fixed else numbers[3]
+        W = _W if fixed else numbers[4]
+        P = _P if fixed else numbers[5]
+        T = _T if fixed else numbers[6]
+        feedback = _feedback if fixed else numbers[7]
+        second = _second if fixed else numbers[8]
+        peak = _peak if fixed else numbers[9]
+        quantised = _quantised if fixed else numbers[10]
+        delayed = _delayed if fixed else numbers[11]
+        Y = _Y if fixed else numbers[12]
+        C = _C if fixed else numbers[13]
+        S = _S if fixed else numbers[14]
+        M = _M if fixed else numbers[15]
+        F = _F if fixed else numbers[16]
+        PK = _PK if fixed else numbers[17]
+        CU = _CU if fixed else numbers[18]
+        LO = _LO if fixed else numbers[19]
+        HI = _HI if fixed else numbers[20]
+        MX = _MX if fixed else numbers[21]
+        WX = _WX if fixed else numbers[22]
+        N = n + nu + 1
         z = np.zeros(N)
         y = np.zeros(N)
         D = np.zeros((TERMS + 1, n))

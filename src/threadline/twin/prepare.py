@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -161,6 +161,7 @@ class State:
     plant: Plant
     frame: FloatArray
     kernel: Callable[..., None]
+    numbers: IntArray
     modes: Modes
     work: FloatArray
     ring: FloatArray
@@ -176,11 +177,15 @@ class State:
         """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references."""
         schedule = self.prepared.schedule
         self.kernel(
-            begin, end, self.work, self.ring, self.mode, self.clock,
+            begin, end, self.numbers, self.work, self.ring, self.mode, self.clock,
             schedule.first_action, schedule.actions, schedule.length, references, every, window,
             self.plant, self.modes, self.frame, self.prepared.control.drive,
             self.prepared.axis_controller, records, self.tripped, self.counts,
         )  # fmt: skip
+
+    def specialised(self) -> State:
+        """Return the same state under a kernel that is compiled for its very shape."""
+        return replace(self, kernel=k.lanes_kernel(self.shape, fixed=True))
 
     def measures(self) -> FloatArray:
         """Return (V, axes, 5): see the rows of an axis in ``lanes``."""
@@ -211,6 +216,7 @@ def new_state(
     *,
     peak: bool = True,
     quantised: bool = True,
+    fixed: bool = False,
     slots: int = _MOST_SLOTS,
 ) -> State:
     """Return the state at the start: at rest, nothing commanded.
@@ -223,6 +229,8 @@ def new_state(
         Variants side by side in one block.
     guards
         Guards that the kernel has room for, see ``common_guards``.
+    fixed
+        Whether to compile for this very shape.
     slots
         Modes remembered per variant.
     """
@@ -282,7 +290,8 @@ def new_state(
         prepared=prepared,
         plant=pack_plant(prepared.plant, which),
         frame=np.ascontiguousarray(prepared.piece.frame_rows[which]),
-        kernel=k.lanes_kernel(shape),
+        kernel=k.lanes_kernel(shape, fixed=fixed),
+        numbers=np.array(shape.numbers()),
         modes=modes,
         work=work.reshape(blocks, -1),
         ring=np.zeros(

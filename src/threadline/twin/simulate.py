@@ -26,6 +26,8 @@ from threadline.twin.prepare import Prepared, State, common_guards, new_state, p
 
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
+_LONG_TICKS = 20_000_000
+"""After so many a kernel of the machine's own shape is worth its compilation."""
 
 
 def simulate(
@@ -36,6 +38,7 @@ def simulate(
     record_every: int = 1,
     settle_s: float = DEFAULT_SETTLE_S,
     quantised: bool = True,
+    specialised: bool | None = None,
 ) -> Recording:
     """Simulate ``machine`` under ``commands``; nothing runs until the recording is read.
 
@@ -60,6 +63,9 @@ def simulate(
         How long to go on after the last row.
     quantised
         False leaves out the rounding of encoders and DACs (not their limits): for comparisons.
+    specialised
+        Whether to compile the kernel for a machine of this very shape: it takes some seconds and
+        is about three times as fast. None does so when a run has become long.
 
     Raises
     ------
@@ -75,7 +81,7 @@ def simulate(
     pieces = tuple(
         prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
     )
-    run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised)
+    run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised, specialised)
     return Recording(
         channels=run.channels(),
         blocks=Stream(run.blocks),
@@ -119,7 +125,9 @@ class _Run:
         every: int,
         settle_s: float,
         quantised: bool,
+        specialised: bool | None,
     ) -> None:
+        self.specialised = specialised
         self.commands, self.machine, self.pieces = commands, machine, pieces
         self.phases = dict(zip(machine.axis_names, phases, strict=True))
         self.every, self.quantised = every, quantised
@@ -163,7 +171,11 @@ class _Run:
             for p in self.pieces
         ]
         start = self.commands.start_counts
+        long = False
         for tick, position, operation, events in self._rows():
+            if not long and (tick > _LONG_TICKS if self.specialised is None else self.specialised):
+                long = True
+                states = [state.specialised() for state in states]
             columns = []
             first = -(-tick // self.every)
             count = -(-(tick + len(position)) // self.every) - first
