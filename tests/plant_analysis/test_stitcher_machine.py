@@ -83,6 +83,8 @@ def test_suspicions_name_the_matter():
     assert sum("disagree by 15 %" in t for t in found) == 2
     assert any("needs 60.3 A, more than the 27 A" in t for t in found)
     assert suspicions(load_machine("lathe-winder")) == []
+    # 0.5 (1 + B) / (K (1 - A)) = 23.5 counts of 3.796 um
+    assert any("an error of up to 24 counts (0.0892 mm) on axis X" in t for t in found)
 
 
 def test_current_of_a_rigid_axis_by_hand():

@@ -20,6 +20,7 @@ from threadline.plant.measured import MeasuredResponse, read_response
 from threadline.plant.suspicions import suspicions
 from threadline.plant.values import Values
 from threadline.report.analysis import analysis_tables, write_analysis
+from threadline.search.campaign import run_experiments
 from threadline.units import parse_quantity
 
 _LEAD_EXAMPLE = 'Write it like --lead "13.5 Hz, 65 deg".'
@@ -40,6 +41,10 @@ def analyse(
         str | None,
         typer.Option(help='Design lead filters first: crossover and margin, "13.5 Hz, 65 deg".'),
     ] = None,
+    experiments: Annotated[
+        bool,
+        typer.Option(help="Also sweep, run and step the simulated machine, quantised."),
+    ] = False,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -69,6 +74,7 @@ def analyse(
     values = Values.of(chosen, replaced)
     analyses = {name: analyse_axis(chosen, name, values) for name in names}
     warnings = suspicions(chosen)
+    tried = {name: run_experiments(chosen, name) for name in names} if experiments else {}
     written = (
         None if report is None else write_analysis(chosen, analyses, warnings, report, measured)
     )
@@ -76,12 +82,17 @@ def analyse(
         content = _content(chosen.name, analyses, warnings, measured, written)
         for name, (design, _) in designs.items():
             content["axes"][name]["lead"] = _lead_json(design)
+        for name, outcome in tried.items():
+            content["axes"][name]["experiments"] = outcome.as_json()
         print_json(content)
     else:
         for warning in warnings:
             note(f"warning: {warning}")
         for table in analysis_tables(analyses):
             print_table(table.title, table.header, table.rows)
+        for outcome in tried.values():
+            print_table(*outcome.table())
+            typer.echo(outcome.summary())
         for name, (design, controller) in designs.items():
             k, a, b = design.continuous
             typer.echo(

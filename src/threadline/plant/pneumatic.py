@@ -151,3 +151,62 @@ def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
         raise MachineError(f"cylinders.{axis}: nothing under it rings, so there is no mode")
     slowest = min(ringing, key=abs)
     return abs(slowest) / (2.0 * math.pi), float(-slowest.real / abs(slowest))
+
+
+@dataclass(frozen=True, slots=True)
+class StepRinging:
+    """What a step of one level leaves ringing in the frame.
+
+    Parameters
+    ----------
+    pole
+        1/s, of the frame's slowest mode, imaginary part positive.
+    amplitude_m
+        Complex amplitude of the frame at the step, per level: behind it the frame moves as
+        ``Re(amplitude exp(pole t))`` about its rest.
+    """
+
+    pole: complex
+    amplitude_m: complex
+
+
+def step_ringing(machine: Machine, axis: str) -> StepRinging:
+    """Return what one step of the level leaves, by the eigenvectors of the sliding cylinder.
+
+    Delay is left out: it shifts every step alike.
+
+    Raises
+    ------
+    MachineError
+        If nothing rings.
+    """
+    cylinder, plant = machine.cylinders[axis], cylinder_plant(machine, axis)
+    force = plant.air_force(cylinder.air_stiffness.si, cylinder.air_damping.si)
+    matrix = plant.matrix + np.outer(plant.force, force)
+    poles, modes = np.linalg.eig(matrix)
+    wanted = 2.0 * math.pi * frame_mode(machine, axis)[0]
+    # The air spring shifts the mode a little; the nearest pole is it.
+    ringing = np.flatnonzero(poles.imag > 1e-6)
+    index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - wanted))])
+    # x = sum over modes; a step's share is (left vector . b) / pole. The zero poles of a free
+    # stroke make the matrix defective, which leaves this simple pole's own vectors exact.
+    left_poles, left = np.linalg.eig(matrix.T)
+    match = left[:, int(np.argmin(np.abs(left_poles - poles[index])))]
+    share = (match @ plant.level) / (match @ modes[:, index]) / poles[index]
+    return StepRinging(
+        complex(poles[index]), complex(2.0 * share * (plant.frame @ modes[:, index]))
+    )
+
+
+def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
+    """Return undamped frequency, Hz, and damping ratio of the mode that the valves excite.
+
+    The air carries the piston's mass along: the frame rings slower than under a free piston.
+
+    Raises
+    ------
+    MachineError
+        If nothing rings.
+    """
+    pole = step_ringing(machine, axis).pole
+    return abs(pole) / (2.0 * math.pi), -pole.real / abs(pole)

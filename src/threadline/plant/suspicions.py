@@ -7,9 +7,12 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
 from threadline.machine.parts import Axis
+from threadline.plant.controllers import difference_equation
+from threadline.plant.values import Values
 
 _VISCOUS_SHARE = 0.5
 _CONSTANTS_APART = 0.05
+_DEAD_COUNTS = 5.0
 _SPARE = 1.0 + 1e-9
 
 
@@ -18,13 +21,14 @@ def suspicions(machine: Machine) -> list[str]:
 
     Found are torque and back-emf constants that disagree by more than 5 % (in SI they are
     the same number), viscous friction that takes half of a motor's current or more at
-    the axis' working speed, and a speed and acceleration that an axis allows, or works at, but
-    that need more current than there is.
+    the axis' working speed, a speed and acceleration that an axis works at and allows but that
+    need more current than there is, and a filter whose word is too coarse to see a small error.
     """
     found = [text for name in machine.drives for text in _constants(machine, name)]
     for name in machine.axes:
         found += _viscous(machine, name)
         found += _beyond_current(machine, name)
+        found += _dead_band(machine, name)
     return found
 
 
@@ -139,6 +143,26 @@ def _beyond_current(machine: Machine, name: str) -> list[str]:
         f"axes.{name}: a reference that reaches {_speed(axis, speed)} at the allowed "
         f"{acceleration:.4g} {unit} needs {needed:.1f} A, more than the {limit.si:g} A of "
         f"drives.{drive_name}; at that speed {left} are left"
+    ]
+
+
+def _dead_band(machine: Machine, name: str) -> list[str]:
+    """Return a warning when a standing error of several counts rounds to no DAC level at all."""
+    controller = machine.axes[name].controller
+    b, a = difference_equation(machine, controller, Values.of(machine))
+    rest = 1.0 + float(a[0].sum())
+    if abs(rest) < _SPARE - 1.0:
+        return []
+    still = float(b[0].sum()) / rest
+    if still <= 0 or 0.5 / still < _DEAD_COUNTS:
+        return []
+    band = 0.5 / still
+    axis = machine.axes[name]
+    size = band / axis.counts.si
+    said = f"{size * 1e3:.3g} mm" if axis.kind == "linear" else f"{np.degrees(size):.3g} deg"
+    return [
+        f"controllers.{controller}: at rest it gives {still:.3g} DAC levels per count, so an error "
+        f"of up to {band:.0f} counts ({said}) on axis {name} is rounded away"
     ]
 
 

@@ -1,0 +1,88 @@
+"""Experiments on the quantised simulated machine find what its file says, and the print reports."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from threadline.errors import OptionError
+from threadline.machine import load_machine
+from threadline.search.campaign import run_experiments
+from threadline.search.experiments import (
+    Sweep,
+    constant_speed_gain,
+    identify,
+    position_step,
+    stepped_sine,
+)
+
+from . import reference as ref
+
+INCH = 25.4e-3
+
+
+def test_identify_finds_what_a_sweep_was_made_of():
+    """500 rad/s, 0.7, 42 and 3 ms, by formula: 1e-6, the fit's own tolerance."""
+    hertz = np.geomspace(1, 200, 30)
+    s = 2j * np.pi * hertz
+    response = 42 * 500**2 / (s**2 + 2 * 0.7 * 500 * s + 500**2) * np.exp(-3e-3 * s)
+    found = identify(Sweep(frequency_hz=hertz, response=response))
+    assert found.natural_rad_s == pytest.approx(500, rel=1e-6)
+    assert found.damping == pytest.approx(0.7, rel=1e-6)
+    assert found.gain == pytest.approx(42, rel=1e-6)
+    assert found.delay_s == pytest.approx(3e-3, rel=1e-6)
+
+
+def test_the_actuator_is_identified_through_the_quantised_loop():
+    """500 rad/s, 0.7, 3 ms and 42 rad/s/V in print; 8-bit words leave 1 % on the damping."""
+    found = run_experiments(load_machine("stitcher+unloaded"), "X")
+    assert found.fitted.natural_rad_s == pytest.approx(500, rel=0.01)
+    assert found.fitted.damping == pytest.approx(0.7, abs=0.015)
+    assert found.delay_s == pytest.approx(3e-3, abs=10e-6)
+    assert found.gain == pytest.approx(42, rel=0.01)
+    # The onset of saturation lies between two of the steps tried, and stays above it.
+    flags = [run.saturated for _, run in found.steps]
+    assert flags == sorted(flags) and flags[0] is False and flags[-1] is True
+    assert found.steps[0][1].peak_current_a < 27
+    rises = [run.rise_s for _, run in found.steps]
+    assert rises == sorted(rises)
+
+
+def test_head_steps_on_the_simulated_machine():
+    """3 pi/8 ... 3 pi/4 rad are 0.23 ... 0.45 in; limited at 27 A, larger steps rise slower."""
+    machine = load_machine("stitcher")
+    runs = [position_step(machine, "X", k * np.pi / 8 * ref.RATIO) for k in (3, 4, 5, 6)]
+    for run, inches in zip(runs, (0.23, 0.30, 0.38, 0.45), strict=True):
+        assert run.load_si / INCH == pytest.approx(inches, rel=0.03)
+        assert run.saturated and run.peak_current_a <= 27.0 + 1e-9
+        assert run.load_overshoot > run.overshoot
+    assert [r.rise_s for r in runs] == sorted(r.rise_s for r in runs)
+    assert [r.load_overshoot for r in runs] == sorted(
+        (r.load_overshoot for r in runs), reverse=True
+    )
+    # What saturates is the amplifier: with ten times the current the overshoot stays the same.
+    drive = machine.drives["x"]
+    amplifier = drive.amplifier
+    strong = dataclasses.replace(
+        amplifier, current_limit=dataclasses.replace(amplifier.current_limit, si=2700.0)
+    )
+    free = dataclasses.replace(
+        machine, drives={**machine.drives, "x": dataclasses.replace(drive, amplifier=strong)}
+    )
+    assert not position_step(free, "X", 3 * np.pi / 8 * ref.RATIO).saturated
+
+
+def test_wrong_experiments_are_refused():
+    machine = load_machine("stitcher")
+    with pytest.raises(OptionError, match="slower than its controller"):
+        stepped_sine(machine, "X", np.array([10.0]))
+    with pytest.raises(OptionError, match="above a quarter of the tick rate"):
+        stepped_sine(load_machine("lathe-winder"), "X", np.array([60.0]))
+    with pytest.raises(OptionError, match="less than a count"):
+        position_step(machine, "X", 1e-9)
+    with pytest.raises(OptionError, match="other than 0"):
+        constant_speed_gain(machine, "X", 0.0)
+    with pytest.raises(OptionError, match="no axis 'Q'"):
+        position_step(machine, "Q", 1.0)
