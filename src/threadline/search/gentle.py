@@ -18,7 +18,7 @@ from threadline.search.feed import fastest_feed
 from threadline.verdict import Spec
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
-_REFINED = (0.84, 0.71, 1.19, 1.41)  # sixteenths of a decade either side of the best rung
+_STEP = 2.0**0.25  # from rung to rung once the best of the ladder is known
 _SCAN_POINTS = 20
 
 
@@ -55,7 +55,7 @@ def fastest_job(
     """
     historical = plan_job(job, machine, options).path.historical
     rungs: dict[float, Rung] = {}
-    expected = 1 if historical else len(_LADDER) + len(_REFINED)
+    expected = 1 if historical else len(_LADDER) + 4
 
     def tried(share: float, points: int) -> Rung:
         if share not in rungs:
@@ -72,10 +72,12 @@ def fastest_job(
         best = tried(1.0, 48)
         return FastestJob(best=best, rungs=(best,))
     best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
-    for factor in _REFINED:
-        share = best.share * factor
-        if share <= 1.0:
-            tried(share, _SCAN_POINTS)
+    if best.duration_s is not None:
+        for factor in (_STEP, 1.0 / _STEP):
+            share = best.share * factor
+            while share <= 1.0 and _order(tried(share, _SCAN_POINTS)) < _order(best):
+                best = tried(share, _SCAN_POINTS)
+                share *= factor
     ordered = tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
     return FastestJob(best=min(ordered, key=_order), rungs=ordered)
 
