@@ -1,0 +1,309 @@
+"""The pieces of a path, with what feed and smoothing in time allow on each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.path.smoothing import Smoothing
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+_ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
+_HAT = 0.25  # of the larger curvature: the smaller one at the end of a corner's piece
+_CUSP = 1e-5  # of the piece's size: a slower end is a cusp
+_TAILS = 20.0  # times what the tails of the smoothing may cut: a tolerance below is fine
+_NEAR = 1e-6  # of a straight piece: it is not cut nearer to its ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Allowance:
+    """What the smoothing may cut off a curve at the tool.
+
+    Parameters
+    ----------
+    smoothing, radius
+        As for the path.
+    slack_m
+        For what happens within the average.
+    reach_s
+        How long before and after a curve its speed must be kept.
+    top_m_s
+        No speed is higher.
+    """
+
+    smoothing: Smoothing
+    radius: FloatArray
+    slack_m: float
+    reach_s: float
+    top_m_s: float
+
+
+def allowance(
+    smoothing: Smoothing,
+    radius: FloatArray,
+    room_m: float,
+    limit_v: FloatArray,
+    limit_a: FloatArray,
+) -> Allowance:
+    """Return how ``room_m`` is used.
+
+    The weights of the smoothing reach a little beyond the average. A large tolerance has room
+    for what an acceleration there does; a small one asks for even speed up to there.
+    """
+    tail_m = smoothing.tail_s2 * float(size(limit_a, radius))
+    fine = room_m < _TAILS * tail_m
+    return Allowance(
+        smoothing=smoothing,
+        radius=radius,
+        slack_m=room_m if fine else room_m - tail_m,
+        reach_s=smoothing.reach_s if fine else smoothing.width_s / 2.0,
+        top_m_s=float(size(limit_v, radius)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pieces:
+    """Consecutive pieces of one run.
+
+    Parameters
+    ----------
+    c
+        (n, 4, axes) coefficients.
+    straight
+        (n,) 0/1.
+    feed, smooth
+        (n,) largest u'^2 at the feed, and at which the smoothing cuts no more than it may.
+    ahead, behind
+        (n,) part of the length over which the curvature falls towards the end, and the start.
+    length
+        (n,) m at the tool.
+    operation
+        (n,) int.
+    whole
+        (n,) 0/1: a straight piece that was not yet divided.
+    """
+
+    c: FloatArray
+    straight: IntArray
+    feed: FloatArray
+    smooth: FloatArray
+    ahead: FloatArray
+    behind: FloatArray
+    length: FloatArray
+    operation: IntArray
+    whole: IntArray
+
+    def __len__(self) -> int:
+        return len(self.c)
+
+    def take(self, rows: slice | IntArray) -> Pieces:
+        """Return the pieces at ``rows``."""
+        return Pieces(**{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+
+_COLUMNS = (
+    "c", "straight", "feed", "smooth", "ahead", "behind", "length", "operation", "whole",
+)  # fmt: skip
+
+
+def join(parts: list[Pieces]) -> Pieces:
+    """Return the pieces of all ``parts`` in a row."""
+    return Pieces(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}
+    )
+
+
+def prepare(
+    c: FloatArray, nominal_s: FloatArray, operation: IntArray, allowed: Allowance
+) -> Pieces:
+    """Return pieces with their caps, each as if it were alone."""
+    if c.shape[1] < 4:
+        c = np.concatenate([c, np.zeros((len(c), 4 - c.shape[1], c.shape[2]))], axis=1)
+    straight = np.all(c[:, 2:] == 0.0, axis=(1, 2))
+    first, last = _cutting(c, allowed.radius)
+    largest = np.where(straight, 0.0, np.maximum(first, last))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        feed = np.where(nominal_s > 0, 1.0 / nominal_s**2, np.inf)
+        smooth = 2.0 * allowed.slack_m / (allowed.smoothing.variance_s2 * largest)
+        ahead = np.where(largest > 0, 1.0 - last / largest, 0.0)
+        behind = np.where(largest > 0, 1.0 - first / largest, 0.0)
+    # In a corner between straight pieces the acceleration rises and falls evenly over the
+    # time 2 / u', of which the average sees the fraction 1 - width u' / 8 (3/4 at least).
+    lone = np.zeros(len(c), dtype=bool)
+    lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
+    lone[1:-2] &= (behind[1:-2] > 1.0 - _HAT) & (ahead[2:-1] > 1.0 - _HAT)
+    lone[2:-1] |= lone[1:-2]
+    seen = 1.0 - np.minimum(allowed.smoothing.width_s * np.sqrt(smooth) / 8.0, 0.25)
+    length = (
+        size(c[:, 1], allowed.radius)
+        + size(c[:, 1] + c[:, 2], allowed.radius)
+        + size(slope(c), allowed.radius)
+    ) / 3.0
+    return Pieces(
+        c=c,
+        straight=straight.astype(np.int64),
+        feed=feed,
+        smooth=np.where(lone, smooth / seen, smooth),
+        ahead=ahead,
+        behind=behind,
+        length=length,
+        operation=operation,
+        whole=straight.astype(np.int64),
+    )
+
+
+def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
+    """Cut straight pieces where the speed of a curve before or after them may be left.
+
+    The last piece stays whole unless the run ``ends`` there: what follows it is not known.
+    """
+    begin, end = np.zeros(len(pieces)), np.zeros(len(pieces))
+    _zones(
+        pieces.smooth, pieces.length, pieces.straight, pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s, begin, end,
+    )  # fmt: skip
+    due = pieces.whole == 1
+    if not ends:
+        due[-1] = False
+    length = np.where(pieces.length > 0, pieces.length, 1.0)
+    one, two = begin / length, 1.0 - end / length
+    cuts = np.stack([np.minimum(one, two), np.maximum(one, two)], axis=1)
+    valid = due[:, None] & (cuts > _NEAR) & (cuts < 1.0 - _NEAR)
+    valid[:, 1] &= ~valid[:, 0] | (cuts[:, 1] - cuts[:, 0] > _NEAR)
+    low = np.where(valid[:, 0], cuts[:, 0], np.where(valid[:, 1], cuts[:, 1], 1.0))
+    high = np.where(valid[:, 0] & valid[:, 1], cuts[:, 1], 1.0)
+    count = 1 + valid.sum(axis=1)
+    rows = np.repeat(np.arange(len(pieces)), count)
+    part = np.arange(len(rows)) - (np.cumsum(count) - count)[rows]
+    start = np.where(part == 0, 0.0, np.where(part == 1, low[rows], high[rows]))
+    stop = np.where(part == 0, low[rows], np.where(part == 1, high[rows], 1.0))
+    share = np.where(count[rows] == 1, 1.0, stop - start)
+    out = pieces.take(rows)
+    c = out.c.copy()
+    many = count[rows] > 1
+    c[many, 0] += start[many, None] * c[many, 1]
+    c[many, 1] *= share[many, None]
+    return Pieces(
+        c=c,
+        straight=out.straight,
+        feed=out.feed / share**2,
+        smooth=out.smooth,
+        ahead=out.ahead,
+        behind=out.behind,
+        length=out.length * share,
+        operation=out.operation,
+        whole=np.where(due[rows], 0, out.whole),
+    )
+
+
+def caps(pieces: Pieces, factor: FloatArray, allowed: Allowance) -> FloatArray:
+    """Return the (n,) largest u'^2, with what the curves nearby ask for."""
+    cap = np.minimum(pieces.feed, pieces.smooth)
+    _spread(
+        cap, pieces.smooth, factor, pieces.length, pieces.straight, pieces.ahead, pieces.behind,
+        allowed.reach_s, allowed.top_m_s,
+    )  # fmt: skip
+    return cap
+
+
+def slope(c: FloatArray) -> FloatArray:
+    """Return the (n, axes) derivative at the end of each piece."""
+    return np.asarray(c[:, 1] + 2.0 * c[:, 2] + 3.0 * c[:, 3])
+
+
+def bend(c: FloatArray) -> FloatArray:
+    """Return the (n, axes) second derivative at the end of each piece."""
+    return np.asarray(2.0 * c[:, 2] + 6.0 * c[:, 3])
+
+
+def size(vectors: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the lengths at the tool of (..., axes) vectors."""
+    return np.asarray(np.sqrt(((vectors * radius) ** 2).sum(axis=-1)))
+
+
+def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the (n,) ratios of u'^2 after and before the joint behind each piece, 1 at the end.
+
+    The path is smooth in a common parameter, so that its derivatives tell the ratio; at a cusp,
+    where the axes turn back and the first derivative vanishes, the second one does.
+    """
+    first, second = size(slope(c[:-1]), radius), size(c[1:, 1], radius)
+    largest = np.abs(c[:, 1:] * radius).max(axis=(1, 2), initial=0.0)
+    cusp = (first < _CUSP * largest[:-1]) | (second < _CUSP * largest[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plain = (first / second) ** 2
+        turning = size(bend(c[:-1]), radius) / size(2.0 * c[1:, 2], radius)
+    return np.append(np.where(cusp, turning, plain), 1.0)
+
+
+def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (n,) q_uu at the tool at both ends, its part along the path at a discount.
+
+    What the smoothing shifts along the path is no deviation, unless the path turns back there.
+    """
+    first, last = c[:, 1] * radius, slope(c) * radius
+    large = np.sqrt((first**2).sum(axis=1)), np.sqrt((last**2).sum(axis=1))
+    sound = np.minimum(*large) > _CUSP * np.maximum(*large)
+    along = (first * last).sum(axis=1) / np.where(sound, large[0] * large[1], 1.0)
+    share = (1.0 - np.where(sound, np.clip(along, 0.0, 1.0), 0.0)) ** 2 + _ALONG
+    ends = []
+    for q_u, q_uu in ((first, 2.0 * c[:, 2] * radius), (last, bend(c) * radius)):
+        square = (q_u**2).sum(axis=1, keepdims=True)
+        part = (q_u * q_uu).sum(axis=1, keepdims=True) / np.where(square > 0, square, 1.0)
+        across = ((q_uu - part * q_u) ** 2).sum(axis=1)
+        ends.append(np.sqrt(across + share * ((part * q_u) ** 2).sum(axis=1)))
+    return ends[0], ends[1]
+
+
+@njit(cache=True)
+def _zones(cap, length, straight, ahead, behind, reach, top, begin, end):  # type: ignore[no-untyped-def]
+    """Write how much of each straight piece, from its start and its end, curves reach into."""
+    for i in range(len(cap)):
+        if straight[i] or np.sqrt(cap[i]) * length[i] >= top:
+            continue
+        far = np.sqrt(cap[i]) * length[i] * reach
+        gone = ahead[i] * length[i]
+        for j in range(i + 1, len(cap)):
+            if gone >= far:
+                break
+            if straight[j]:
+                begin[j] = max(begin[j], min(far - gone, length[j]))
+            gone += length[j]
+        gone = behind[i] * length[i]
+        for j in range(i - 1, -1, -1):
+            if gone >= far:
+                break
+            if straight[j]:
+                end[j] = max(end[j], min(far - gone, length[j]))
+            gone += length[j]
+
+
+@njit(cache=True)
+def _spread(cap, own, factor, length, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+    """Let the cap of a curved piece hold for all pieces that the smoothing sees from there."""
+    for i in range(len(own)):
+        if straight[i] or np.sqrt(own[i]) * length[i] >= top:
+            continue
+        far = np.sqrt(own[i]) * length[i] * reach
+        x = own[i]
+        gone = ahead[i] * length[i]
+        for j in range(i + 1, len(own)):
+            # A straight piece that is not seen whole was cut where it need not be.
+            if gone >= far or (straight[j] and gone + length[j] > far * (1.0 + 1e-6)):
+                break
+            x = x * factor[j - 1]
+            cap[j] = min(cap[j], x)
+            gone += length[j]
+        x = own[i]
+        gone = behind[i] * length[i]
+        for j in range(i - 1, -1, -1):
+            if gone >= far or (straight[j] and gone + length[j] > far * (1.0 + 1e-6)):
+                break
+            x = x / factor[j]
+            cap[j] = min(cap[j], x)
+            gone += length[j]
