@@ -100,6 +100,7 @@ def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
     [
         (["stitcher", "--axis", "Q"], "machine 'stitcher' has no axis 'Q'. It has: X, Y."),
         (["no-such"], "no machine 'no-such'"),
+        (["letter-placer"], "machine 'letter-placer' has no axes"),
         (["stitcher", "--data", "sweep.csv"], "Name it with --axis"),
         (["stitcher", "--lead", "13 Hz"], "is not a crossover and a margin"),
         (["stitcher", "--lead", "13 mm, 60 deg"], "not a unit of the kind of 'Hz'"),

@@ -57,6 +57,11 @@ def analyse(
     Example: threadline analyse stitcher --axis X --report reports/stitcher
     """
     chosen = load_machine(machine)
+    if not chosen.axes:
+        raise OptionError(
+            f"machine {chosen.name!r} has no axes, so there is no loop to analyse",
+            remedy="Name a machine with controllers and axes.",
+        )
     if axis is not None and axis not in chosen.axes:
         raise OptionError(
             f"machine {chosen.name!r} has no axis {axis!r}",
