@@ -254,3 +254,12 @@ def test_random_polylines_against_brute_force(
         brute_force(points, actual, operation, lag), abs=1e-12
     ), (points, actual)
     assert again == result
+
+
+def test_a_move_to_where_the_machine_is_needs_no_sample() -> None:
+    """The first operation takes no time: the recording begins with the second one."""
+    points = [[0.0, 0.0], [0.0, 0.0], [0.1, 0.0]]
+    commanded, operation = follow(points[1:], 20)
+    load = commanded + np.array([0.0, 1e-4])
+    result = contour(points, load, operation + 1, commanded=commanded)
+    assert result.measured == pytest.approx(1e-4, abs=1e-12)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from threadline import __version__
-from threadline.cli import analyse, compare, compile_, fastest, judge_, prove, shaper
+from threadline.cli import analyse, compare, compile_, fastest, judge_, prove, shaper, size
 from threadline.errors import InputError, LinkFaultError, ThreadlineError
 
 EXIT_WRONG_INPUT = 2
@@ -41,7 +41,7 @@ def _root(
     """Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault."""
 
 
-for module in (prove, compare, fastest, compile_, judge_, analyse, shaper):
+for module in (prove, compare, fastest, compile_, judge_, analyse, shaper, size):
     module.register(app)
 
 

@@ -59,7 +59,7 @@ class Contour:
         last, last_s, chord = self._last or (
             points[0],
             float(block.time_s[0]),
-            int(begin[0]) + path.first,
+            _from_rest(int(begin[0]), path) + path.first,
         )
         vertices_to_path(
             np.concatenate([last[None], points]),
@@ -129,6 +129,16 @@ class Contour:
         assert finding.value is not None
         if self._worst.value is None or finding.value > self._worst.value:
             self._worst = finding
+
+
+def _from_rest(chord: int, path: PathWindow) -> int:
+    """Return the first of the chords without length before ``chord``.
+
+    A job may begin with a move to where the machine is: it takes no time and has no sample.
+    """
+    while chord > 1 and (path.vertices[chord - 2] == path.vertices[chord - 1]).all():
+        chord -= 1
+    return chord
 
 
 def start_contour(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
