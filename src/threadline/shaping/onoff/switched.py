@@ -24,6 +24,7 @@ from threadline.shaping.onoff.model import (
 )
 from threadline.shaping.onoff.robust import least_ringing
 
+DEFAULT_NODES = 3000
 _SWEEP = 11
 _ROUNDS = 4
 
@@ -55,7 +56,7 @@ def switched_command(
     tolerance: float,
     tick_s: float,
     ticks: int,
-    time_limit_s: float = 20.0,
+    nodes: int = DEFAULT_NODES,
 ) -> Command | None:
     """On/off command of ``ticks`` whole ticks that rings at most ``tolerance`` over the band.
 
@@ -66,13 +67,14 @@ def switched_command(
     tick_s, ticks
         The controller's tick, s, and the duration in ticks. The distance is met to 1e-9 of it,
         so it must be a whole number of half acceleration x tick^2; else there is none.
-    time_limit_s
-        For each integer program.
+    nodes
+        Of the tree of each integer program, at most: the same on every machine, however loaded,
+        which a limit of time would not be.
 
     Returns
     -------
     Command or None
-        None if none was found in the time given; that is no proof that there is none.
+        None if none was found within the nodes given; that is no proof that there is none.
     """
     if ticks < 2 or not tick_s > 0.0 or not tolerance > 0.0:
         raise OptionError(
@@ -103,7 +105,7 @@ def switched_command(
             ],
             integrality=np.ones(half, dtype=np.int64),
             bounds=Bounds(-np.ones(half), np.ones(half)),
-            options={"time_limit": time_limit_s},
+            options={"node_limit": nodes},
         )
         if found.x is None:
             return None
@@ -126,7 +128,7 @@ def residual_front(
     tolerance: float,
     tick_s: float,
     ticks: Sequence[int],
-    time_limit_s: float = 20.0,
+    nodes: int = DEFAULT_NODES,
 ) -> list[FrontPoint]:
     """Residual against time: for each duration the free least and an on/off command, if found."""
     points = []
@@ -141,7 +143,7 @@ def residual_front(
                 tolerance=tolerance,
                 tick_s=tick_s,
                 ticks=count,
-                time_limit_s=time_limit_s,
+                nodes=nodes,
             )
         points.append(
             FrontPoint(
