@@ -74,10 +74,10 @@ def fastest_job(
     best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
     if best.duration_s is not None:
         for factor in (_STEP, 1.0 / _STEP):
-            share = best.share * factor
+            share = round(best.share * factor, 6)
             while share <= 1.0 and _order(tried(share, _SCAN_POINTS)) < _order(best):
                 best = tried(share, _SCAN_POINTS)
-                share *= factor
+                share = round(share * factor, 6)
     ordered = tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
     return FastestJob(best=min(ordered, key=_order), rungs=ordered)
 
