@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.errors import JobError, Place
+from threadline.opening import refuse_special
 
 MAX_LINE_BYTES = 4096
 CHUNK_BYTES = 1 << 18
@@ -99,6 +100,7 @@ def open_binary(path: Path) -> BinaryIO:
         If there is no such file or it cannot be read.
     """
     try:
+        refuse_special(path)
         return path.open("rb")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)

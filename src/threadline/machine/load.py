@@ -18,6 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from threadline.errors import MachineError, Place
 from threadline.machine.model import Machine
+from threadline.opening import refuse_special
 
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
@@ -142,6 +143,7 @@ def _read(name: str) -> tuple[str, str]:
     if name.endswith(".toml"):
         path = Path(name)
         try:
+            refuse_special(path)
             if path.stat().st_size > _MAX_BYTES:
                 raise MachineError(
                     f"the file has {path.stat().st_size} bytes, limit {_MAX_BYTES}",
@@ -150,6 +152,8 @@ def _read(name: str) -> tuple[str, str]:
             return path.read_bytes().decode("utf-8"), name
         except UnicodeDecodeError as error:
             raise MachineError("the file is not UTF-8 text", place=Place(name)) from error
+        except MachineError:
+            raise
         except (OSError, ValueError) as error:  # a null in a name is a ValueError
             why = error.strerror if isinstance(error, OSError) else error
             raise MachineError(

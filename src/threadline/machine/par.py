@@ -24,6 +24,7 @@ from threadline.errors import MachineError, Place
 from threadline.machine.model import Machine
 from threadline.machine.parts import Operator, PdController
 from threadline.machine.quantity import Provenance, Quantity
+from threadline.opening import refuse_special
 
 COMMENT_LINES = 3
 MAX_RECORD_EVERY = 32_767  # "where n varies from 1 to 32K"
@@ -94,6 +95,7 @@ def read_parameters(path: str | Path, machine: Machine) -> Machine:
 
 def _read(path: Path) -> bytes:
     try:
+        refuse_special(path)
         with path.open("rb") as stream:
             data = stream.read(_MAX_BYTES + 1)
     except (OSError, ValueError) as error:

@@ -11,6 +11,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError
+from threadline.opening import refuse_special
 from threadline.plant.loop import Loop
 
 _COLUMNS = ("frequency_hz", "magnitude_db", "phase_deg")
@@ -70,12 +71,18 @@ def read_response(path: Path) -> MeasuredResponse:
         If a column is missing, or a line doesn't hold three finite numbers, rising in frequency.
     """
     name = str(path)
-    if path.stat().st_size > _MAX_BYTES:
-        raise RecordingError(
-            f"the file has {path.stat().st_size} bytes, limit {_MAX_BYTES}", place=Place(name)
-        )
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        refuse_special(path)
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= _MAX_BYTES else b""
+    except OSError as error:
+        raise RecordingError(
+            f"cannot read {name[:200]!r}: {error.strerror}", remedy="Name a file that can be read."
+        ) from error
+    if size > _MAX_BYTES:
+        raise RecordingError(f"the file has {size} bytes, limit {_MAX_BYTES}", place=Place(name))
+    try:
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RecordingError("the file is not UTF-8 text", place=Place(name)) from error
     rows = csv.reader(text.splitlines())

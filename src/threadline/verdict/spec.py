@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from threadline.errors import Place, SpecError, UnitError
 from threadline.machine import Machine
+from threadline.opening import refuse_special
 from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
@@ -68,6 +69,7 @@ def _default(machine: Machine) -> tuple[str, str]:
 
 def _read(path: Path) -> str:
     try:
+        refuse_special(path)
         size = path.stat().st_size
         if size > _MAX_BYTES:
             raise SpecError(
@@ -76,6 +78,8 @@ def _read(path: Path) -> str:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         raise SpecError("the file is not UTF-8 text", place=Place(str(path))) from error
+    except SpecError:
+        raise
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SpecError(

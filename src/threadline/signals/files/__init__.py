@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from threadline.errors import RecordingError
+from threadline.opening import refuse_special
 from threadline.signals.commands import TickTable
 from threadline.signals.files.array import read_array, write_array
 from threadline.signals.files.common import Written, clear_errors
@@ -71,6 +72,7 @@ def read_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     with clear_errors(path):
+        refuse_special(path)
         return _RECORDING_READERS[_ending(path, _RECORDING_READERS, "recording")](path)
 
 
@@ -96,4 +98,5 @@ def read_table(path: str | Path) -> TickTable:
     """
     path = Path(path)
     with clear_errors(path):
+        refuse_special(path)
         return _TABLE_READERS[_ending(path, _TABLE_READERS, "tick table")](path)
