@@ -165,7 +165,8 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
     """
     begin, end = np.zeros(len(pieces)), np.zeros(len(pieces))
     _zones(
-        pieces.smooth, pieces.length, pieces.straight, pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s, begin, end,
+        pieces.smooth, pieces.length, pieces.straight, pieces.ahead, pieces.behind,
+        allowed.reach_s, allowed.top_m_s, begin, end,
     )  # fmt: skip
     due = pieces.whole == 1
     if not ends:
