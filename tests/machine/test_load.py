@@ -277,7 +277,7 @@ def test_a_link_to_no_body(refused) -> None:
     )
     message = refused(text)
     assert "links.belt.stretch names the body 'yy', which does not exist" in message
-    assert f"mine.toml:{line_of(text, 'stretch')}: " in message
+    assert f"mine.toml:{line_of(text, 'yy = ')}: " in message
 
 
 def test_what_is_missing_is_told(refused) -> None:
