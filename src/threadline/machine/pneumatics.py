@@ -89,10 +89,14 @@ class Way:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cushion:
-    """End cushioning: a damper over the last ``length`` of the stroke."""
+    """End cushioning: over the last ``length`` of the stroke the exhaust is throttled to ``flow``.
+
+    A piston whose exhaust is metered follows its flow whatever dampers it meets; the cushion slows
+    it by letting out less.
+    """
 
     length: Length
-    damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)]
+    flow: Fraction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

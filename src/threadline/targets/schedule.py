@@ -205,9 +205,15 @@ class _Builder:
             self.warnings.append(
                 f"{source.place}: {axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
                 f"{levels.wanted_m * 1e3:.2f} mm: whole scans of "
-                f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s"
+                f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
+                f"set the flow to {self._whole(levels):.6g} m/s to meet it"
             )
         return last + self._ticks(cylinder.delay.si + _REST_LAGS * cylinder.lag.si)
+
+    def _whole(self, levels: Levels) -> float:
+        """Return the speed at which the same scans cover the distance that was asked for."""
+        assert levels.speed_m_s > 0
+        return levels.speed_m_s * levels.wanted_m / levels.commanded_m
 
     def _levels(self, axis: str, distance: float, source: Source) -> Levels:
         """Return levels whose valves can follow; impulses move apart only where they must."""

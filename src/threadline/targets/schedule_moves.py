@@ -51,6 +51,8 @@ class Levels:
         Level from each scan on, the last 0; scans from the start of the move.
     wanted_m, commanded_m
         Distance that was asked for, and the one of these whole scans.
+    speed_m_s
+        Of level 1.
     realised
         The shaper on the scan; None for an unshaped move.
     """
@@ -59,6 +61,7 @@ class Levels:
     levels: tuple[float, ...]
     wanted_m: float
     commanded_m: float
+    speed_m_s: float
     realised: Realised | None
 
 
@@ -103,6 +106,7 @@ def move_levels(
         levels=tuple(float(levels[i]) for i in kept),
         wanted_m=distance_m,
         commanded_m=on * tick_s * speed_m_s,
+        speed_m_s=speed_m_s,
         realised=realised,
     )
 

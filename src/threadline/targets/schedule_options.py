@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from threadline.errors import OptionError, UnitError
 from threadline.machine import Machine
-from threadline.plant.pneumatic import frame_mode
+from threadline.plant.pneumatic import flow_mode
 from threadline.shaping import FlexibleMode, ShaperKind, convolve, design
 from threadline.signals.files.common import nearest
 from threadline.targets.schedule_moves import AxisShaping
@@ -28,7 +28,7 @@ def shaping_of(
         Kinds joined by ``*``, which convolve: ``"zv*um-2ei"``; ``"none"`` for unshaped moves.
     mode, damping_ratio
         Undamped frequency, like ``"3.04 Hz"``, and damping ratio that the shapers are made for;
-        where one is None, it is that of the slowest mode under each cylinder.
+        where one is None, it is that of the slowest mode under each cylinder with its air.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def shaping_of(
     found: dict[FlexibleMode, AxisShaping] = {}
     shaping = {}
     for axis in machine.cylinders:
-        own_hz, own_damping = frame_mode(machine, axis)
+        own_hz, own_damping = flow_mode(machine, axis)
         frequency = own_hz if mode is None else _frequency(mode)
         used = FlexibleMode(frequency, own_damping if damping_ratio is None else damping_ratio)
         if used not in found:

@@ -96,9 +96,7 @@ def _level(cylinder: Cylinder, on: Mapping[str, int]) -> float:
 class _Run:
     """One run; lives only as long as ``simulate_switching`` runs."""
 
-    def __init__(
-        self, commands: SwitchSchedule, machine: Machine, options: SwitchOptions
-    ) -> None:
+    def __init__(self, commands: SwitchSchedule, machine: Machine, options: SwitchOptions) -> None:
         self.commands, self.machine, self.options = commands, machine, options
         delays = {n: c.delay.exact_s or Fraction(0) for n, c in machine.cylinders.items()}
         period = commands.clock.period_s
@@ -131,9 +129,7 @@ class _Run:
             yield Channel(name=output, kind=ChannelKind.OUTPUT, unit="", clock=self.clock)
         for contact in self.machine.contacts:
             yield Channel(name=contact, kind=ChannelKind.INPUT, unit="", clock=self.clock)
-        yield Channel(
-            name="operation", kind=ChannelKind.OPERATION, unit="", clock=self.clock
-        )
+        yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=self.clock)
 
     def _contact(self, name: str, time_s: float) -> bool:
         contact = self.machine.contacts[name]

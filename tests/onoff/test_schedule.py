@@ -1,0 +1,136 @@
+"""Move lists, and schedules made of them: levels, valves, refusals, the cycle on the twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.errors import JobError, PlanError
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.plant.pneumatic import step_ringing
+from threadline.signals import SwitchSchedule
+from threadline.targets.schedule import Scheduled, compile_schedule
+from threadline.targets.schedule_options import shaping_of
+from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
+
+TRIMMED = "letter-placer+whole-scans+own-damping"
+
+
+def cycle(examples: Path, reference: str, shaper: str, **mode: object) -> Scheduled:
+    machine = load_machine(reference)
+    job = read_job(examples / "letter-cycle.toml", machine)
+    return compile_schedule(job, machine, shaping_of(machine, shaper, **mode))  # type: ignore[arg-type]
+
+
+def x_levels(commands: SwitchSchedule) -> dict[int, float]:
+    """Level of X to the right from each tick on, by the flows that the paper sets."""
+    columns = [commands.outputs.index(n) for n in ("x_right", "x_right_a1", "x_right_a2")]
+    found, last = {}, 0.0
+    for tick, row in zip(commands.ticks, commands.levels, strict=True):
+        on, a1, a2 = row[columns]
+        level = on * (0.63 * a1 + 0.37 * a2)
+        if level != last:
+            found[int(tick)] = round(float(level), 2)
+        last = level
+    return found
+
+
+def test_paper_shaper_becomes_its_four_levels(examples: Path) -> None:
+    """0, .63, 1, .37, 0 at 0, 166.9, 465.1 and 632.0 ms: the ZV of the paper on a 1 ms clock."""
+    made = cycle(examples, "letter-placer+timed", "zv", mode="3.04 Hz", damping_ratio=0.17)
+    levels = x_levels(made.commands)
+    first = min(levels)
+    assert {t - first: v for t, v in levels.items()} == {0: 0.63, 167: 1.0, 465: 0.37, 632: 0.0}
+
+
+def test_convolved_shaper_keeps_to_the_unshaped_level_and_the_dwell(examples: Path) -> None:
+    made = cycle(examples, "letter-placer", "zv*um-2ei", mode="3.04 Hz", damping_ratio=0.17)
+    assert set(x_levels(made.commands).values()) == {0.0, 0.37, 0.63, 1.0}
+    for column in made.commands.levels.T:
+        changes = made.commands.ticks[np.flatnonzero(np.diff(column, prepend=0))]
+        assert np.diff(changes).min(initial=99) * 0.01 >= 0.02 - 1e-12
+
+
+def test_levels_without_valves_are_refused(examples: Path) -> None:
+    """The machine's own ZV needs .507 and .493, which flow controls at .63 and .37 can't make."""
+    with pytest.raises(PlanError, match=r"no valves of 'z_down' make the level 0\.50"):
+        cycle(examples, "letter-placer", "zv")
+    assert cycle(examples, TRIMMED, "zv").moves
+
+
+def test_over_pressure_is_refused(examples: Path) -> None:
+    with pytest.raises(PlanError, match="outside the unshaped 0"):
+        cycle(examples, "letter-placer", "negative-zv")
+
+
+def test_moving_before_the_air_is_on_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text('[[operation]]\nmove = { X = "100 mm" }\n')
+    machine = load_machine("letter-placer")
+    with pytest.raises(PlanError, match=r"m\.toml:1: the soft-start valve 'main_air' is closed"):
+        compile_schedule(read_job(file, machine), machine)
+
+
+@pytest.mark.parametrize(
+    ("body", "line", "words"),
+    [
+        ('mvoe = { X = "1 mm" }', 2, "Did you mean 'move'"),
+        ('move = { X = "300 mm" }', 2, "X would move to 300 mm of 0 ... 200 mm"),
+        ('move = { Q = "3 mm" }', 2, "no cylinder 'Q'"),
+        ("move = { X = 3 }", 2, "has no unit"),
+        ('wait = "x_is_rihgt"', 2, "Did you mean 'x_is_right'"),
+        ('wait = "x_is_right"\ntimeout = "3 mm"', 3, "timeout"),
+        ('dwell = "1 s"\noutput = "knife"', 3, "says dwell and output"),
+        ('output = "knife"\non = 1', 3, "on must be true or false"),
+        ('dwell = "-1 s"', 2, "not within"),
+        ('output = "knife"\ntimeout = "1 s"', 3, "unknown key 'timeout'"),
+        ("", 1, "says nothing"),
+    ],
+)
+def test_wrong_move_lists_are_refused_with_their_line(
+    tmp_path: Path, body: str, line: int, words: str
+) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text(f"[[operation]]\n{body}\n")
+    with pytest.raises(JobError) as caught:
+        read_job(file, load_machine("letter-placer"))
+    assert words in str(caught.value)
+    assert f"m.toml:{line}:" in str(caught.value)
+
+
+def ringing_after_cycle(made: Scheduled) -> float:
+    recording = simulate_switching(made.commands, made.machine, SwitchOptions(after_s=1.2))
+    times, _ = recording.samples("operation")
+    pole = step_ringing(made.machine, "X").pole
+    return ringing_m(recording, "X", float(times[-1]) - 0.8, pole)
+
+
+def test_shaped_cycle_ends_still_and_the_unshaped_one_does_not(examples: Path) -> None:
+    """A quarter of the way to 0 is far above what friction, lag and 10 ms scans leave."""
+    unshaped = ringing_after_cycle(cycle(examples, TRIMMED, "none"))
+    shaped = ringing_after_cycle(cycle(examples, TRIMMED, "zv"))
+    assert unshaped > 1e-3
+    assert shaped < 0.05 * unshaped
+
+
+def test_waits_hold_the_schedule_until_the_piston_is_there(examples: Path) -> None:
+    made = cycle(examples, TRIMMED, "zv")
+    recording = simulate_switching(made.commands, made.machine)
+    _, stroke = recording.samples("X.load")
+    waits = [e for block in recording for e in block.events]
+    assert [e.name for e in waits] == [e.name for e in made.commands.events if e.kind == "wait"]
+    right = next(e for e in waits if e.name == "x_is_right")
+    assert stroke[right.tick] >= 0.194
+
+
+def test_a_broken_beam_shuts_everything_in_the_next_scan(examples: Path) -> None:
+    made = cycle(examples, TRIMMED, "zv")
+    options = SwitchOptions(break_s=2.345, after_s=1.0)
+    recording = simulate_switching(made.commands, made.machine, options)
+    times, _ = recording.samples("operation")
+    total = sum(recording.samples(name)[1] for name in made.commands.outputs)
+    assert total[times < 2.345].max() >= 2
+    assert (total[times >= 2.355] == 0).all()
