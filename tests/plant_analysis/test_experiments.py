@@ -9,6 +9,7 @@ import pytest
 
 from threadline.errors import OptionError
 from threadline.machine import load_machine
+from threadline.plant.loop import axis_loop
 from threadline.search.campaign import run_experiments
 from threadline.search.experiments import (
     Sweep,
@@ -17,6 +18,8 @@ from threadline.search.experiments import (
     position_step,
     stepped_sine,
 )
+from threadline.signals import Stream, TickBlock, TickTable
+from threadline.twin import simulate
 
 from . import reference as ref
 
@@ -72,6 +75,32 @@ def test_head_steps_on_the_simulated_machine():
         machine, drives={**machine.drives, "x": dataclasses.replace(drive, amplifier=strong)}
     )
     assert not position_step(free, "X", 3 * np.pi / 8 * ref.RATIO).saturated
+
+
+@pytest.mark.parametrize("axis", ["X", "Y"])
+def test_simulated_machine_and_sampled_loop_are_one(axis):
+    """Two codes for one machine, without rounding: 1e-11 m where their clocks coincide."""
+    machine = load_machine("stitcher")
+    rows = np.zeros((50, 2), dtype=np.int64)
+    rows[0, machine.axis_names.index(axis)] = 40
+    table = TickTable(
+        clock=machine.tick_clock,
+        axes=machine.axis_names,
+        counts_per_unit=machine.counts_per_unit,
+        start_counts=np.zeros(2, dtype=np.int64),
+        blocks=Stream.of([TickBlock(first_tick=0, counts=rows, operation=np.zeros(50, dtype=int))]),
+        job_sha256="job",
+        machine_sha256=machine.sha256,
+    )
+    _, load = simulate(table, machine, quantised=False, settle_s=0.2).samples(f"{axis}.load")
+    loop = axis_loop(machine, axis)
+    closed = loop.closed()
+    time_s = np.arange(1750) * loop.period_s
+    reference = np.where(time_s > 1e-3 - 1e-9, 40.0, 0.0)[:, None]
+    mine = closed.respond(reference)[:, closed.outputs.index(f"{axis}.load")]
+    # 17 reference ticks are 125 ticks of the filter.
+    assert np.abs(mine).max() > 1e-4
+    np.testing.assert_allclose(load[: 17 * 13 + 1 : 17], mine[: 125 * 13 + 1 : 125], atol=1e-11)
 
 
 def test_wrong_experiments_are_refused():

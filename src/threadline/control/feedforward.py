@@ -20,6 +20,8 @@ from threadline.errors import MachineError, Place
 from threadline.machine import Machine
 from threadline.plant.values import Values
 
+_LEFT = 1e-3
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FeedForward:
@@ -71,7 +73,7 @@ def feed_forward(
     start_s: float,
     end_s: float,
     *,
-    settle_s: float = 0.2,
+    settle_s: float | None = None,
     model: Values | None = None,
 ) -> FeedForward:
     """Return the references with which the loop of ``axis`` follows ``motion``.
@@ -82,7 +84,8 @@ def feed_forward(
         Of the load, m or rad, at rest outside ``start_s .. end_s``, with as many derivatives as
         the axis has integrations (5 for a belt behind a motor with a coil).
     settle_s
-        How long to go on after its end.
+        How long to go on after its end; by default until what swings inside the plant (a frame)
+        has decayed to a thousandth, since the motor must give way to it until then.
     model
         The numbers that the inverse believes in; the machine's own when None.
 
@@ -103,6 +106,9 @@ def feed_forward(
             place=place,
             remedy="Raise its proportional gain against the differential one.",
         )
+    if settle_s is None:
+        inner = np.linalg.eigvals(inverse.Q).real if len(inverse.Q) else np.array([-np.inf])
+        settle_s = float(np.log(_LEFT) / inner.max())
     tick = digital.period_s
     controller = machine.controllers[machine.axes[axis].controller]
     step = float(machine.clock(controller.reference_clock or controller.clock).period_s)

@@ -138,7 +138,7 @@ def _figures(a: AxisAnalysis, measured: MeasuredResponse | None) -> dict[str, tu
         "bode": (_bode(a), "Open loop, sampled and continuous; crossovers marked."),
         "plant": (
             _plant(a, measured),
-            "Motor speed per volt relative to zero frequency, with its dead time"
+            "Speed at the sensor per volt relative to zero frequency, with its dead time"
             + (", and what was measured." if measured is not None else "."),
         ),
         "nyquist": (_nyquist(a), "Open loop, sampled, near the critical point."),
@@ -195,7 +195,7 @@ def _plant(a: AxisAnalysis, measured: MeasuredResponse | None) -> Figure:
     size.set_ylabel("speed per volt [dB]")
     turn.set_ylabel("phase [deg]")
     turn.set_xlabel("frequency [Hz]")
-    size.set_title(f"Axis {a.axis}: from the controller's volts to the motor's speed")
+    size.set_title(f"Axis {a.axis}: from the controller's volts to speed at the sensor")
     size.legend(loc="lower left")
     return figure
 
