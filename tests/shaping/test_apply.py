@@ -291,6 +291,16 @@ def test_a_dwell_is_one_standing_piece_of_its_own_length() -> None:
         assert start[still] == pytest.approx([0.2 + design("zvd", MODE).duration_s])
 
 
+def test_a_dwell_between_steps_of_speed_is_a_rest() -> None:
+    """Historical motion: constant speeds with a dwell between them."""
+    c = np.zeros((3, 2, 2))
+    c[0, 1, 0], c[1, 0, 0], c[2, 0, 0], c[2, 1, 0] = 0.1, 0.1, 0.1, -0.1
+    shaper = design("zvd", MODE)
+    shaped = shape_trajectory(made([0.2, 0.07, 0.2], c, [0, 0, 2]), shaper, None)
+    assert shaped.duration_s == pytest.approx(0.47 + 2 * shaper.duration_s)
+    assert shaped(0.2 + shaper.duration_s + 0.01)[0] == pytest.approx([0.1, 0.0], abs=1e-15)
+
+
 def test_outputs_of_a_job_wait_for_the_shaped_motion(tmp_path: Path) -> None:
     """A dwell and an end are placed where the shaped command stands, not in its middle."""
     job_file = tmp_path / "job.prg"

@@ -137,7 +137,7 @@ def _stretched(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
 
 
 def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
-    """(n,) True where the operations skip and both pieces at the joint stand there."""
+    """(n,) True where the operations skip after a dwell, or where both pieces come to rest."""
     skips = np.diff(pieces.operation, prepend=pieces.operation[:1]) > 1
     if not skips.any():
         return np.asarray(skips)
@@ -146,5 +146,7 @@ def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
     way = np.abs(c[:, 1:]).sum(axis=1) + 1e-300
     end = np.abs((c * power[None, :, None]).sum(axis=1)) <= _AT_REST * way
     begin = np.abs(c[:, 1]) <= _AT_REST * way if c.shape[1] > 1 else np.ones_like(end)
-    stands_before = np.concatenate([[False], end[:-1].all(axis=1)])
-    return np.asarray(skips & stands_before & begin.all(axis=1))
+    comes_to_rest = np.concatenate([[False], end[:-1].all(axis=1)]) & begin.all(axis=1)
+    # Historical motion steps into its speed: after a dwell that is a rest all the same.
+    dwelt = np.concatenate([[False], pieces.still[:-1]])
+    return np.asarray(skips & (dwelt | comes_to_rest))
