@@ -170,6 +170,17 @@ def test_velocity_ripple_away_from_corners() -> None:
     assert found.unit == ""
 
 
+def test_velocity_ripple_on_chords_that_go_straight_on() -> None:
+    """3 % too fast on 200 short chords: the lag reaches over 20 of them; the end is exempt."""
+    points = [[k * 5e-3, 0.0] for k in range(201)]
+    commanded, operation = follow(points, 1)
+    load = commanded * 1.03
+    plan = plan_through(points, move_s=TICK_S, vertices_per_block=17)
+    recording = record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: load}, operation)
+    found = judge([recording], plan, spec_of(Criterion(name="velocity_ripple")))
+    assert found.result("velocity_ripple").measured == pytest.approx(0.03, abs=1e-9)
+
+
 def runs(count: int, scale: float = 5e-5):
     commanded, operation = follow(POINTS, 20)
     rng = np.random.default_rng(3)

@@ -3,16 +3,19 @@
 from threadline.verdict.judge import judge
 from threadline.verdict.present import verdict_json, verdict_rows
 from threadline.verdict.spec import load_spec
+from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
 
 __all__ = [
     "Criterion",
     "Result",
+    "SewnStitches",
     "Spec",
     "Status",
     "Verdict",
     "judge",
     "load_spec",
+    "sewn_stitches",
     "verdict_json",
     "verdict_rows",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 
 from threadline.signals import ChannelKind
-from threadline.verdict import demands, electrical, repeat, ripple, settling, turning
+from threadline.verdict import demands, electrical, repeat, ripple, settling, stitches, turning
 from threadline.verdict.contour import start_contour
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.tracking import start_tracking
@@ -61,6 +61,30 @@ _KINDS = (
         needs=(_ACTUAL, _OPERATION),
         start=ripple.start_ripple,
         options=ripple.OPTIONS,
+    ),
+    MeasureKind(
+        name="stitch_length_error",
+        dimension="ratio",
+        per_axis=False,
+        needs=(_ACTUAL,),
+        start=stitches.start_length,
+        options=stitches.OPTIONS,
+    ),
+    MeasureKind(
+        name="stitch_placement_error",
+        dimension="tool",
+        per_axis=False,
+        needs=(_ACTUAL,),
+        start=stitches.start_placement,
+        options=stitches.OPTIONS,
+    ),
+    MeasureKind(
+        name="needle_time_error",
+        dimension="ratio",
+        per_axis=False,
+        needs=(_ACTUAL,),
+        start=stitches.start_needle,
+        options=stitches.OPTIONS,
     ),
     MeasureKind(
         name="residual_vibration",

@@ -6,17 +6,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
 
 OPTIONS = {"over": Option(unit="s", default=0.02)}
+_SAME = 1e-6  # relative: two speeds, or two directions
+_ARRIVED = 0.5  # of the way in one sample interval
 
 
 class _Ripple:
     """Largest relative difference between the tool's speed and the programmed one.
 
     The speed is that of the tool's displacement over ``over``. Samples within the lag of a corner
-    are exempt: they belong to two chords. So are rapid moves, which have no set speed.
+    or of a change of the set speed are exempt: they belong to two chords. Chords that follow each
+    other straight on at one speed, as the stitches of a seam, are one. So are rapid moves, which
+    have no set speed, and what comes after the command has arrived at the end.
     """
 
     def __init__(self, setting: Setting, over_s: float) -> None:
@@ -40,7 +44,12 @@ class _Ripple:
         speed = np.linalg.norm(moved, axis=1) / (self._span * self._interval_s)
         begin, end = begin[skipped:], end[skipped:]
         wanted = path.speed_m_s[begin]
-        free = (begin == end) & (wanted > 0)
+        part = _part(path.vertices, path.speed_m_s)
+        free = (part[begin] == part[end]) & (wanted > 0)
+        if path.ended and block.commanded is not None:
+            # Once the command has arrived nothing is wanted of the speed any more.
+            left = path.vertices[-1] - block.commanded[skipped:] * self._radius_m
+            free &= np.linalg.norm(left, axis=1) > _ARRIVED * wanted * self._interval_s
         if not free.any():
             return
         at = np.flatnonzero(free)
@@ -58,6 +67,16 @@ class _Ripple:
 
     def finish(self) -> Sequence[Finding]:
         return [self._worst]
+
+
+def _part(vertices: FloatArray, speed_m_s: FloatArray) -> IntArray:
+    """Return (m,) a number for each chord that only differs across a corner or a new speed."""
+    chord = np.diff(vertices, axis=0, prepend=vertices[:1])
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    direction = np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0)
+    turned = np.abs(np.diff(direction, axis=0)).max(axis=1) > _SAME
+    faster = np.abs(np.diff(speed_m_s)) > _SAME * np.abs(speed_m_s[1:])
+    return np.concatenate([[0], np.cumsum(turned | faster)]).astype(np.int64)
 
 
 def start_ripple(setting: Setting, options: Mapping[str, float]) -> Measure:

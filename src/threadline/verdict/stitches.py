@@ -1,0 +1,249 @@
+"""What became of every stitch: its length, its place and its time; the worst of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.plan import Plan
+from threadline.signals import ChannelKind, Recording
+from threadline.verdict.blocks import (
+    find_first,
+    judged_blocks,
+    master_channel,
+    sample_interval_s,
+)
+from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
+from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+
+OPTIONS = {"delay": Option(unit="s", default=0.0)}
+_ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
+_NONE = "the job has no stitches"
+_SHORT = "the recording ends before this stitch"
+_BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SewnStitches:
+    """Stitches and where the tool was.
+
+    Parameters
+    ----------
+    stitches
+        n of them.
+    down_s
+        (n,) when the needle went down, its delay included.
+    actual
+        (n, axes) where the tool was then, lengths at the tool.
+    length_error
+        (n,) distance moved since the needle-down before, over the wanted one, less 1.
+    placement_m
+        (n,) distance of ``actual`` from the seam: the nearest point of the stitches about it.
+    """
+
+    stitches: Stitches
+    down_s: FloatArray
+    actual: FloatArray
+    length_error: FloatArray
+    placement_m: FloatArray
+
+
+class StitchFollower:
+    """Takes the tool's position and gives back the stitches that were sewn meanwhile.
+
+    The position is taken as straight between samples: at an acceleration a it is off by at most
+    a T^2 / 8 in a sample interval T.
+
+    Parameters
+    ----------
+    setting
+        Plan and recording.
+    delay_s
+        How long after the command the needle goes down: the head's lag, to which the needle is
+        set.
+    """
+
+    def __init__(self, setting: Setting, delay_s: float) -> None:
+        self._source = planned_stitches(setting.plan)
+        self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
+        self._radius_m = setting.radius_m
+        self._delay_s = delay_s
+        self._pending: list[Stitches] = []
+        self._ended = False
+        self._time_s: FloatArray = np.empty(0)
+        self._points: FloatArray = np.empty((0, len(self._columns)))
+        self._seam: FloatArray | None = None  # needle points before the pending ones
+
+    @property
+    def unsewn(self) -> Stitches | None:
+        """The run with the first stitch that no sample came to, if there is one."""
+        self._pull(1)
+        return self._pending[0] if self._pending else None
+
+    def feed(self, time_s: FloatArray, actual: FloatArray) -> list[SewnStitches]:
+        """Return the runs of stitches that are complete with these samples."""
+        points = (actual * self._radius_m)[:, self._columns]
+        self._time_s = np.concatenate([self._time_s, time_s])
+        self._points = np.concatenate([self._points, points])
+        sewn = []
+        while True:
+            self._pull(2)  # one run more: the seam ahead of the last stitch
+            if not self._pending or self._pending[0].down_s[-1] + self._delay_s > time_s[-1]:
+                break
+            sewn.append(self._finish(self._pending.pop(0)))
+        keep_s = self._pending[0].from_s[0] + self._delay_s if self._pending else time_s[-1]
+        first = max(int(np.searchsorted(self._time_s, keep_s, side="right")) - 2, 0)
+        self._time_s, self._points = self._time_s[first:], self._points[first:]
+        return sewn
+
+    def _pull(self, runs: int) -> None:
+        while len(self._pending) < runs and not self._ended:
+            run = next(self._source, None)
+            if run is None:
+                self._ended = True
+            else:
+                self._pending.append(run)
+
+    def _at(self, time_s: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(time_s, self._time_s, p) for p in self._points.T])
+
+    def _finish(self, run: Stitches) -> SewnStitches:
+        down_s = run.down_s + self._delay_s
+        actual = self._at(down_s)
+        moved = np.linalg.norm(actual - self._at(run.from_s + self._delay_s), axis=1)
+        behind = run.from_point[:1] if self._seam is None else self._seam
+        ahead = self._pending[0].point[:_AHEAD] if self._pending else run.point[-1:]
+        seam = np.concatenate([behind, run.point, ahead])
+        placement = _to_seam(actual, seam, len(behind))
+        self._seam = seam[: len(behind) + len(run)][-_BEHIND:]
+        return SewnStitches(
+            stitches=run,
+            down_s=down_s,
+            actual=actual,
+            length_error=moved / run.target_m - 1.0,
+            placement_m=placement,
+        )
+
+
+def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[SewnStitches]:
+    """Yield the stitches of a recording in runs; nothing where the job has none.
+
+    Parameters
+    ----------
+    plan, recording
+        What was intended, and what happened; without a tool or load channel nothing is known.
+    delay_s
+        As for ``StitchFollower``.
+    """
+    axes = plan.programmed.axes
+    known = all(find_first(recording, _ACTUAL, axis) is not None for axis in axes)
+    if not known or not has_stitches(plan.job):
+        return
+    setting = Setting(
+        plan=plan,
+        recording=recording,
+        axes=axes,
+        radius_m=plan.programmed.radius_m,
+        interval_s=sample_interval_s(master_channel(recording, axes)),
+        lag_samples=0,
+    )
+    follower = StitchFollower(setting, delay_s)
+    for block in judged_blocks(recording, axes, 0, None):
+        if block.actual is not None:
+            yield from follower.feed(block.time_s, block.actual)
+
+
+def _to_seam(points: FloatArray, seam: FloatArray, offset: int) -> FloatArray:
+    """Return (n,) distances of point i to the chords of ``seam`` about ``seam[offset + i]``."""
+    best = np.full(len(points), np.inf)
+    own = np.arange(len(points)) + offset
+    for shift in range(-_BEHIND, _AHEAD):
+        begin = np.clip(own + shift, 0, len(seam) - 1)
+        end = np.minimum(begin + 1, len(seam) - 1)
+        chord, away = seam[end] - seam[begin], points - seam[begin]
+        squared = (chord**2).sum(axis=1)
+        along = np.zeros(len(points))
+        np.divide((away * chord).sum(axis=1), squared, out=along, where=squared > 0.0)
+        foot = np.clip(along, 0.0, 1.0)[:, None] * chord
+        best = np.minimum(best, np.linalg.norm(away - foot, axis=1))
+    return best
+
+
+class _Stitching:
+    """The worst stitch by one of its figures."""
+
+    def __init__(self, setting: Setting, delay_s: float, figure: str) -> None:
+        self._figure = figure
+        self._radius_m = setting.radius_m[[setting.axes.index(a) for a in setting.plan.job.axes]]
+        self._follower = (
+            StitchFollower(setting, delay_s) if has_stitches(setting.plan.job) else None
+        )
+        self._worst = Finding(value=None, note=_NONE)
+
+    def feed(self, block: Block) -> None:
+        assert block.actual is not None
+        if self._follower is None:
+            return
+        for sewn in self._follower.feed(block.time_s, block.actual):
+            self._take(sewn)
+
+    def finish(self) -> Sequence[Finding]:
+        left = None if self._follower is None else self._follower.unsewn
+        if left is not None:
+            return [
+                Finding(
+                    value=None,
+                    operation=int(left.operation[0]),
+                    job_line=int(left.line[0]),
+                    note=_SHORT,
+                )
+            ]
+        return [self._worst]
+
+    def _take(self, sewn: SewnStitches) -> None:
+        run = sewn.stitches
+        if self._figure == "placement":
+            values = sewn.placement_m
+        else:
+            error = (
+                sewn.length_error
+                if self._figure == "length"
+                else (run.down_s - run.from_s) / run.period_s - 1.0
+            )
+            values = np.where(run.exempt | np.isnan(error), -1.0, np.abs(error))
+        at = int(np.argmax(values))
+        if values[at] < 0.0:
+            if self._worst.value is None:
+                self._worst = Finding(value=None, note="every stitch is exempt")
+            return
+        if self._worst.value is not None and values[at] <= self._worst.value:
+            return
+        note = ""
+        if self._figure != "placement":
+            note = "too long" if error[at] > 0.0 else "too short"
+        self._worst = Finding(
+            value=float(values[at]),
+            time_s=float(sewn.down_s[at]),
+            operation=int(run.operation[at]),
+            job_line=int(run.line[at]),
+            position=tuple((run.point[at] / self._radius_m).tolist()),
+            note=note,
+        )
+
+
+def start_length(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the relative error of the length of stitches, those exempt excepted."""
+    return _Stitching(setting, options["delay"], "length")
+
+
+def start_placement(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring how far from the seam the needle goes down."""
+    return _Stitching(setting, options["delay"], "placement")
+
+
+def start_needle(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the relative error of the time of stitches, those exempt excepted."""
+    return _Stitching(setting, options["delay"], "time")

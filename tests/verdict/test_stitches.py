@@ -1,0 +1,113 @@
+"""Stitches against closed forms: a tool on a known motion, needle-downs at known instants.
+
+Stitches of 2 mm at 50 a second on samples every 5 ms, so that every needle-down is on a sample:
+positions below 0.1 m leave 1e-11 of a stitch to rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from threadline.jobs.operations import Feed, FeedMode, Move, Source, ToolEvent
+from threadline.signals import ChannelKind, Stream
+from threadline.verdict import Criterion, Status, judge
+
+from .builders import TICK_S, plan_through, record, spec_of
+
+PERIOD_S, LENGTH_M, COUNT = 0.02, 2e-3, 40
+SPEED_M_S = LENGTH_M / PERIOD_S
+POINTS = [[k * LENGTH_M, 0.0] for k in range(COUNT + 1)]
+TIME_S = TICK_S * np.arange(round(COUNT * PERIOD_S / TICK_S) + 41)
+NAMES = ("stitch_length_error", "stitch_placement_error", "needle_time_error")
+
+
+def seam(exempt=(), feed_hz=1 / PERIOD_S):
+    plan = plan_through(POINTS, move_s=PERIOD_S, vertices_per_block=7)
+    feed = Feed(FeedMode.INVERSE_TIME, feed_hz)
+    moves = [
+        Move(
+            tuple(point),
+            feed,
+            Source("by-hand.toml", 10 * k + 10),
+            {"kind": "sew", "contour": 0, "stitch": k, "exempt": int(k in exempt),
+             "target_m": LENGTH_M},
+        )
+        for k, point in enumerate(POINTS[1:])
+    ]  # fmt: skip
+    end = ToolEvent("trim", 1.0, Source("by-hand.toml", 1))
+    return replace(plan, job=replace(plan.job, operations=Stream.of([*moves, end])))
+
+
+def sewn(x, y=None, *, plan=None, delay=0.0, per_block=13, names=NAMES):
+    tool = np.column_stack([x, np.zeros_like(x) if y is None else y])
+    operation = np.minimum(np.floor(TIME_S / PERIOD_S + 1e-9), COUNT - 1)[: len(x)]
+    recording = record(("X", "Y"), {ChannelKind.LOAD: tool}, operation, per_block=per_block)
+    criteria = [Criterion(name=name, limit=0.05, options={"delay": delay}) for name in names]
+    return judge([recording], seam() if plan is None else plan, spec_of(*criteria))
+
+
+def test_a_constant_lag_is_no_error() -> None:
+    verdict = sewn(SPEED_M_S * (TIME_S - 0.013))
+    for name in NAMES:
+        assert verdict.result(name).measured == pytest.approx(0.0, abs=1e-10)
+        assert verdict.result(name).status is Status.PASSED
+
+
+@pytest.mark.parametrize("per_block", [3, 64, 1000])
+def test_a_step_of_speed_is_that_error(per_block: int) -> None:
+    """8 % faster from the needle-down at 0.4 s on: the 21st stitch is the first, 8 % too long."""
+    faster = SPEED_M_S * np.where(TIME_S > 0.4, TIME_S + 0.08 * (TIME_S - 0.4), TIME_S)
+    result = sewn(np.where(TIME_S > 0.42, faster[84] + SPEED_M_S * (TIME_S - 0.42), faster),
+                  per_block=per_block).result("stitch_length_error")  # fmt: skip
+    assert result.measured == pytest.approx(0.08, abs=1e-10)
+    assert (result.status, result.note) == (Status.FAILED, "too long")
+    assert (result.operation, result.job_line) == (20, 210)
+    assert result.time_s == pytest.approx(0.42, abs=1e-12)
+    assert result.position == pytest.approx((0.042, 0.0), abs=1e-12)
+
+
+def test_exempt_stitches_are_excepted() -> None:
+    """The tool starts 0.03 s late: the first stitch is missed, half of the second; then none."""
+    late = SPEED_M_S * np.maximum(TIME_S - 0.03, 0.0)
+    full = sewn(late).result("stitch_length_error")
+    assert (full.measured, full.note) == (pytest.approx(1.0, abs=1e-10), "too short")
+    free = sewn(late, plan=seam(exempt=(0,))).result("stitch_length_error")
+    assert free.measured == pytest.approx(0.5, abs=1e-10)
+    both = sewn(late, plan=seam(exempt=(0, 1))).result("stitch_length_error")
+    assert both.measured == pytest.approx(0.0, abs=1e-10)
+    every = sewn(late, plan=seam(exempt=range(COUNT))).result("stitch_length_error")
+    assert (every.status, every.measured) == (Status.NOT_MEASURED, None)
+
+
+def test_a_needle_set_to_the_lag_sees_the_whole_start() -> None:
+    """With the needle as late as the tool even the first stitch is right."""
+    late = SPEED_M_S * np.maximum(TIME_S - 0.03, 0.0)
+    result = sewn(late, delay=0.03).result("stitch_length_error")
+    assert result.measured == pytest.approx(0.0, abs=1e-10)
+
+
+def test_placement_is_across_the_seam_at_the_needle_only() -> None:
+    """A swing of one stitch's time vanishes at every needle-down but for its own sine."""
+    swing = 3e-4 * np.sin(2 * np.pi * TIME_S / PERIOD_S + 0.5)
+    result = sewn(SPEED_M_S * (TIME_S - 0.004), swing).result("stitch_placement_error")
+    # Needle-downs are on samples, where the swing is 3e-4 sin(0.5).
+    assert result.measured == pytest.approx(3e-4 * np.sin(0.5), abs=1e-12)
+
+
+def test_needle_time_is_against_the_programmed_speed() -> None:
+    """The plan sews 50 a second; asked for were 55."""
+    result = sewn(SPEED_M_S * TIME_S, plan=seam(feed_hz=55.0)).result("needle_time_error")
+    assert result.measured == pytest.approx(0.1, abs=1e-9)
+    assert result.note == "too long"
+
+
+def test_what_was_not_sewn_is_not_measured() -> None:
+    verdict = sewn(SPEED_M_S * TIME_S[:100])
+    for name in NAMES:
+        assert verdict.result(name).status is Status.NOT_MEASURED
+        assert "ends before" in verdict.result(name).note
+    winding = plan_through(POINTS, move_s=PERIOD_S)
+    assert "no stitches" in sewn(SPEED_M_S * TIME_S, plan=winding).result(NAMES[0]).note
