@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
+from typer.exceptions import TyperException
 
 from threadline import __version__
 from threadline.cli import analyse, compare, compile_, fastest, judge_, prove, shaper, size
-from threadline.errors import InputError, LinkFaultError, ThreadlineError
+from threadline.errors import InputError, LinkFaultError, OptionError, ThreadlineError
 
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
 EXIT_INTERRUPTED = 130
+EXIT_NO_READER = 141  # 128 + SIGPIPE
+_STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 app = typer.Typer(
     name="threadline",
@@ -47,19 +51,50 @@ for module in (prove, compare, fastest, compile_, judge_, analyse, shaper, size)
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the program; every error on purpose becomes one line and an exit status."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+        # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
+        # interrupt in none. It returns the exit status, or nothing for 0.
+        status = app(args=given or ["--help"], standalone_mode=False) or 0
+        sys.stdout.flush()
     except ThreadlineError as error:
-        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
-        sys.exit(EXIT_FAULT if fault else EXIT_WRONG_INPUT)
+        _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT)
+    except TyperException as error:
+        _stop(
+            f"[{OptionError.code}] {error.format_message().rstrip('.')}. "
+            "See the command's --help for its arguments and options.",
+            EXIT_WRONG_INPUT,
+        )
+    except BrokenPipeError:
+        _nobody_reads()
+    except SystemExit as stopped:  # typer's end of a broken pipe, as if it were out of spec
+        if isinstance(stopped.__context__, BrokenPipeError):
+            _nobody_reads()
+        raise
     except OSError as error:
         subject = error.filename or "file"
-        sys.stderr.write(f"error: [FILE] cannot use {subject}: {error.strerror}\n")
-        sys.exit(EXIT_WRONG_INPUT)
+        _stop(
+            f"[FILE] cannot use {subject}: {error.strerror}. Give another path.", EXIT_WRONG_INPUT
+        )
     except KeyboardInterrupt:
-        sys.stderr.write("error: interrupted; nothing was left half-written\n")
-        sys.exit(EXIT_INTERRUPTED)
+        status = EXIT_INTERRUPTED
+    if status == EXIT_INTERRUPTED:
+        _stop("interrupted; nothing was left half-written", EXIT_INTERRUPTED)
+    sys.exit(status)
+
+
+def _nobody_reads() -> NoReturn:
+    """End as a shell's own tools do: a closed pipe is no error of the input."""
+    # The interpreter would flush what is left once more, and complain.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
+    sys.exit(EXIT_NO_READER)
+
+
+def _stop(text: str, status: int) -> NoReturn:
+    """Say in one line why the program ends, and end it."""
+    sys.stderr.write(f"error: {' '.join(text.split())}\n")
+    sys.exit(status)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,88 @@
+"""What the shell sees when a command does not come to its own end."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from threadline.cli import prove
+from threadline.cli.main import main
+
+
+def stopped(
+    capsys: pytest.CaptureFixture[str], *arguments: str | Path
+) -> tuple[int | str | None, str, str]:
+    """Run the program in this process; returns exit status, output and errors."""
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return caught.value.code, captured.out, captured.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["prove", "x.prg", "-m", "lathe-winder", "--nosuch"], "--nosuch"),
+        (["prove", "x.prg", "-m", "lathe-winder", "--repeats", "0"], "--repeats"),
+        (["prove", "x.prg", "-m", "lathe-winder", "--repeats", "many"], "--repeats"),
+        (["prove", "x.prg"], "--machine"),
+        (["prove"], "'job'"),
+        (["prove", "a.prg", "b.prg", "-m", "lathe-winder"], "b.prg"),
+        (["proove"], "proove"),
+    ],
+)
+def test_a_wrong_option_is_told_in_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = stopped(capsys, *arguments)
+
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("error: [OPTION] ")
+    assert words in err
+    assert "--help" in err
+
+
+def test_no_argument_shows_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = stopped(capsys)
+    assert (code, err) == (0, "")
+    assert "prove" in out
+
+
+def test_an_interrupt_is_one_line(
+    examples: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(prove, "prove_job", interrupted)
+    job = examples / "x-180.prg"
+    report = tmp_path / "report"
+    code, out, err = stopped(capsys, "prove", job, "-m", "lathe-winder", "--report", report)
+
+    assert (code, out, err.count("\n")) == (130, "", 1)
+    assert "interrupted" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_closed_pipe_is_no_error(unbuffered: str) -> None:
+    """Unbuffered, the write fails in the command; else only the last flush does."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "threadline.cli.main", "--help"],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        check=False,
+        timeout=120,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, b"")
