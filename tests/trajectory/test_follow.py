@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import PPoly
 
+from threadline.errors import BudgetError
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
 from threadline.path import plan_path, programmed_path
@@ -162,3 +163,14 @@ def test_look_ahead_over_blocks_of_tiny_moves():
 def test_no_motion_is_an_empty_trajectory():
     _, trajectory = followed([[0.0], [0.0]], ("X",))
     assert trajectory.duration_s == 0.0
+
+
+@pytest.mark.parametrize("name", ["auto", "parabolic", "cubic", "quintic", "linear"])
+def test_a_feed_beyond_the_budget_is_refused_before_any_sample(name) -> None:
+    """100 mm at 1e-12 m/s: 1e11 s are 2e13 ticks of 5 ms. Sampled first, they fill any memory."""
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    slow = Feed(FeedMode.FASTEST_AXIS, 1e-12)
+    programmed = programmed_path(job_of(points, ("A", "X", "Y"), slow), WINDER)
+    trajectory = plan_trajectory(plan_path(programmed, WINDER, name), WINDER)
+    with pytest.raises(BudgetError, match="ticks of 5 ms"):
+        next(iter(trajectory))
