@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -56,6 +56,7 @@ def test_undamped_design_leaves_what_it_claims_in_an_ode_solver(kind: ShaperKind
     assert ringing_by_dop853(shaper, off) == pytest.approx(expected, abs=1e-8)
 
 
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(list(ShaperKind)),
     zeta=st.floats(0.0, 0.22),
