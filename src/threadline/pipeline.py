@@ -60,11 +60,12 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proof:
-    """A plan, what the simulated machine made of it, and the verdict."""
+    """A plan, what the simulated machine made of it, what was asked, and the verdict."""
 
     plan: Plan
     recording: Recording
     verdict: Verdict
+    spec: Spec
 
 
 def parse_feed(text: str) -> Feed:
@@ -237,7 +238,8 @@ def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None, repeats
         )
         phase = random.uniform(0.0, 1.0, len(plan.commands.axes))
         recordings.append(simulate(plan.commands, other, encoder_phase=phase))
-    return Proof(plan=plan, recording=first, verdict=judge(recordings, plan, spec))
+    verdict = judge(recordings, plan, spec)
+    return Proof(plan=plan, recording=first, verdict=verdict, spec=spec)
 
 
 def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:

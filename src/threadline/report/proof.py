@@ -9,6 +9,7 @@ from threadline import __version__
 from threadline.pipeline import Proof
 from threadline.report.document import Document, Table, write_document
 from threadline.report.figures import all_figures
+from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.targets import calculate
@@ -28,6 +29,9 @@ def write_report(proof: Proof, folder: Path) -> Path:
         traces = collect(proof)
         header, rows = verdict_rows(proof.verdict)
         figures = all_figures(proof, traces)
+        seam = seam_figure(proof)
+        if seam is not None:
+            figures = {"seam": seam, **figures}
         thinned = "" if traces.stride == 1 else f" One sample in {traces.stride} is drawn."
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
@@ -47,7 +51,9 @@ def write_report(proof: Proof, folder: Path) -> Path:
                 ),
             ],
             figures=figures,
-            captions={name: _caption(name) + thinned for name in figures},
+            captions={
+                name: _caption(name) + ("" if name == "seam" else thinned) for name in figures
+            },
             facts=facts(proof),
         )
         return write_document(document, folder, "report")
@@ -70,6 +76,11 @@ def facts(proof: Proof) -> list[tuple[str, str]]:
 
 
 def _caption(name: str) -> str:
+    if name == "seam":
+        return (
+            "Each mark is a needle-down, its shape and size by how much of its limits the stitch "
+            "uses: the length error, unless it is exempt, or the distance from the seam."
+        )
     if name.startswith("path-"):
         return "Programmed points, planned path, and where the driven mass went."
     if name.startswith("profile-"):

@@ -1,0 +1,69 @@
+"""The picture of a seam: what it counts, and that it can be read without colour."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from threadline.machine import load_machine
+from threadline.pipeline import Options, Proof, prove
+from threadline.report.proof import write_report
+from threadline.report.seam import seam_figure
+from threadline.report.style import figure_style
+from threadline.verdict import load_spec, sewn_stitches
+
+SEAM = """
+[stitching]
+stitch_length = "2.5 mm"
+needle_speed = "60 stitch/s"
+motion = "discrete"
+
+[[contour]]
+unit = "mm"
+points = [[0, 0], [40, 0], [40, 20]]
+"""
+
+
+@pytest.fixture(scope="module")
+def proof(tmp_path_factory: pytest.TempPathFactory) -> Proof:
+    file = tmp_path_factory.mktemp("seam") / "corner.seam.toml"
+    file.write_text(SEAM)
+    machine = load_machine("stitcher")
+    return prove(file, machine, load_spec(None, machine), Options())
+
+
+def test_marks_are_the_stitches_and_differ_in_shape_or_size(proof: Proof) -> None:
+    with figure_style():
+        figure = seam_figure(proof)
+        assert figure is not None
+        panel = figure.axes[0]
+    counts = [int(str(c.get_label()).rsplit(":", 1)[1]) for c in panel.collections]
+    sewn = list(sewn_stitches(proof.plan, proof.recording, 0.018))
+    assert sum(counts) == sum(len(run.stitches) for run in sewn)
+    assert counts[-1] > 0  # at 60 a second the stitcher as built misses its corner
+    looks = {(c.get_paths()[0].vertices.tobytes(), c.get_sizes()[0]) for c in panel.collections}
+    assert len(looks) == len(panel.collections)
+    # Areas grow with what a stitch uses of its limit.
+    assert sorted(c.get_sizes()[0] for c in panel.collections) == [
+        c.get_sizes()[0] for c in panel.collections
+    ]
+
+
+def test_the_worst_stitch_is_that_of_the_verdict(proof: Proof) -> None:
+    sewn = list(sewn_stitches(proof.plan, proof.recording, 0.018))
+    exempt = np.concatenate([run.stitches.exempt for run in sewn])
+    off = np.abs(np.concatenate([run.length_error for run in sewn]))
+    found = proof.verdict.result("stitch_length_error")
+    assert found.measured == pytest.approx(off[~exempt].max(), abs=1e-12)
+    placement = np.concatenate([run.placement_m for run in sewn])
+    assert placement.max() <= (proof.verdict.result("contour_error").measured or 0.0) + 1e-9
+
+
+def test_the_report_has_the_picture(proof: Proof, tmp_path: Path) -> None:
+    page = write_report(proof, tmp_path / "report")
+    assert (tmp_path / "report" / "report-seam.png").stat().st_size > 10_000
+    assert "needle-down" in page.read_text(encoding="utf-8")
+    assert mpl.get_backend().lower() == "agg"
