@@ -15,6 +15,7 @@ from threadline.machine import load_machine
 from threadline.machine.par import read_parameters
 from threadline.plant.measured import read_response
 from threadline.signals.files import read_recording, read_table
+from threadline.signals.files.common import atomic_file
 from threadline.verdict import load_spec
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -66,3 +67,13 @@ def test_a_huge_file_is_told_once(name: str, tmp_path: Path) -> None:
 def test_a_missing_file_is_wrong_input(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read"):
         READERS[name](tmp_path / name)
+
+
+def test_a_pipe_is_not_written_over(tmp_path: Path) -> None:
+    """A finished file takes the place of what was there, which must not be a device."""
+    pipe = tmp_path / "run.csv"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="pipe or a device"), atomic_file(pipe):
+        pass
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]

@@ -86,3 +86,33 @@ def test_a_closed_pipe_is_no_error(unbuffered: str) -> None:
     )
     os.close(writing)
     assert (done.returncode, done.stderr) == (141, b"")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["compile", "JOB", "-m", "MACHINE", "--target", "nc", "-o", "JOB"],
+        ["compile", "JOB", "-m", "MACHINE", "--target", "csv", "-o", "LINK"],
+        ["compile", "JOB", "-m", "MACHINE", "--target", "csv", "-o", "MACHINE"],
+        ["prove", "JOB", "-m", "MACHINE", "-s", "SPEC", "--recording", "SPEC"],
+    ],
+)
+def test_an_input_is_never_written_over(
+    command: list[str], examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {
+        "JOB": (tmp_path / "mine.prg", (examples / "x-180.prg").read_text()),
+        "MACHINE": (tmp_path / "mine.toml", 'base = "lathe-winder"\n'),
+        "SPEC": (tmp_path / "mine.csv", 'name = "x"\n[[criteria]]\nname = "contour_error"\n'),
+    }
+    for path, text in files.values():
+        path.write_text(text)
+    link = tmp_path / "link.csv"
+    link.symlink_to(files["JOB"][0])
+    names = {key: path for key, (path, _) in files.items()} | {"LINK": link}
+    code, out, err = stopped(capsys, *(names.get(word, word) for word in command))
+
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "would be written over" in err
+    assert [path.read_text() for path, _ in files.values()] == [t for _, t in files.values()]
+    assert link.is_symlink()

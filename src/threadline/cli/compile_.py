@@ -19,6 +19,7 @@ from threadline.cli.options import (
     MachineOption,
     ParOption,
     ToleranceOption,
+    keep_inputs,
     machine_from,
     options_of,
 )
@@ -62,6 +63,7 @@ def compile_(
     --target st --shaper zv --mode "3.04 Hz" --damping 0.17 -o letter-cycle.st
     """
     chosen = machine_from(machine, par)
+    keep_inputs(out, job, chosen.file, par)
     if chosen.cylinders:
         shaping = shaping_of(chosen, shaper, mode=mode, damping_ratio=damping)
         files = write(compile_schedule(read_job(job, chosen), chosen, shaping), target, out)

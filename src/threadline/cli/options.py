@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
 from threadline.pipeline import (
@@ -77,6 +78,25 @@ def machine_from(reference: str, par: Path | None) -> Machine:
     """Return the machine that the options name."""
     machine = load_machine(reference)
     return machine if par is None else read_parameters(par, machine)
+
+
+def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
+    """Refuse an output file that is one of the input files: it would be written over.
+
+    Raises
+    ------
+    OptionError
+        If it is one, by whatever name.
+    """
+    if output is None or not output.exists():
+        return
+    for name in inputs:
+        source = None if name is None else Path(name)
+        if source is not None and source.exists() and output.samefile(source):
+            raise OptionError(
+                f"{str(output)!r} is the input {str(source)!r} and would be written over",
+                remedy="Give another file to write.",
+            )
 
 
 def options_of(

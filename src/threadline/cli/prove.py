@@ -23,6 +23,7 @@ from threadline.cli.options import (
     ShaperOption,
     SpecOption,
     ToleranceOption,
+    keep_inputs,
     machine_from,
     options_of,
 )
@@ -62,6 +63,7 @@ def prove(
     Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
     """
     chosen = machine_from(machine, par)
+    keep_inputs(recording, job, chosen.file, par, spec)
     options = options_of(interpolation, feed, tolerance, limits, shaper)
     asked = load_spec(spec, chosen)
     if shaper is not None and all(c.name != "shaping_deviation" for c in asked.criteria):

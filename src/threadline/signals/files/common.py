@@ -19,6 +19,7 @@ from typing import IO, Annotated, Any, TypeVar
 from pydantic import Field, TypeAdapter, ValidationError
 
 from threadline.errors import Place, RecordingError, ThreadlineError
+from threadline.opening import refuse_special
 
 MAX_LINE_BYTES = 1 << 20
 MAX_META_BYTES = 1 << 20
@@ -52,6 +53,8 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
         If the file cannot be written.
     """
     try:
+        if path.exists():
+            refuse_special(path)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
     except OSError as error:
         raise RecordingError(
