@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.machine.quantity import Quantity, Units
@@ -122,9 +122,9 @@ class Potentiometer:
 class Dac:
     """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped."""
 
-    bits: Annotated[Quantity, Units(("bit",), positive=True)]
+    bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
     range: Annotated[Quantity, Units(("V",), positive=True)]
-    zero_on_reversal: bool = False
+    zero_on_reversal: StrictBool = False
 
     @property
     def volt_per_level(self) -> float:
@@ -163,7 +163,7 @@ class Axis:
     acceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
     travel: tuple[Position, Position] | None = None
-    endless: bool = False
+    endless: StrictBool = False
     load: dict[str, Coefficient] | None = None
     frame: dict[str, Coefficient] | None = None
     working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
@@ -216,5 +216,5 @@ class Operator:
     manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
     normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
     limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
-    record_every: Annotated[Quantity, Units(("tick",), positive=True)]
-    knots_between: Annotated[Quantity, Units(("",), positive=True)]
+    record_every: Annotated[Quantity, Units(("tick",), positive=True, whole=True)]
+    knots_between: Annotated[Quantity, Units(("",), positive=True, whole=True)]

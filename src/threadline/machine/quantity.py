@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from enum import StrEnum
@@ -109,11 +110,13 @@ def _matching_unit(written: str, units: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Marks a field of the machine model with the SI units that it may have."""
+    """Marks a field of the machine model with the SI units and the values that it may have."""
 
     units: tuple[str, ...]
     positive: bool = False
     not_negative: bool = False
+    whole: bool = False
+    most: float = math.inf
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -136,4 +139,8 @@ class Units:
             raise ValueError(f"{value!r} must be greater than zero.")
         if self.not_negative and quantity.si < 0:
             raise ValueError(f"{value!r} must not be negative.")
+        if self.whole and not quantity.si.is_integer():
+            raise ValueError(f"{value!r} must be a whole number.")
+        if quantity.si > self.most:
+            raise ValueError(f"{value!r} must be at most {self.most:g}.")
         return quantity
