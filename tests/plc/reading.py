@@ -1,0 +1,223 @@
+"""Structured text read by blark and turned into Python: knows nothing of who wrote the text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from blark.parse import parse_source_code
+from lark import Token, Tree
+
+UNITS_US = {"hours": 3_600_000_000, "minutes": 60_000_000, "seconds": 1_000_000}
+UNITS_US |= {"milliseconds": 1000, "days": 86_400_000_000}
+PYTHON = {"AND": "and", "OR": "or", "=": "==", "<>": "!=", "NOT": "not ", "MOD": "%"}
+
+
+@dataclass
+class Declared:
+    name: str
+    type: str
+    section: str
+    address: str = ""
+    initial: Any = None
+
+
+@dataclass
+class Unit:
+    """A program or function block: what it declares, and its statements as a tree."""
+
+    kind: str
+    name: str
+    declared: dict[str, Declared] = field(default_factory=dict)
+    twice: list[str] = field(default_factory=list)
+    mixed_blocks: int = 0
+    body: Tree[Any] | None = None
+
+    def of(self, section: str) -> list[str]:
+        return [n for n, d in self.declared.items() if d.section == section]
+
+
+def name_of(node: Tree[Any]) -> str:
+    return next(str(t).lower() for t in tokens(node) if t.type == "IDENTIFIER")
+
+
+def tokens(node: Tree[Any]) -> list[Token]:
+    return list(node.scan_values(lambda t: isinstance(t, Token)))
+
+
+def read(text: str) -> dict[str, Unit]:
+    """Return the units of ``text`` by lower-case name."""
+    result = parse_source_code(text)
+    assert result.exception is None, result.exception
+    units: dict[str, Unit] = {}
+    for child in result.tree.children:
+        kind = {
+            "function_block_type_declaration": "FUNCTION_BLOCK",
+            "program_declaration": "PROGRAM",
+        }[child.data]
+        unit = Unit(kind, "")
+        for part in child.children:
+            if isinstance(part, Token) and part.type == "IDENTIFIER":
+                unit.name = str(part).lower()
+            elif isinstance(part, Tree) and part.data == "derived_function_block_name":
+                unit.name = name_of(part)
+            elif isinstance(part, Tree):
+                read_part(part, unit)
+        units[unit.name] = unit
+    return units
+
+
+SECTIONS = {
+    "input_declarations": "VAR_INPUT",
+    "output_declarations": "VAR_OUTPUT",
+    "var_declarations": "VAR",
+    "located_var_declarations": "VAR",
+}
+
+
+def read_part(part: Tree[Any], unit: Unit) -> None:
+    if part.data in SECTIONS:
+        located = list(part.find_data("located_var_decl"))
+        plain = list(part.find_data("var1_init_decl"))
+        unit.mixed_blocks += bool(located and plain)
+        for declaration in [*located, *plain]:
+            add(declaration, SECTIONS[part.data], unit)
+        nested = {id(d) for d in [*located, *plain]}
+        others = [t for t in part.iter_subtrees() if t.data.endswith("_init_decl")]
+        assert all(id(t) in nested for t in others), "a declaration of another kind"
+    elif part.data in {"statement_list", "function_block_body"}:
+        assert unit.body is None
+        unit.body = part
+    else:
+        for child in part.children:
+            if isinstance(child, Tree):
+                read_part(child, unit)
+
+
+def add(declaration: Tree[Any], section: str, unit: Unit) -> None:
+    names = (
+        [name_of(v) for v in declaration.find_data("var1")]
+        if declaration.data == "var1_init_decl"
+        else [name_of(declaration)]
+    )
+    spec = next(declaration.find_data("simple_specification"))
+    type_name = "".join(tokens(spec)).upper()
+    address = ""
+    for variable in declaration.find_data("direct_variable"):
+        prefix, size, *numbers = tokens(variable)
+        address = f"%{prefix}{size}{'.'.join(n.lstrip('.') for n in numbers)}".upper()
+    initials = list(declaration.find_data("expression"))
+    initial = eval(expression(initials[0], set()), {}) if initials else None
+    for name in names:
+        if name in unit.declared:
+            unit.twice.append(name)
+        unit.declared[name] = Declared(name, type_name, section, address, initial)
+
+
+def constant(node: Tree[Any]) -> str:
+    inner = node.children[0]
+    if inner.data == "true":
+        return "True"
+    if inner.data == "false":
+        return "False"
+    if inner.data == "duration":
+        total = 0
+        for part in inner.children:
+            if part is not None:
+                total += int(part.children[0]) * UNITS_US[part.data]
+        return str(total)
+    assert inner.data == "integer_literal", inner.data
+    return str(int(next(t for t in tokens(inner) if t.type == "INTEGER")))
+
+
+def expression(node: Any, used: set[str]) -> str:
+    """Return the Python of an expression; names are collected in ``used``, fields with a dot."""
+    if isinstance(node, Token):
+        return PYTHON.get(str(node).upper(), str(node))
+    if node.data == "variable_name":
+        used.add(name_of(node))
+        return f"v[{name_of(node)!r}]"
+    if node.data == "multi_element_variable":
+        base, selector = node.children
+        used.add(f"{name_of(base)}.{name_of(selector)}")
+        return f"v[{name_of(base)!r}].v[{name_of(selector)!r}]"
+    if node.data == "constant":
+        return constant(node)
+    parts = [expression(c, used) for c in node.children if c is not None]
+    if node.data == "unary_expression" and len(parts) == 2:
+        return f"({parts[0]}{parts[1]})"
+    return parts[0] if len(parts) == 1 else f"({' '.join(parts)})"
+
+
+def statements(node: Tree[Any], used: set[str], assigned: list[str], depth: int) -> Iterator[str]:
+    """Yield the lines of Python of a list of statements."""
+    pad = "  " * depth
+    for child in node.children:
+        if child is None:
+            continue
+        if child.data == "assignment_statement":
+            target = child.children[0]
+            assigned.append(name_of(target))
+            used.add(name_of(target))
+            yield f"{pad}v[{name_of(target)!r}] = {expression(child.children[-1], used)}"
+        elif child.data == "function_call_statement":
+            yield pad + call(next(child.find_data("function_call")), used)
+        elif child.data == "if_statement":
+            yield from conditional(child, used, assigned, depth)
+        else:
+            assert child.data == "statement_list", f"a statement of another kind: {child.data}"
+            yield from statements(child, used, assigned, depth)
+
+
+def call(node: Tree[Any], used: set[str]) -> str:
+    instance = name_of(node.children[0])
+    used.add(instance)
+    arguments = []
+    for parameter in node.children[1:]:
+        if parameter is None:
+            continue
+        assert parameter.data == "param_assignment", parameter.data
+        pin = name_of(parameter.children[0])
+        used.add(f"{instance}.{pin}")
+        arguments.append(f"{pin!r}: {expression(parameter.children[-1], used)}")
+    return f"v[{instance!r}].call({{{', '.join(arguments)}}}, now)"
+
+
+def conditional(node: Tree[Any], used: set[str], assigned: list[str], depth: int) -> Iterator[str]:
+    pad = "  " * depth
+    head, body, *rest = node.children
+    yield f"{pad}if {expression(head, used)}:"
+    yield from statements(body, used, assigned, depth + 1)
+    for part in rest:
+        if part is None:
+            continue
+        if part.data == "else_if_clause":
+            yield f"{pad}elif {expression(part.children[0], used)}:"
+            yield from statements(part.children[1], used, assigned, depth + 1)
+        else:
+            yield f"{pad}else:"
+            yield from statements(part, used, assigned, depth + 1)
+
+
+@dataclass
+class Code:
+    """A unit as Python, with what it reads and writes."""
+
+    run: Callable[[dict[str, Any], int], None]
+    used: set[str]
+    assigned: list[str]
+
+
+def code_of(unit: Unit) -> Code:
+    used: set[str] = set()
+    assigned: list[str] = []
+    assert unit.body is not None
+    lines = ["def run(v, now):", *statements(unit.body, used, assigned, 1)]
+    scope: dict[str, Any] = {}
+    exec("\n".join(lines), scope)
+    return Code(scope["run"], used, assigned)
+
+
+IDENTIFIER = re.compile(r"[a-z](_?[a-z0-9])*")

@@ -1,0 +1,153 @@
+"""The emitted text is strict IEC 61131-3: parsed by blark, checked where blark is lenient."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from tests.plc.reading import IDENTIFIER, Unit, code_of
+from tests.plc.texts import emitted, text_of, units_of
+
+# Keywords and standard names of the standard's annex C that a sequence might be tempted by.
+KEYWORD_TEXT = """
+step initial_step action transition program task resource configuration with on at to from
+retain constant var type struct array of case if then else elsif for while repeat until exit
+return true false and or not xor mod function function_block int bool time real string date
+ton tof tp r_trig f_trig rs sr sema ctu ctd left right mid len find limit max min move sel
+mux abs add sub mul div eq ne gt ge lt le shl shr rol ror ld ldn st stn s r jmp cal ret in
+pt q et clk single interval priority read_only read_write end_step by do
+"""
+KEYWORDS = frozenset(KEYWORD_TEXT.split())
+TON_PINS = {"in": "BOOL", "pt": "TIME", "q": "BOOL", "et": "TIME"}
+
+
+ASSIGNMENT = re.compile(r"^\s*(\w+) := ([^;]+);", re.MULTILINE)
+EVERY_SHAPER = pytest.mark.parametrize("shaper", ["zv", "um-2ei"])
+
+
+def pin_type(unit: Unit, used: str, units: dict[str, Unit]) -> str:
+    instance, pin = used.split(".")
+    kind = unit.declared[instance].type
+    if kind == "TON":
+        return TON_PINS[pin]
+    block = units[kind.lower()]
+    assert block.declared[pin].section in {"VAR_INPUT", "VAR_OUTPUT"}, used
+    return block.declared[pin].type
+
+
+@EVERY_SHAPER
+def test_every_name_is_declared_once_typed_and_no_keyword(shaper: str) -> None:
+    units = units_of("letter-placer", shaper)
+    assert sorted(unit.kind for unit in units.values()) == ["FUNCTION_BLOCK", "PROGRAM"]
+    for unit in units.values():
+        assert unit.twice == []
+        assert unit.mixed_blocks == 0, "located and unlocated variables in one VAR block"
+        for name, declared in unit.declared.items():
+            assert IDENTIFIER.fullmatch(name), name
+            assert name not in KEYWORDS
+            assert name not in units
+            known = declared.type in {"BOOL", "INT", "TIME", "TON"}
+            assert known or declared.type.lower() in units, declared
+        assert unit.name not in KEYWORDS
+        code = code_of(unit)
+        for used in code.used:
+            if "." in used:
+                pin_type(unit, used, units)
+            else:
+                assert used in unit.declared, f"{used} is not declared in {unit.name}"
+        for name in code.assigned:
+            assert unit.declared[name].section != "VAR_INPUT", name
+
+
+@EVERY_SHAPER
+def test_assignments_agree_with_their_types(shaper: str) -> None:
+    """BOOL := BOOL, INT := INT, TIME := TIME; blark would let anything through."""
+    units = units_of("letter-placer", shaper)
+    values = {"BOOL": True, "INT": 3, "TIME": 3}
+    for unit in units.values():
+        for line in ASSIGNMENT.findall(text_of("letter-placer", shaper)):
+            target, source = line[0].lower(), line[1].strip()
+            if target not in unit.declared or "." in source:
+                continue
+            wanted = unit.declared[target].type
+            if source in {"TRUE", "FALSE"}:
+                assert wanted == "BOOL", line
+            elif source.startswith("T#"):
+                assert wanted == "TIME", line
+            elif source.isdigit():
+                assert wanted == "INT", line
+            elif source.lower() in unit.declared:
+                assert unit.declared[source.lower()].type == wanted, line
+            else:
+                assert wanted in values
+
+
+@EVERY_SHAPER
+def test_outputs_are_off_by_default(shaper: str) -> None:
+    (block,) = [u for u in units_of("letter-placer", shaper).values() if u.kind == "FUNCTION_BLOCK"]
+    for name in block.of("VAR_OUTPUT"):
+        assert block.declared[name].initial is False
+
+
+@EVERY_SHAPER
+def test_addresses_are_those_of_the_machine_and_unique(shaper: str) -> None:
+    (program,) = [u for u in units_of("letter-placer", shaper).values() if u.kind == "PROGRAM"]
+    addresses = [d.address for d in program.declared.values() if d.address]
+    assert len(addresses) == len(set(addresses)) == 24
+    assert program.declared["light_grid"].address == "%IX0.0"
+    assert program.declared["x_right_a1"].address == "%QX0.2"
+
+
+def test_configuration_runs_the_program_in_a_timed_task() -> None:
+    text = emitted("letter-placer", "zv", "st")["configuration.st"].decode("ascii")
+    found = re.fullmatch(
+        r"CONFIGURATION (\w+)\s+RESOURCE (\w+) ON PLC\s+"
+        r"TASK (\w+)\(INTERVAL := T#10ms, PRIORITY := 0\);\s+"
+        r"PROGRAM (\w+) WITH (\w+) : (\w+);\s+END_RESOURCE\s+END_CONFIGURATION\s*",
+        text,
+    )
+    assert found is not None
+    names = [name.lower() for name in found.groups()]
+    assert names[2] == names[4]
+    assert names[5] in units_of("letter-placer", "zv")
+    # A name that is the word behind ON would hide it.
+    assert "plc" not in names
+    assert not set(names) & KEYWORDS
+
+
+PPX = "{http://www.plcopen.org/xml/tc6_0201}"
+XHTML = "{http://www.w3.org/1999/xhtml}"
+
+
+@EVERY_SHAPER
+def test_plcopen_project_holds_the_same_units(shaper: str) -> None:
+    """Shape of TC6 version 2.01, and body and variables equal to those of the text."""
+    root = ET.fromstring(emitted("letter-placer", shaper, "plcopen")["st"])
+    assert root.tag == f"{PPX}project"
+    order = [child.tag.removeprefix(PPX) for child in root]
+    assert order == ["fileHeader", "contentHeader", "types", "instances"]
+    units = units_of("letter-placer", shaper)
+    pous = {p.attrib["name"].lower(): p for p in root.iter(f"{PPX}pou")}
+    assert set(pous) == set(units)
+    for name, unit in units.items():
+        pou = pous[name]
+        wanted = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}[unit.kind]
+        assert pou.attrib["pouType"] == wanted
+        found = {}
+        for variable in pou.iter(f"{PPX}variable"):
+            (kind,) = variable.find(f"{PPX}type")  # type: ignore[misc]
+            type_name = kind.attrib.get("name", kind.tag.removeprefix(PPX))
+            found[variable.attrib["name"].lower()] = (
+                type_name.upper(),
+                variable.attrib.get("address", ""),
+            )
+        assert found == {n: (d.type, d.address) for n, d in unit.declared.items()}
+        body = pou.find(f"{PPX}body/{PPX}ST/{XHTML}p")
+        assert body is not None
+        assert (body.text or "").strip() in text_of("letter-placer", shaper)
+    task = next(root.iter(f"{PPX}task"))
+    assert task.attrib["interval"] == "T#10ms"
+    instance = next(task.iter(f"{PPX}pouInstance"))
+    assert instance.attrib["typeName"].lower() in pous

@@ -1,0 +1,48 @@
+"""The texts under test, written and read once; everything else here reads text alone."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from typer.testing import CliRunner
+
+from tests.plc.machine import Plc
+from tests.plc.reading import Unit, read
+from threadline.cli.main import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAPER = ("--mode", "3.04 Hz", "--damping", "0.17")
+
+
+@cache
+def emitted(machine: str, shaper: str, target: str) -> dict[str, bytes]:
+    """Return the files that the program writes, by what is behind the name's first dot."""
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "cycle.st"
+        job = ROOT / "examples" / "letter-cycle.toml"
+        words = ["compile", str(job), "-m", machine, "--target", target, "-o", str(out)]
+        result = CliRunner().invoke(app, [*words, "--shaper", shaper, *PAPER])
+        assert result.exit_code == 0, result.output
+        return {f.name.split(".", 1)[1]: f.read_bytes() for f in Path(folder).iterdir()}
+
+
+def text_of(machine: str, shaper: str) -> str:
+    return emitted(machine, shaper, "st")["st"].decode("ascii")
+
+
+@cache
+def units_of(machine: str, shaper: str) -> dict[str, Unit]:
+    """Return the units; blark takes seconds for each text."""
+    return read(text_of(machine, shaper))
+
+
+@cache
+def _controller(machine: str, shaper: str) -> Plc:
+    return Plc(units_of(machine, shaper))
+
+
+def controller(machine: str = "letter-placer", shaper: str = "zv") -> Plc:
+    """Return a fresh controller with the text that was written for ``machine``."""
+    return _controller(machine, shaper).fork()
