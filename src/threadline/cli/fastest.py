@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -20,11 +21,14 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import print_json, print_table, progress_bar
-from threadline.errors import OptionError
+from threadline.errors import OptionError, UnitError
 from threadline.jobs import read_job
-from threadline.pipeline import parse_feed
-from threadline.search import FastestJob, fastest_job
-from threadline.verdict import load_spec, verdict_rows
+from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
+from threadline.machine import Machine
+from threadline.pipeline import Options, parse_feed
+from threadline.search import FastestJob, fastest_job, fastest_needle
+from threadline.units import parse_quantity
+from threadline.verdict import Spec, load_spec, verdict_rows
 
 
 def fastest(
@@ -34,17 +38,31 @@ def fastest(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     par: ParOption = None,
-    low: Annotated[str | None, typer.Option(help="Lowest feed to try.")] = None,
+    low: Annotated[
+        str | None, typer.Option(help='Lowest feed to try; of a seam "5 stitch/s".')
+    ] = None,
     high: Annotated[str | None, typer.Option(help="Highest feed to try.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
+
+    Of a seam it is the needle speed that is searched, in stitch/s.
 
     Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
 
     Example: threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear
     """
     chosen = machine_from(machine, par)
+    if job.name.lower().endswith(SEAM_SUFFIXES):
+        _fastest_seam(
+            job,
+            chosen,
+            load_spec(spec, chosen),
+            options_of(interpolation, None, tolerance),
+            _needle_hz(low),
+            _needle_hz(high),
+            json,
+        )
     read = read_job(job, chosen)
     with progress_bar(not json) as progress:
         result = fastest_job(
@@ -113,6 +131,55 @@ def _show(result: FastestJob, title: str) -> None:
     )
     head, body = verdict_rows(best.found.verdict)
     print_table("verdict at the fastest", head, body)
+
+
+def _fastest_seam(
+    job: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    low: float | None,
+    high: float | None,
+    json: bool,
+) -> NoReturn:
+    """Search the needle speed of a seam, say what was found, and leave."""
+    with progress_bar(not json) as progress:
+        found = fastest_needle(job, machine, spec, options, low=low, high=high, progress=progress)
+    if json:
+        print_json(
+            {
+                "best": found.best,
+                "unit": "stitch/s",
+                "intervals": [[i.low, i.high] for i in found.intervals],
+                "limited_by": found.limited_by,
+                "tried": found.tried,
+                "verdict": None if found.verdict is None else found.verdict.passed,
+            }
+        )
+    elif found.verdict is None:
+        typer.echo(f"no needle speed is in spec ({found.tried} tried)")
+    else:
+        rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
+        title = f"{job.name} on {machine.name}: needle speeds in spec"
+        print_table(title, ["from stitch/s", "to stitch/s"], rows)
+        typer.echo(
+            f"fastest: {found.best:.2f} stitch/s, limited by {found.limited_by}; "
+            f"{found.tried} plans tried"
+        )
+        print_table("verdict at the fastest", *verdict_rows(found.verdict))
+    raise typer.Exit(0 if found.verdict is not None else 1)
+
+
+def _needle_hz(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        return parse_quantity(text, "stitch/s")
+    except UnitError as error:
+        raise OptionError(
+            f"{text!r}: {error.message}",
+            remedy='The search of a seam runs in stitches: "40 stitch/s".',
+        ) from error
 
 
 def _metres_per_second(text: str) -> float:

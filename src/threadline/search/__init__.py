@@ -4,6 +4,7 @@ from threadline.search.compare import PLACEMENT, Comparison, compare, placement_
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed, feed_range_m_s
 from threadline.search.gentle import FastestJob, Rung, fastest_job
+from threadline.search.needle import fastest_needle, needle_range_hz
 
 __all__ = [
     "PLACEMENT",
@@ -15,7 +16,9 @@ __all__ = [
     "compare",
     "fastest_feed",
     "fastest_job",
+    "fastest_needle",
     "feed_range_m_s",
     "find_fastest",
+    "needle_range_hz",
     "placement_spec",
 ]

@@ -1,0 +1,68 @@
+"""The needle speeds at which a seam is sewn in specification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from threadline.errors import OptionError
+from threadline.jobs import read_job
+from threadline.jobs.operations import Job, Move
+from threadline.machine import Machine
+from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
+from threadline.verdict import Spec, Verdict
+
+_SLOWEST = 0.025  # of the highest needle speed: where a search begins
+
+
+def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
+    """Return the needle speeds between which a search makes sense, stitches a second.
+
+    Up to where the slower axis moves its shortest wanted stitch at its velocity limit.
+
+    Raises
+    ------
+    OptionError
+        If the job has no stitches.
+    """
+    lengths = {
+        float(o.tags["target_m"]) for o in job if isinstance(o, Move) and "target_m" in o.tags
+    }
+    if not lengths:
+        raise OptionError(f"{job.name} has no stitches", remedy="Search the feed instead.")
+    high = min(machine.axes[axis].velocity.si for axis in job.axes) / min(lengths)
+    return _SLOWEST * high, high
+
+
+def fastest_needle(
+    seam: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    points: int = SCAN_POINTS,
+    progress: Callable[[str, float], None] | None = None,
+) -> Fastest:
+    """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
+
+    The seam is read anew at each speed, so that its stitches are placed for it; every contour is
+    sewn at the same speed.
+
+    Raises
+    ------
+    JobError, OptionError
+        If the seam cannot be read, or the range is empty.
+    """
+    lowest, highest = needle_range_hz(read_job(seam, machine), machine)
+    begin, end = lowest if low is None else low, highest if high is None else high
+    if not 0.0 < begin < end:
+        raise OptionError(f"there is no needle speed between {begin:g} and {end:g} stitch/s")
+
+    def judged(speed_hz: float) -> Verdict:
+        job = read_job(seam, machine, needle_speed=f"{speed_hz!r} stitch/s")
+        return prove_plan(plan_job(job, machine, options), spec).verdict
+
+    return find_fastest(judged, begin, end, points=points, progress=progress)

@@ -1,0 +1,49 @@
+"""Needle speeds in specification: the edge is where the verdict turns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from threadline.errors import OptionError
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.search import fastest_needle, needle_range_hz
+from threadline.verdict import load_spec
+
+SEAM = """
+[stitching]
+stitch_length = "0.1 in"
+needle_speed = "75 stitch/s"
+motion = "discrete"
+
+[[contour]]
+unit = "mm"
+points = [[0, 0], [40, 0], [40, 20]]
+"""
+
+
+def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
+    file = tmp_path / "corner.seam.toml"
+    file.write_text(SEAM)
+    machine = load_machine("stitcher")
+    spec = load_spec(None, machine)
+    length = next(c for c in spec.criteria if c.name == "stitch_length_error")
+    spec = replace(spec, criteria=(length,))
+    low, high = needle_range_hz(read_job(file, machine), machine)
+    # The velocity limit of both axes is 7.8 in/s, the stitch 0.1 in.
+    assert high == pytest.approx(78.0)
+    assert low < 2.0
+    found = fastest_needle(file, machine, spec, Options(), low=10.0, high=high, points=6)
+    assert found.best is not None
+    assert found.verdict is not None
+    assert found.limited_by == "stitch_length_error"
+    # Edges are refined to 0.2 %: the verdict at the best speed passes, 2 % above it does not.
+    for speed, passes in ((found.best, True), (found.best * 1.02, False)):
+        job = read_job(file, machine, needle_speed=f"{speed!r} stitch/s")
+        assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed is passes
+    with pytest.raises(OptionError, match="between 50 and 40"):
+        fastest_needle(file, machine, spec, Options(), low=50.0, high=40.0)
