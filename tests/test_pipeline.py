@@ -6,11 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from threadline.errors import OptionError
+from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.pipeline import Options, describe, options_from, parse_feed, parse_tolerance_m
+from threadline.pipeline import (
+    Options,
+    check_loops,
+    describe,
+    options_from,
+    parse_feed,
+    parse_tolerance_m,
+)
 
 
 @pytest.mark.parametrize(
@@ -61,3 +68,10 @@ def test_a_recording_carries_its_options(feed: str | None, examples: Path) -> No
 def test_missing_options_are_named() -> None:
     with pytest.raises(OptionError, match="which feed"):
         options_from({"interpolation": "linear", "tolerance": "0.1 mm"})
+
+
+def test_an_unstable_loop_is_refused_before_any_planning(examples: Path) -> None:
+    """Feedback from the stitcher's head goes unstable at a critical gain: its thesis found so."""
+    with pytest.raises(PlanError, match=r"axis X: the loop is UNSTABLE.*0\.6\d+ times the gain"):
+        check_loops(load_machine("stitcher+head-feedback"))
+    check_loops(load_machine("lathe-winder"))

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.errors import OptionError, PlanError, UnitError
+from threadline.errors import OptionError, Place, PlanError, UnitError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
 from threadline.path import plan_path, programmed_path
 from threadline.plan import Plan
+from threadline.plant.analysis import unstable_loops
 from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.signals import Recording, RecordingBlock, Stream, TickTable
 from threadline.targets import compile_ticks
@@ -130,6 +131,23 @@ def parse_share(text: str) -> float:
     return value
 
 
+def check_loops(machine: Machine) -> None:
+    """Refuse a machine whose position loop is unstable, before any motion is planned.
+
+    Raises
+    ------
+    PlanError
+        Naming the axis and how far the loop is beyond its limit.
+    """
+    unstable = unstable_loops(machine)
+    if unstable:
+        raise PlanError(
+            "; ".join(unstable),
+            place=Place(machine.file),
+            remedy="Lower the gain of its controller; threadline analyse shows the loop.",
+        )
+
+
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """Plan ``job`` on ``machine``: paths, trajectory, commands.
 
@@ -213,6 +231,7 @@ def prove(
     repeats: int = 1,
 ) -> Proof:
     """Plan, simulate and judge a job: the whole question, answered once."""
+    check_loops(machine)
     plan = plan_job(read_job(job_file, machine), machine, options)
     return prove_plan(plan, spec, progress, repeats)
 

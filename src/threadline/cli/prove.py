@@ -30,6 +30,7 @@ from threadline.cli.options import (
 from threadline.cli.output import note, print_json, print_table, progress_bar
 from threadline.pipeline import Proof
 from threadline.pipeline import prove as prove_job
+from threadline.plant.suspicions import suspicions
 from threadline.report import write_report
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
@@ -89,7 +90,7 @@ def prove(
 def show_proof(proof: Proof) -> None:
     """Print the verdict of a proof for people."""
     plan = proof.plan
-    for warning in plan.job.warnings:
+    for warning in [*suspicions(plan.machine), *plan.job.warnings]:
         note(f"warning: {warning}")
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
-from threadline.pipeline import Options, Proof, plan_job, prove_plan
+from threadline.pipeline import Options, Proof, check_loops, plan_job, prove_plan
 from threadline.search.gentle import FastestJob, fastest_job
 from threadline.verdict import Spec
 
@@ -52,6 +52,7 @@ def compare(
     progress: Callable[[str, float], None] | None = None,
 ) -> Comparison:
     """Prove ``job`` with every interpolation at every feed, and find the fastest of each."""
+    check_loops(machine)
     proofs = []
     steps = len(interpolations) * (len(feeds) + (1 if with_fastest else 0))
     done = 0

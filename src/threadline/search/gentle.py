@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.pipeline import Options, plan_job
+from threadline.pipeline import Options, check_loops, plan_job
 from threadline.search.fastest import Fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Spec
@@ -53,6 +53,7 @@ def fastest_job(
 
     Interpolations that ignore the limits (the 1994 controller's) are searched by feed alone.
     """
+    check_loops(machine)
     historical = plan_job(job, machine, options).path.historical
     rungs: dict[float, Rung] = {}
     expected = 1 if historical else len(_LADDER) + 4
