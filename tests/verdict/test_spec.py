@@ -172,3 +172,12 @@ def test_no_text_makes_a_traceback(content) -> None:
         )
         with pytest.raises(SpecError):
             load_spec(file, winder())
+
+
+def test_a_lag_beyond_any_machine_is_refused(tmp_path: Path) -> None:
+    """As samples it would be more than an array can count."""
+    path = tmp_path / "spec.toml"
+    path.write_text('name = "a"\nlag = "1e300 s"\n[[criteria]]\nname = "contour_error"\n')
+    with pytest.raises(SpecError, match="lag = '1e300 s' is above 3600 s") as caught:
+        load_spec(path, load_machine("lathe-winder"))
+    assert "spec.toml:2" in str(caught.value)

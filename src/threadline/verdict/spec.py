@@ -24,6 +24,7 @@ _COMMON = ("name", "axis", "limit", "required")
 _ALWAYS = (*PLAN_DEMANDS, "path_deviation", "tracking_error", "dac_saturation")
 _OWN = "machine"  # a limit that is the machine's own
 _LAG_S = 0.1
+_MOST_LAG_S = 3600.0
 
 
 def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
@@ -129,6 +130,8 @@ class _Reader:
                 for criterion in self._criteria(row, None):
                     criteria[criterion.name, criterion.axis] = criterion
         lag_s = self._number(content["lag"], "s", None, "lag") if "lag" in content else _LAG_S
+        if lag_s > _MOST_LAG_S:
+            self._refuse(f"lag = {content['lag']!r} is above {_MOST_LAG_S:g} s", None, "lag")
         return Spec(
             name=name,
             criteria=tuple(criteria.values()),
