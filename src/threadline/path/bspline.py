@@ -21,7 +21,7 @@ class ControlPoints:
     """A run of control points, with the move into each.
 
     ``copy`` counts the repetitions of one vertex from 0; ``chord_s`` is the nominal time from
-    the point before, 0 for a repetition.
+    the point before, 0 for a repetition; ``span`` is the knot interval from there, 1 if even.
     """
 
     positions: FloatArray
@@ -31,6 +31,7 @@ class ControlPoints:
     rest: IntArray
     dwell_s: FloatArray
     copy: IntArray
+    span: FloatArray
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -40,10 +41,13 @@ class ControlPoints:
         return ControlPoints(**{name: getattr(self, name)[rows] for name in _COLUMNS})
 
 
-_COLUMNS = ("positions", "chord_s", "operation", "line", "rest", "dwell_s", "copy")
+_COLUMNS = ("positions", "chord_s", "operation", "line", "rest", "dwell_s", "copy", "span")
 
-Refine = Callable[[ControlPoints, FloatArray], ControlPoints]
-"""Turns vertices and their (n,) 0/1 turning points into control points."""
+Refine = Callable[[ControlPoints, FloatArray, ControlPoints | None, float], ControlPoints]
+"""Turns vertices and their (n,) 0/1 turning points into control points.
+
+The last two arguments are the vertex before the first, and whether it is a turning point.
+"""
 
 
 def join(parts: list[ControlPoints]) -> ControlPoints:
@@ -96,6 +100,7 @@ def vertices_as_points(
             rest=block.rest,
             dwell_s=block.dwell_s,
             copy=np.zeros(len(block), dtype=np.int64),
+            span=np.ones(len(block)),
         )
         # Sign of the latest movement of each axis before each displacement.
         signs = np.vstack([way[None], np.sign(displacement)])
@@ -127,74 +132,128 @@ def repeat(points: ControlPoints, times: IntArray) -> ControlPoints:
         rest=out.rest,
         dwell_s=out.dwell_s,
         copy=copy,
+        span=np.where(copy == 0, out.span, 1.0),
     )
 
 
-def plain(points: ControlPoints, turning: FloatArray) -> ControlPoints:
+def plain(
+    points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
+) -> ControlPoints:
     """Triple the ends and every other vertex at which the motion rests."""
-    del turning
+    del turning, before, turned
     return repeat(points, np.where(points.rest == 1, MULTIPLICITY, 1))
 
 
-def pulled_by_repetition(points: ControlPoints, turning: FloatArray) -> ControlPoints:
-    """Triple the turning points as well."""
-    return repeat(points, np.where((points.rest == 1) | (turning == 1), MULTIPLICITY, 1))
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Control points with all that the pieces between ``first`` and ``stop`` depend on.
+
+    Piece j leads from point j to point j + 1.
+    """
+
+    points: ControlPoints
+    first: int
+    stop: int
 
 
-def control_points(
-    programmed: ProgrammedPath, machine: Machine, refine: Refine
-) -> Iterator[ControlPoints]:
-    """Yield the control points in blocks that overlap by three, so that each is complete."""
+def windows(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> Iterator[Window]:
+    """Yield the control points in windows whose pieces follow on each other."""
     carried: ControlPoints | None = None
+    before: ControlPoints | None = None
+    turned, first = 0.0, 1
     for points, turning in vertices_as_points(programmed, machine):
-        fresh = refine(points, turning)
+        if not len(points):
+            continue
+        fresh = refine(points, turning, before, turned)
+        before, turned = points.take(slice(-1, None)), float(turning[-1])
         carried = fresh if carried is None else join([carried, fresh])
-        if len(carried) > MULTIPLICITY:
-            yield carried
-            carried = carried.take(slice(-MULTIPLICITY, None))
+        stop = len(carried) - 3
+        if stop > first:
+            yield Window(carried, first, stop)
+            carried, first = carried.take(slice(stop - 2, None)), 2
+    if carried is not None and len(carried) - 2 > first:
+        yield Window(carried, first, len(carried) - 2)
 
 
 def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> float:
     """Return the time per knot interval at which the fastest interval just meets the feed.
 
-    The velocity of an interval is a mean of three successive differences of control points with
-    the weights (1-u)^2/2, -u^2+u+1/2, u^2/2. Measured in the time that each takes at its feed,
-    the same mean of nominal times bounds the time that the interval needs, whatever the feed
-    means; the bound is met where the differences point the same way.
+    The velocity of an interval is a mean of three successive differences of control points (with
+    even knots the weights are (1-u)^2/2, -u^2+u+1/2, u^2/2). Measured in the time that each takes
+    at its feed, the same mean of nominal times bounds the time that the interval needs, whatever
+    the feed means; the bound is met where the differences point the same way.
     """
     longest = 0.0
-    for points in control_points(programmed, machine, refine):
-        t1, t2, t3 = points.chord_s[1:-2], points.chord_s[2:-1], points.chord_s[3:]
-        bend = t1 - 2.0 * t2 + t3
+    for window in windows(programmed, machine, refine):
+        points, rows = window.points, slice(window.first, window.stop)
+        span = points.span[1:]
+        differences = bezier_differences(points.chord_s[1:, None], span)
+        first, middle, last = (3.0 * t[rows, 0] / span[rows] for t in differences)
+        bend = first - 2.0 * middle + last
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = np.where(bend < 0, np.clip((t1 - t2) / bend, 0.0, 1.0), 0.0)
+            u = np.where(bend < 0, np.clip((first - middle) / bend, 0.0, 1.0), 0.0)
         for at in (np.zeros_like(u), u, np.ones_like(u)):
-            demand = (1 - at) ** 2 / 2 * t1 + (-at * at + at + 0.5) * t2 + at * at / 2 * t3
+            demand = (1 - at) ** 2 * first + 2.0 * at * (1 - at) * middle + at * at * last
             longest = max(longest, float(demand.max(initial=0.0)))
     return longest
+
+
+def bezier_differences(
+    leg: FloatArray, span: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the three (n, axes) differences of the Bezier points of the span over each leg.
+
+    ``leg`` and ``span`` are the differences of n + 1 control points and the knot intervals
+    between them; those of the first and last leg are not complete. Boehm's construction.
+    """
+    before = np.concatenate([span[:1], span[:-1]])
+    after = np.concatenate([span[1:], span[-1:]])
+    whole = before + span + after
+    lead, trail = (before / whole)[:, None] * leg, (after / whole)[:, None] * leg
+    around = np.zeros((len(leg) + 1, leg.shape[1]))
+    around[:-1] += lead
+    around[1:] += trail
+    first = around[:-1] * (span / (before + span))[:, None]
+    last = around[1:] * (span / (span + after))[:, None]
+    return first, leg - lead - trail, last
+
+
+def _coefficients(window: Window) -> FloatArray:
+    """Return the (n, 4, axes) coefficients of the pieces of a window."""
+    points, rows = window.points, slice(window.first, window.stop)
+    if (points.span == 1.0).all():
+        return bspline_coefficients(points.positions[window.first - 1 : window.stop + 2])
+    leg, span = np.diff(points.positions, axis=0), points.span[1:]
+    d0, d1, d2 = (part[rows] for part in bezier_differences(leg, span))
+    before = span[window.first - 1 : window.stop - 1]
+    whole = before + span[rows] + span[window.first + 1 : window.stop + 1]
+    start = points.positions[rows] + (before / whole)[:, None] * leg[rows] - d0
+    return np.stack([start, 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1)
 
 
 def bspline_pieces(
     programmed: ProgrammedPath, machine: Machine, refine: Refine, interval_s: float
 ) -> Iterator[PieceBlock]:
-    """Yield one cubic piece per knot interval, each lasting ``interval_s``."""
-    first = True
-    for points in control_points(programmed, machine, refine):
-        if first and points.dwell_s[0] > 0:
+    """Yield one cubic piece per knot interval; an even one lasts ``interval_s``."""
+    begun = False
+    for window in windows(programmed, machine, refine):
+        points = window.points
+        if not begun and points.dwell_s[0] > 0:
             yield _dwell_at_start(points)
-        first = False
-        # The interval from point i + 1 to i + 2 belongs to the move into i + 2; between the
-        # last two of three copies it leaves the vertex, and belongs to the move after it.
-        leaves = points.copy[2:-1] == MULTIPLICITY - 1
-        operation = np.where(leaves, points.operation[3:], points.operation[2:-1])
-        arrives = (points.rest[2:-1] == 1) & (points.copy[2:-1] == 1)
+        begun = True
+        here = slice(window.first + 1, window.stop + 1)
+        beyond = slice(window.first + 2, window.stop + 2)
+        # The interval into point j + 1 belongs to the move into it; between the last two of
+        # three copies it leaves the vertex, and belongs to the move after it.
+        leaves = points.copy[here] == MULTIPLICITY - 1
+        arrives = (points.rest[here] == 1) & (points.copy[here] == 1)
         yield PieceBlock(
-            coefficients=bspline_coefficients(points.positions),
-            operation=operation,
-            nominal_s=np.full(len(points) - 3, interval_s),
+            coefficients=_coefficients(window),
+            operation=np.where(leaves, points.operation[beyond], points.operation[here]),
+            nominal_s=interval_s * points.span[here],
             rest_after=arrives.astype(np.int64),
-            dwell_s=np.where(arrives, points.dwell_s[2:-1], 0.0),
-            line=np.where(leaves, points.line[3:], points.line[2:-1]),
+            dwell_s=np.where(arrives, points.dwell_s[here], 0.0),
+            line=np.where(leaves, points.line[beyond], points.line[here]),
         )
 
 

@@ -14,6 +14,7 @@ from threadline.path import bspline, linear
 from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
 from threadline.path.polynomial import polynomial_pieces
+from threadline.path.pulled import PULLS, Pull
 from threadline.path.smoothing import smoothing_for, smoothing_share
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
@@ -27,6 +28,7 @@ class PathOptions:
     """What an interpolation may need besides the programmed path."""
 
     tolerance_m: float = DEFAULT_TOLERANCE_M
+    pull: Pull = "repeat"
 
 
 Planner = Callable[[ProgrammedPath, Machine, PathOptions], PlannedPath]
@@ -37,6 +39,7 @@ def plan_path(
     machine: Machine,
     interpolation: str = "auto",
     tolerance_m: float = DEFAULT_TOLERANCE_M,
+    pull: Pull = "repeat",
 ) -> PlannedPath:
     """Return the path that will be followed.
 
@@ -51,10 +54,14 @@ def plan_path(
         radius of the tool. The historical interpolations ignore it; the cubic keeps it at the
         points only and the quintic meets them.
 
+    pull
+        How ``b-spline-pulled`` is pulled to its turning points: by repeating them, by points
+        nearby, or by knot spacing.
+
     Raises
     ------
     OptionError
-        If the interpolation is unknown or the tolerance is not greater than 0.
+        If the interpolation or the way to pull is unknown, or the tolerance not greater than 0.
     PlanError
         If the job cannot be done (see ``programmed_path``).
     """
@@ -67,7 +74,12 @@ def plan_path(
             f"tolerance is {tolerance_m!r} m; it must be greater than 0",
             remedy='Give one like "0.1 mm".',
         )
-    return _PLANNERS[interpolation](programmed, machine, PathOptions(tolerance_m=tolerance_m))
+    if pull not in PULLS:
+        raise OptionError(
+            f"unknown way {pull!r} to pull a spline", remedy=f"There are: {', '.join(PULLS)}."
+        )
+    options = PathOptions(tolerance_m=tolerance_m, pull=pull)
+    return _PLANNERS[interpolation](programmed, machine, options)
 
 
 def interpolation_names() -> tuple[str, ...]:
@@ -109,18 +121,25 @@ def _point_to_point(
     )
 
 
-def _bspline(name: str, refine: bspline.Refine) -> Planner:
-    def planner(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
-        del options
-        interval_s = bspline.interval_time_s(programmed, machine, refine)
-        return _historical(
-            name,
-            programmed,
-            lambda: bspline.bspline_pieces(programmed, machine, refine, interval_s),
-            {"interval_s": interval_s},
-        )
+def _bspline(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    del options
+    return _spline("b-spline", bspline.plain, programmed, machine)
 
-    return planner
+
+def _pulled(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    return _spline("b-spline-pulled", PULLS[options.pull], programmed, machine)
+
+
+def _spline(
+    name: str, refine: bspline.Refine, programmed: ProgrammedPath, machine: Machine
+) -> PlannedPath:
+    interval_s = bspline.interval_time_s(programmed, machine, refine)
+    return _historical(
+        name,
+        programmed,
+        lambda: bspline.bspline_pieces(programmed, machine, refine, interval_s),
+        {"interval_s": interval_s},
+    )
 
 
 def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
@@ -194,6 +213,6 @@ _PLANNERS: dict[str, Planner] = {
     "parabolic": _parabolic,
     "cubic": _polynomial("cubic"),
     "quintic": _polynomial("quintic"),
-    "b-spline": _bspline("b-spline", bspline.plain),
-    "b-spline-pulled": _bspline("b-spline-pulled", bspline.pulled_by_repetition),
+    "b-spline": _bspline,
+    "b-spline-pulled": _pulled,
 }

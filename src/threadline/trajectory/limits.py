@@ -184,9 +184,11 @@ def _bernstein(poly: FloatArray) -> FloatArray:
 def _inner_extreme(poly: FloatArray) -> tuple[float, float]:
     """Return where in [0, 1] the absolute value is largest, and the value."""
     slope = (poly[1:] * np.arange(1, len(poly)))[::-1]
+    # Leading coefficients that are nothing beside the others would only spoil the roots.
+    slope = slope[np.argmax(np.abs(slope) > 1e-14 * np.abs(slope).max()) :]
     roots = np.roots(slope) if np.any(slope) else np.zeros(0)
-    inside = [float(r.real) for r in np.atleast_1d(roots) if abs(r.imag) < 1e-9]
-    where = [0.0, 1.0] + [u for u in inside if 0.0 < u < 1.0]
+    # Any place may be tried: the real part of a pair that rounding drove apart is near the root.
+    where = [0.0, 1.0] + [float(r.real) for r in np.atleast_1d(roots) if 0.0 < r.real < 1.0]
     values = [abs(float(np.polyval(poly[::-1], u))) for u in where]
     at = int(np.argmax(values))
     return where[at], values[at]

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from threadline.jobs.operations import Feed
+from threadline.machine import load_machine
+from threadline.path import (
+    PieceBlock,
+    PlannedPath,
+    Timing,
+    path_deviation,
+    plan_path,
+    programmed_path,
+)
+from threadline.signals import Stream
+
+from .builders import COUNTS, job_of, there_and_back
+
+WINDER = load_machine("lathe-winder")
+FEED = Feed(COUNTS, 10)
+
+
+def programmed(points, axes):
+    return programmed_path(job_of(points, axes, FEED), WINDER)
+
+
+def path_of(coefficients, axes, operation, radius):
+    c = np.array(coefficients, dtype=float)
+    block = PieceBlock(
+        coefficients=c,
+        operation=np.array(operation),
+        nominal_s=np.ones(len(c)),
+        rest_after=np.zeros(len(c), dtype=np.int64),
+        dwell_s=np.zeros(len(c)),
+        line=np.array(operation) + 1,
+    )
+    return PlannedPath(
+        axes=axes,
+        radius_m=np.array(radius),
+        interpolation="by hand",
+        timing=Timing.TIME,
+        historical=True,
+        blocks=Stream.of([block]),
+    )
+
+
+def test_a_path_beside_the_chord_strays_by_the_distance():
+    """A parabola that bulges 4 mm over a chord of 100 mm: 4 mm in the middle."""
+    path = path_of([[[0, 0], [0.1, 0.016], [0, -0.016]]], ("X", "Y"), [0], [1.0, 1.0])
+    found = path_deviation(programmed([[0, 0], [0.1, 0]], ("X", "Y")), path)
+    assert found.at_tool_m == pytest.approx(0.004, rel=1e-9)
+    assert not found.at_vertex
+    assert found.position == pytest.approx([0.05, 0.004], abs=1e-6)
+    assert found.per_axis == pytest.approx([0.0, 0.004], abs=1e-9)
+
+
+def test_a_vertex_that_the_path_cuts_off_counts():
+    """The straight way from the first to the last point misses the corner by 50 mm / sqrt 2."""
+    path = path_of([[[0, 0], [0.05, 0.05]]], ("X", "Y"), [0], [1.0, 1.0])
+    found = path_deviation(programmed([[0, 0], [0.05, 0], [0.05, 0.05]], ("X", "Y")), path)
+    assert found.at_vertex
+    assert found.at_tool_m == pytest.approx(0.05 / np.sqrt(2), rel=1e-9)
+    assert (found.line, found.operation) == (1, 0)
+
+
+def test_rotary_axes_act_at_the_tool_radius():
+    """0.02 rad at 100 mm are 2 mm; the difference of the axis itself stays in rad."""
+    path = path_of([[[0, 0], [0.08, 0.1], [-0.08, 0]]], ("A", "X"), [0], [0.1, 1.0])
+    found = path_deviation(programmed([[0, 0], [0, 0.1]], ("A", "X")), path)
+    assert found.at_tool_m == pytest.approx(0.002, rel=1e-9)
+    assert found.per_axis[0] == pytest.approx(0.02, rel=1e-9)
+
+
+def test_only_moves_near_in_order_are_looked_at():
+    """A path on the way back is not near the way there, though they lie on each other."""
+    points = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.2, 0.1], [0.2, 0.2], [0.0, 0.2], [0.0, 0.0]]
+    wrong = path_of([[[0.05, 0.0], [0.0, 0.0]]], ("X", "Y"), [5], [1.0, 1.0])
+    found = path_deviation(programmed(points, ("X", "Y")), wrong)
+    # Point (50, 0) lies on the first chord; the last ones pass it at 50 mm.
+    assert found.at_tool_m >= 0.05 - 1e-12
+
+
+def test_plain_spline_misses_the_reversal_as_printed():
+    """8.6 mm at the turning point of the thesis' test, and on which line."""
+    line = programmed(there_and_back(), ("X",))
+    found = path_deviation(line, plan_path(line, WINDER, "b-spline"))
+    assert found.at_tool_m == pytest.approx(0.18 / 7 / 3, rel=1e-9)
+    assert found.at_vertex and found.line == 7
+    pulled = path_deviation(line, plan_path(line, WINDER, "b-spline-pulled"))
+    assert pulled.at_tool_m < 1e-8
+
+
+def test_linear_has_none_over_many_blocks():
+    way = 0.2 * np.sin(np.linspace(0, 60, 10_001))
+    line = programmed([[x] for x in way], ("X",))
+    assert path_deviation(line, plan_path(line, WINDER, "linear")).at_tool_m < 1e-15

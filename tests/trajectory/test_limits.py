@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from threadline.errors import LimitError
+from threadline.jobs.operations import Feed
+from threadline.machine import load_machine
+from threadline.path import plan_path, programmed_path
+from threadline.signals import Stream
+from threadline.trajectory import (
+    Trajectory,
+    TrajectoryBlock,
+    check_limits,
+    limit_peaks,
+    plan_trajectory,
+)
+
+from ..path.builders import COUNTS, job_of
+
+WINDER = load_machine("lathe-winder")
+
+
+def trajectory_of(coefficients, durations, *, historical=False):
+    """One axis, X, from its pieces."""
+    duration = np.array(durations, dtype=float)
+    block = TrajectoryBlock(
+        start_s=np.concatenate([[0.0], np.cumsum(duration)[:-1]]),
+        duration_s=duration,
+        coefficients=np.array(coefficients, dtype=float)[:, :, None],
+        operation=np.arange(len(duration)),
+    )
+    return Trajectory(axes=("X",), blocks=Stream.of([block]), historical=historical)
+
+
+def peak(peaks, quantity):
+    return next(p for p in peaks if p.quantity == quantity)
+
+
+def test_extremes_within_a_piece_are_exact():
+    """0.1 m by the law 10 u^3 - 15 u^4 + 6 u^5 in 0.5 s: Cv 15/8, Ca 10/sqrt 3, Cj 60."""
+    piece = [0, 0, 0, 1.0, -1.5, 0.6]
+    peaks = limit_peaks(trajectory_of([piece], [0.5]), WINDER)
+    assert abs(peak(peaks, "velocity").value_si) == pytest.approx(0.1 * 15 / 8 / 0.5, rel=1e-12)
+    acceleration = abs(peak(peaks, "acceleration").value_si)
+    assert acceleration == pytest.approx(0.1 * 10 / np.sqrt(3) / 0.25, rel=1e-12)
+    assert abs(peak(peaks, "jerk").value_si) == pytest.approx(0.1 * 60 / 0.125, rel=1e-12)
+    assert peak(peaks, "velocity").time_s == pytest.approx(0.25)
+    assert peak(peaks, "travel").value_si == pytest.approx(0.1)
+
+
+@given(st.lists(st.lists(st.floats(-1, 1), min_size=6, max_size=6), min_size=1, max_size=5))
+def test_no_dense_sample_exceeds_the_peak(coefficients):
+    """And the peak is met by a dense sample to the square of its spacing."""
+    trajectory = trajectory_of(coefficients, [0.3] * len(coefficients), historical=True)
+    peaks = limit_peaks(trajectory, WINDER)
+    u = np.linspace(0, 1, 2001)
+    for order, quantity in ((0, "travel"), (1, "velocity")):
+        found = peak(peaks, quantity)
+        if not np.isfinite(found.value_si):
+            continue
+        c = np.array(coefficients).T
+        for _ in range(order):
+            c = c[1:] * np.arange(1, len(c))[:, None] / 0.3
+        dense = np.abs(np.polynomial.polynomial.polyval(u, c)).max()
+        scale = 1.0 + np.abs(c).sum()
+        assert dense <= abs(found.value_si) + 1e-9 * scale
+        assert abs(found.value_si) <= dense + 1e-5 * scale
+
+
+def test_steps_count_as_infinite():
+    """A start at full speed is an infinite acceleration; a step of acceleration, infinite jerk."""
+    sudden = limit_peaks(trajectory_of([[0, 0.1]], [1.0]), WINDER)
+    assert peak(sudden, "acceleration").value_si == np.inf
+    assert peak(sudden, "jerk").value_si == np.inf
+    parabolas = trajectory_of([[0, 0, 0.05], [0.05, 0.1, -0.05]], [1.0, 1.0])
+    peaks = limit_peaks(parabolas, WINDER)
+    assert peak(peaks, "acceleration").value_si == pytest.approx(0.1)
+    assert peak(peaks, "jerk").value_si == np.inf
+
+
+def test_breaking_a_limit_is_an_error_that_names_it():
+    """0.1 m in 50 ms needs 3.75 m/s of X, which has 1 m/s."""
+    fast = trajectory_of([[0, 0, 0, 1.0, -1.5, 0.6]], [0.05])
+    with pytest.raises(LimitError, match=r"axis X.*velocity.*3\.75 m/s.*limit is 1 m/s") as caught:
+        check_limits(fast, WINDER)
+    assert caught.value.axis == "X"
+    slower = trajectory_of([[0, 0, 0, 1.0, -1.5, 0.6]], [0.6])
+    assert all(p.ratio < 1 for p in check_limits(slower, WINDER))
+
+
+def test_historical_demands_are_reported_not_refused():
+    programmed = programmed_path(job_of([[0.0], [0.1]], ("X",), Feed(COUNTS, 80)), WINDER)
+    for name in ("linear", "point-to-point"):
+        trajectory = plan_trajectory(plan_path(programmed, WINDER, name), WINDER)
+        assert peak(check_limits(trajectory, WINDER), "jerk").ratio > 1
+
+
+def test_travel_counts_from_the_middle():
+    """X spans -0.5 to 0.5 m: 0.4 m is 0.8 of the way to the end."""
+    peaks = limit_peaks(trajectory_of([[0, 0, 0, 4.0, -6.0, 2.4]], [2.0]), WINDER)
+    assert peak(peaks, "travel").ratio == pytest.approx(0.8)
+    assert peak(peaks, "travel").limit_si == pytest.approx(0.5)
