@@ -22,10 +22,12 @@ from threadline.twin.events import ENDLESS, EVENTS, SLOW
 from threadline.twin.prepare import Prepared, State, common_guards, new_state, prepare
 from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases
 
-LANES = 16
+_CACHE_BYTES = 40_000
+"""What a block of variants may take: it should stay in the fastest memory."""
 _FEW = 64
 """Fewer variants aren't worth a kernel of their own: they run one by one."""
 _SLOTS = 16
+_NEVER = 1 << 62
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 14
 
@@ -43,9 +45,10 @@ class BatchResult:
     end
         (V, axes) load at the last tick, m or rad.
     lowest, highest
-        (V, axes) smallest and largest load from ``window_s`` on, m or rad.
+        (V, axes) smallest and largest load from ``window_s`` on, m or rad; None without it.
     current_peak
-        (V, axes) current of largest magnitude, A; None when it was not watched.
+        (V, axes) current of largest magnitude, A; None when it was not watched, and when
+        ``channels`` were sampled (``X.current_peak`` is one of them).
     ticks
         Ticks simulated of each variant.
     slow_ticks, events
@@ -57,8 +60,8 @@ class BatchResult:
     axes: tuple[str, ...]
     worst_error: FloatArray
     end: FloatArray
-    lowest: FloatArray
-    highest: FloatArray
+    lowest: FloatArray | None
+    highest: FloatArray | None
     current_peak: FloatArray | None
     ticks: int
     slow_ticks: int
@@ -73,7 +76,7 @@ def simulate_batch(
     *,
     encoder_phase: FloatArray | None = None,
     settle_s: float = DEFAULT_SETTLE_S,
-    window_s: float = 0.0,
+    window_s: float | None = None,
     channels: tuple[str, ...] = (),
     record_every: int = 1,
     watch_current: bool = True,
@@ -96,7 +99,7 @@ def simulate_batch(
     settle_s
         How long to go on after the last row.
     window_s
-        ``lowest`` and ``highest`` count from this time on.
+        ``lowest`` and ``highest`` are kept from this time on; None leaves them out.
     channels
         Of ``"X.load"``, ``"X.measured"``, ``"X.voltage"``, ``"X.current"``, ``"X.current_peak"``:
         those to be kept, one sample every ``record_every`` ticks.
@@ -168,7 +171,7 @@ class _Batch:
     commands: TickTable
     machine: Machine
     settle_s: float
-    window_s: float
+    window_s: float | None
     channels: tuple[str, ...]
     every: int
     watch_current: bool
@@ -185,7 +188,8 @@ class _Batch:
         wanted = self._columns(pieces)
         owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
         guards = common_guards(pieces)
-        lanes, fixed = (LANES, True) if values.count >= _FEW else (1, False)
+        peak = self.watch_current or any(".current" in c for c in self.channels)
+        fixed = values.count >= _FEW
         states = []
         for piece in pieces:
             at = [owner.get(c) for c in piece.piece.group.controllers]
@@ -195,12 +199,13 @@ class _Batch:
             )
             states.append(
                 new_state(
-                    machine, piece, phase, lanes, guards,
-                    peak=self.watch_current or any(".current" in c for c in self.channels),
+                    machine, piece, phase, _lanes(piece, guards) if fixed else 1, guards,
+                    peak=peak,
                     quantised=self.quantised, slots=_SLOTS, fixed=fixed,
                 )
             )  # fmt: skip
-        window = ceil(self.window_s / float(machine.tick_clock.period_s))
+        tick_s = float(machine.tick_clock.period_s)
+        window = _NEVER if self.window_s is None else ceil(self.window_s / tick_s)
         kept: dict[str, list[FloatArray]] = {name: [] for name in self.channels}
         ticks = 0
         for position in self._positions():
@@ -316,8 +321,8 @@ class _Batch:
             axes=names,
             worst_error=table[:, :, k.WORST],
             end=table[:, :, k.LAST],
-            lowest=table[:, :, k.LOWEST],
-            highest=table[:, :, k.HIGHEST],
+            lowest=None if self.window_s is None else table[:, :, k.LOWEST],
+            highest=None if self.window_s is None else table[:, :, k.HIGHEST],
             current_peak=peak if self.watch_current and not self.channels else None,
             ticks=ticks,
             slow_ticks=sum(int(s.counts[:, SLOW].sum()) for s in states),
@@ -326,18 +331,26 @@ class _Batch:
         )
 
 
+def _lanes(prepared: Prepared, guards: int) -> int:
+    """Return how many variants side by side still fit the fastest memory: 8 to 64."""
+    rows = prepared.shape(1, guards, peak=True, quantised=True).layout()["rows"]
+    return next((lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES), 8)
+
+
 def _joined(parts: list[BatchResult]) -> BatchResult:
     def rows(name: str) -> FloatArray:
         return np.concatenate([getattr(part, name) for part in parts])
 
-    watched = parts[0].current_peak is not None
+    def rows_if_kept(name: str) -> FloatArray | None:
+        return None if getattr(parts[0], name) is None else rows(name)
+
     return BatchResult(
         axes=parts[0].axes,
         worst_error=rows("worst_error"),
         end=rows("end"),
-        lowest=rows("lowest"),
-        highest=rows("highest"),
-        current_peak=rows("current_peak") if watched else None,
+        lowest=rows_if_kept("lowest"),
+        highest=rows_if_kept("highest"),
+        current_peak=rows_if_kept("current_peak"),
         ticks=parts[0].ticks,
         slow_ticks=sum(part.slow_ticks for part in parts),
         events=sum(part.events for part in parts),

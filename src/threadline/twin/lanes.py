@@ -59,6 +59,10 @@ class Shape(NamedTuple):
     peak: bool  # currents are watched
     quantised: bool
     delayed: bool  # some command is under way longer than no time
+    limited: bool  # some drive's input has a limit of its own
+    bodies: int  # the first states are their coordinates: all that sensors and loads look at
+    reversal: bool  # every controller puts a zero tick where its level changes sign
+    shared: bool  # every tick each controller reads just what is its axis' load
 
     def layout(self) -> dict[str, int]:
         """Return where each part of the workspace begins, in rows of ``lanes`` floats."""
@@ -67,10 +71,10 @@ class Shape(NamedTuple):
         parts = {
             "z": size,
             "next": n,
-            "control": 19 * k,
-            "sensor": n * k,
+            "control": 18 * k,
+            "sensor": self.bodies * k,
             "measure": 5 * a,
-            "load": n * a,
+            "load": self.bodies * a,
             "peak": d,
             "current": d * size,
             "low": self.guards,
@@ -102,6 +106,10 @@ class Shape(NamedTuple):
             int(self.peak),
             int(self.quantised),
             int(self.delayed),
+            int(self.limited),
+            self.bodies,
+            int(self.reversal),
+            int(self.shared),
             *(at[name] for name in (*names, "matrix", "watch")),
         )
 
@@ -125,9 +133,8 @@ class Shape(NamedTuple):
     LIMIT,
     PHASE,
     ZERO,
-    REF,
     HELD,
-) = range(19)
+) = range(18)
 # Rows of an axis: largest |commanded - load|, least and greatest load of the window, last, scale.
 WORST, LOWEST, HIGHEST, LAST, SCALE = range(5)
 # Entries of ``clock``, before the heads of the dead times (written, read).
@@ -176,8 +183,8 @@ def _is_outside(w, u, L, sizes, offsets, x):  # type: ignore[no-untyped-def]
     for g in range(guards):
         for p in range(per):
             at = offsets[4] + ((x * guards + g) * per + p) * size
-            total = w[at * L + u] * w[u]
-            for j in range(1, size):
+            total = w[(at + size - 1) * L + u]
+            for j in range(size - 1):
                 total += w[(at + j) * L + u] * w[j * L + u]
             if total > w[(offsets[1] + g) * L + u] or total < w[(offsets[0] + g) * L + u]:
                 return True
@@ -185,7 +192,7 @@ def _is_outside(w, u, L, sizes, offsets, x):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _sample(w, L, first, offsets, K, quantised, frame, tripped, peak, out):  # type: ignore[no-untyped-def]
+def _sample(w, L, first, offsets, K, nb, quantised, frame, tripped, peak, out):  # type: ignore[no-untyped-def]
     """Fill a sample of every lane.
 
     Columns: counts and volts of each controller, load and frame of each axis, current and its
@@ -195,25 +202,27 @@ def _sample(w, L, first, offsets, K, quantised, frame, tripped, peak, out):  # t
     axes = frame.shape[1]
     size = frame.shape[2]
     drives = peak
-    n = size - 1 - drives
-    C, S, M, CU, PK = offsets[5], offsets[6], offsets[7], offsets[2], offsets[8]
+    C, S, F, CU, PK = offsets[5], offsets[6], offsets[7], offsets[2], offsets[8]
     for u in range(L):
         at = 0
         for c in range(K):
             now = 0.0
-            for i in range(n):
-                now += w[(S + c * n + i) * L + u] * w[i * L + u]
-            o = C + 19 * c
+            for i in range(nb):
+                now += w[(S + c * nb + i) * L + u] * w[i * L + u]
+            o = C + 18 * c
             if quantised:
                 now = np.floor(now + w[(o + PHASE) * L + u])
             out[at, u] = now
             out[at + 1, u] = w[(o + LEVEL) * L + u] * w[(o + VOLT) * L + u]
             at += 2
         for x in range(axes):
+            load = w[(F + x * nb) * L + u] * w[u]
+            for i in range(1, nb):
+                load += w[(F + x * nb + i) * L + u] * w[i * L + u]
             now = 0.0
             for j in range(size):
                 now += frame[first + u, x, j] * w[j * L + u]
-            out[at, u] = w[(M + 5 * x + LAST) * L + u]
+            out[at, u] = load
             out[at + 1, u] = now
             at += 2
         for d in range(drives):
@@ -275,6 +284,10 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
         _peak,
         _quantised,
         _delayed,
+        _limited,
+        _nb,
+        _reversal,
+        _shared,
         _Y,
         _C,
         _S,
@@ -286,7 +299,7 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
         _HI,
         _MX,
         _WX,
-    ) = numbers or (0,) * 23
+    ) = numbers or (0,) * 27
     sources = _sources()
 
     @njit(cache=True, nogil=True)
@@ -309,23 +322,27 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
         peak = _peak if fixed else numbers[9]
         quantised = _quantised if fixed else numbers[10]
         delayed = _delayed if fixed else numbers[11]
-        Y = _Y if fixed else numbers[12]
-        C = _C if fixed else numbers[13]
-        S = _S if fixed else numbers[14]
-        M = _M if fixed else numbers[15]
-        F = _F if fixed else numbers[16]
-        PK = _PK if fixed else numbers[17]
-        CU = _CU if fixed else numbers[18]
-        LO = _LO if fixed else numbers[19]
-        HI = _HI if fixed else numbers[20]
-        MX = _MX if fixed else numbers[21]
-        WX = _WX if fixed else numbers[22]
+        limited = _limited if fixed else numbers[12]
+        nb = _nb if fixed else numbers[13]
+        reversal = _reversal if fixed else numbers[14]
+        shared = _shared if fixed else numbers[15]
+        Y = _Y if fixed else numbers[16]
+        C = _C if fixed else numbers[17]
+        S = _S if fixed else numbers[18]
+        M = _M if fixed else numbers[19]
+        F = _F if fixed else numbers[20]
+        PK = _PK if fixed else numbers[21]
+        CU = _CU if fixed else numbers[22]
+        LO = _LO if fixed else numbers[23]
+        HI = _HI if fixed else numbers[24]
+        MX = _MX if fixed else numbers[25]
+        WX = _WX if fixed else numbers[26]
         N = n + nu + 1
         z = np.zeros(N)
         y = np.zeros(N)
         D = np.zeros((TERMS + 1, n))
         q = np.zeros(TERMS + 2)
-        offsets = np.array([LO, HI, CU, MX, WX, C, S, M, PK])
+        offsets = np.array([LO, HI, CU, MX, WX, C, S, F, PK])
         steps = len(length)
         nothing = np.int64(0)
         for b in range(begin, end):
@@ -347,30 +364,34 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                         if row == len(references):
                             running = False
                             break
-                        keep = clock[b, TICK] >= window
                         for x in range(A):
                             ref = references[row, axis_controller[x]]
+                            m = M + 5 * x
+                            if not shared:
+                                for u in range(L):
+                                    load = w[(F + x * nb) * L + u] * w[u]
+                                    for i in range(1, nb):
+                                        load += w[(F + x * nb + i) * L + u] * w[i * L + u]
+                                    worst = abs(ref * w[(m + SCALE) * L + u] - load)
+                                    kept = w[(m + WORST) * L + u]
+                                    w[(m + WORST) * L + u] = worst if worst > kept else kept
+                            if clock[b, TICK] < window and row < len(references) - 1:
+                                continue
                             for u in range(L):
-                                load = 0.0
-                                for i in range(n):
-                                    load += w[(F + x * n + i) * L + u] * w[i * L + u]
-                                worst = abs(ref * w[(M + 5 * x + SCALE) * L + u] - load)
-                                kept = w[(M + 5 * x + WORST) * L + u]
-                                w[(M + 5 * x + WORST) * L + u] = max(kept, worst)
-                                w[(M + 5 * x + LAST) * L + u] = load
-                                if keep:
-                                    kept = w[(M + 5 * x + LOWEST) * L + u]
-                                    w[(M + 5 * x + LOWEST) * L + u] = min(kept, load)
-                                    kept = w[(M + 5 * x + HIGHEST) * L + u]
-                                    w[(M + 5 * x + HIGHEST) * L + u] = max(kept, load)
+                                load = w[(F + x * nb) * L + u] * w[u]
+                                for i in range(1, nb):
+                                    load += w[(F + x * nb + i) * L + u] * w[i * L + u]
+                                w[(m + LAST) * L + u] = load
+                                if clock[b, TICK] >= window:
+                                    kept = w[(m + LOWEST) * L + u]
+                                    w[(m + LOWEST) * L + u] = load if load < kept else kept
+                                    kept = w[(m + HIGHEST) * L + u]
+                                    w[(m + HIGHEST) * L + u] = load if load > kept else kept
                         clock[b, TICK] += 1
-                        for c in range(K):
-                            for u in range(L):
-                                w[(C + 19 * c + REF) * L + u] = references[row, c]
                         row += 1
                         if every > 0:
                             if clock[b, UNTIL_SAMPLE] == 0:
-                                _sample(w, L, b * L, offsets, K, quantised, frame, tripped, nu,
+                                _sample(w, L, b * L, offsets, K, nb, quantised, frame, tripped, nu,
                                         records[b, taken])  # fmt: skip
                                 taken += 1
                                 clock[b, UNTIL_SAMPLE] = every
@@ -379,15 +400,20 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                         # Numbers that the compiler knows not to be negative: indices need no care.
                         if what == 0 or c != k:
                             continue
-                        o = C + 19 * c
+                        o = C + 18 * c
                         if what == 1:
+                            ref = references[row - 1, c]
                             for u in range(L):
-                                read = w[(S + c * n) * L + u] * w[u]
-                                for i in range(1, n):
-                                    read += w[(S + c * n + i) * L + u] * w[i * L + u]
+                                read = w[(S + c * nb) * L + u] * w[u]
+                                for i in range(1, nb):
+                                    read += w[(S + c * nb + i) * L + u] * w[i * L + u]
+                                if shared:
+                                    worst = abs(ref - read)
+                                    kept = w[(M + 5 * c + WORST) * L + u]
+                                    w[(M + 5 * c + WORST) * L + u] = worst if worst > kept else kept
                                 if quantised:
                                     read = np.floor(read + w[(o + PHASE) * L + u])
-                                e = w[(o + REF) * L + u] - read
+                                e = ref - read
                                 value = w[(o + B0) * L + u] * e
                                 value += w[(o + B1) * L + u] * w[(o + E1) * L + u]
                                 if feedback:
@@ -407,8 +433,11 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                                     value = high if value > high else value
                                     value = low if value < low else value
                                     w[(o + O1) * L + u] = value
-                                turned = w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
-                                level = 0.0 if turned < 0.0 else level
+                                if reversal:
+                                    level = 0.0 if level * w[(o + LEVEL) * L + u] < 0.0 else level
+                                else:
+                                    turned = w[(o + ZERO) * L + u] * level * w[(o + LEVEL) * L + u]
+                                    level = 0.0 if turned < 0.0 else level
                                 w[(o + LEVEL) * L + u] = level
                             if delayed:
                                 head = clock[b, HEADS + 2 * c]
@@ -427,9 +456,10 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                                 for u in range(L):
                                     held = w[(o + (HELD if delayed else LEVEL)) * L + u]
                                     held *= w[(o + GAIN) * L + u]
-                                    limit = w[(o + LIMIT) * L + u]
-                                    held = limit if held > limit else held
-                                    held = -limit if held < -limit else held
+                                    if limited:
+                                        limit = w[(o + LIMIT) * L + u]
+                                        held = limit if held > limit else held
+                                        held = -limit if held < -limit else held
                                     w[(n + d) * L + u] = held
                 if not running:
                     break
@@ -442,11 +472,10 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                             jumped = np.int64(0)
                             for g in range(W):
                                 for u in range(L):
-                                    now = w[(WX + (x * W + g) * P * N) * L + u] * w[u]
-                                    for j in range(1, N):
-                                        now += (
-                                            w[(WX + (x * W + g) * P * N + j) * L + u] * w[j * L + u]
-                                        )
+                                    o = WX + (x * W + g) * P * N
+                                    now = w[(o + N - 1) * L + u]
+                                    for j in range(N - 1):
+                                        now += w[(o + j) * L + u] * w[j * L + u]
                                     jumped += np.int64(now > w[(HI + g) * L + u])
                                     jumped += np.int64(now < w[(LO + g) * L + u])
                             if jumped > 0:
@@ -457,16 +486,16 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                                         w[i * L + u] = w[(Y + i) * L + u]
                         for d in range(nu):
                             for u in range(L):
-                                now = w[(CU + d * N) * L + u] * w[u]
-                                for j in range(1, N):
+                                now = w[(CU + d * N + N - 1) * L + u]
+                                for j in range(N - 1):
                                     now += w[(CU + d * N + j) * L + u] * w[j * L + u]
                                 kept = w[(PK + d) * L + u]
                                 w[(PK + d) * L + u] = now if abs(now) > abs(kept) else kept
                     for u in range(L):
                         for i in range(n):
                             o = MX + (x * n + i) * N
-                            total = w[o * L + u] * w[u]
-                            for j in range(1, N):
+                            total = w[(o + N - 1) * L + u]
+                            for j in range(N - 1):
                                 total += w[(o + j) * L + u] * w[j * L + u]
                             w[(Y + i) * L + u] = total
                     if W > 0:
@@ -475,8 +504,8 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                             for p in range(P):
                                 o = WX + ((x * W + g) * P + p) * N
                                 for u in range(L):
-                                    total = w[o * L + u] * w[u]
-                                    for j in range(1, N):
+                                    total = w[(o + N - 1) * L + u]
+                                    for j in range(N - 1):
                                         total += w[(o + j) * L + u] * w[j * L + u]
                                     outside += np.int64(total > w[(HI + g) * L + u])
                                     outside += np.int64(total < w[(LO + g) * L + u])

@@ -37,6 +37,8 @@ class Prepared:
     ----------
     piece, schedule, plant, control
         Equations, instants and tables; every array has the variants first.
+    shared
+        Whether at every tick each controller, one for each axis in order, reads its axis' load.
     cell_s
         The shortest advance that is tabulated; a power of two of them make a grid period.
     halvings
@@ -52,6 +54,7 @@ class Prepared:
     plant: PlantTables
     control: ControlTables
     axis_controller: IntArray
+    shared: bool
     cell_s: float
     halvings: int
     intervals: int
@@ -82,6 +85,10 @@ class Prepared:
             peak=peak,
             quantised=quantised,
             delayed=self.schedule.delayed,
+            limited=bool(np.isfinite(self.control.limit).any()),
+            bodies=len(self.piece.group.bodies),
+            reversal=bool(self.control.zero_on_reversal.all()),
+            shared=self.shared,
         )
 
 
@@ -127,10 +134,20 @@ def prepare(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prepare
             [group.controllers.index(axes[a].controller) for a in group.axes],
             dtype=np.int64,
         ),
+        shared=_shared(machine, piece),
         cell_s=cell_s,
         halvings=halvings,
         intervals=max(1, int(np.ceil(grid_s * longest * rate / _WATCH_PER_RATE))),
         watched=1 + max(0, int(np.floor(np.log2(max(_WATCH_PER_RATE / (rate * cell_s), 1.0))))),
+    )
+
+
+def _shared(machine: Machine, piece: PiecewiseLinear) -> bool:
+    group, tick_s = piece.group, machine.tick_clock.period_s
+    return [machine.axes[a].controller for a in group.axes] == list(group.controllers) and all(
+        machine.axes[axis].load is None
+        and machine.clock(machine.controllers[name].clock).period_s == tick_s
+        for axis, name in zip(group.axes, group.controllers, strict=True)
     )
 
 
@@ -192,7 +209,10 @@ class State:
         at, lanes = self.shape.layout()["measure"], self.shape.lanes
         part = self.work.reshape(len(self.work), -1, lanes)[:, at : at + 5 * self.shape.axes]
         parted = part.reshape(len(self.work), self.shape.axes, 5, lanes)
-        return np.ascontiguousarray(parted.transpose(0, 3, 1, 2).reshape(-1, self.shape.axes, 5))
+        table = np.ascontiguousarray(parted.transpose(0, 3, 1, 2).reshape(-1, self.shape.axes, 5))
+        if self.shape.shared:
+            table[:, :, k.WORST] *= table[:, :, k.SCALE]
+        return table
 
     def peaks(self) -> FloatArray:
         """Return (V, drives): the current of largest magnitude."""
@@ -258,7 +278,7 @@ def new_state(
     put(layout["z"] + prepared.plant.base.shape[2] - 1, np.ones(1))
     control = prepared.control
     for c in range(shape.controllers):
-        o = layout["control"] + 19 * c
+        o = layout["control"] + 18 * c
         for row, values in (
             (k.B0, control.numerator[:, c, 0]),
             (k.B1, control.numerator[:, c, 1]),
@@ -274,15 +294,15 @@ def new_state(
             (k.ZERO, np.full(1, float(control.zero_on_reversal[c]))),
         ):
             put(o + row, values)
-        for i in range(shape.states):
-            put(layout["sensor"] + c * shape.states + i, control.sensor_row[:, c, i])
+        for i in range(shape.bodies):
+            put(layout["sensor"] + c * shape.bodies + i, control.sensor_row[:, c, i])
     for x, axis in enumerate(prepared.piece.group.axes):
         o = layout["measure"] + 5 * x
         put(o + k.LOWEST, np.full(1, np.inf))
         put(o + k.HIGHEST, np.full(1, -np.inf))
         put(o + k.SCALE, np.full(1, 1.0 / machine.axes[axis].counts.si))
-        for i in range(shape.states):
-            put(layout["load"] + x * shape.states + i, prepared.piece.load_rows[:, x, i])
+        for i in range(shape.bodies):
+            put(layout["load"] + x * shape.bodies + i, prepared.piece.load_rows[:, x, i])
     clock = np.zeros((blocks, k.HEADS + 2 * shape.controllers), dtype=np.int64)
     clock[:, k.HEADS :: 2] = schedule.in_flight
     return State(
