@@ -181,3 +181,10 @@ def test_a_lag_beyond_any_machine_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="lag = '1e300 s' is above 3600 s") as caught:
         load_spec(path, load_machine("lathe-winder"))
     assert "spec.toml:2" in str(caught.value)
+
+
+def test_a_machine_based_on_another_is_asked_for_the_same() -> None:
+    """Two steps from the stitcher; its own demands follow from its own limits."""
+    spec = load_spec(None, load_machine("stitcher-rigid-half-mass"))
+    assert spec.name == "stitcher"
+    assert next(c.limit for c in spec.criteria if c.name == "stitch_length_error") == 0.05

@@ -38,7 +38,8 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     ----------
     reference
         A file; None for the default: beside a machine file ``NAME.toml`` the file
-        ``NAME.spec.toml`` or ``spec.toml``, else the one that the library has for its name.
+        ``NAME.spec.toml`` or ``spec.toml``, else the one that the library has for its name or for
+        the machine that it is based on.
     machine
         Gives the axes, their units and their limits.
 
@@ -59,13 +60,19 @@ def _default(machine: Machine) -> tuple[str, str]:
         for beside in (own.with_suffix(".spec.toml"), own.with_name("spec.toml")):
             if beside.is_file():
                 return _read(beside), str(beside)
-    entry = resources.files("threadline.machine") / "library" / f"{name}.spec.toml"
-    if not re.fullmatch(r"[A-Za-z0-9_-]+", name) or not entry.is_file():
-        raise SpecError(
-            f"machine {name!r} has no default specification",
-            remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",
-        )
-    return entry.read_text(encoding="utf-8"), f"{name}.spec.toml"
+    library = resources.files("threadline.machine") / "library"
+    base = name
+    while re.fullmatch(r"[A-Za-z0-9_-]+", base):
+        entry, machine_file = library / f"{base}.spec.toml", library / f"{base}.toml"
+        if entry.is_file():
+            return entry.read_text(encoding="utf-8"), f"{base}.spec.toml"
+        # A machine that is based on another is asked for the same; bases make no circle there.
+        content = machine_file.read_text(encoding="utf-8") if machine_file.is_file() else ""
+        base = str(tomllib.loads(content).get("base", "")).split("+")[0]
+    raise SpecError(
+        f"machine {name!r} has no default specification",
+        remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",
+    )
 
 
 def _read(path: Path) -> str:
