@@ -134,6 +134,10 @@ def test_a_recording_is_judged_as_the_run_was(
     assert code == 0
     assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
 
+    code, out, err = run(capsys, "judge", trace, "-m", "lathe-winder+physical")
+    assert (code, out) == (2, "")
+    assert "run.npz was recorded on another machine" in err
+
 
 def test_report_and_table_files(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -75,6 +75,13 @@ def judge(
                 f"(sha256 {recording.job_sha256[:12]}, now {plan.job.sha256[:12]})",
                 remedy="Give the job file that was run with --job.",
             )
+        if recording.machine_sha256 and recording.machine_sha256 != chosen.sha256:
+            raise OptionError(
+                f"{path.name} was recorded on another machine, or another version of its file, "
+                f"than {chosen.name} (sha256 {recording.machine_sha256[:12]}, "
+                f"now {chosen.sha256[:12]})",
+                remedy="Give the machine file of the run with --machine.",
+            )
     verdict = judge_recordings(read, plan, load_spec(spec, chosen))
     if json:
         print_json(verdict_json(verdict, plan))
