@@ -21,6 +21,7 @@ from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timin
 from threadline.signals import Stream
 
 DEFAULT_TOLERANCE_M = 1e-4
+PARABOLA_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,8 +163,10 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
 def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     smoothing = smoothing_for(machine, programmed.axes)
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
-    smoothing_m = share * options.tolerance_m
-    cut_m = options.tolerance_m - smoothing_m
+    # A parabola uses all of its share, unlike a spline, and nothing is left for the outer ends
+    # of the smoothing: found by trial to need a tenth at reversals.
+    smoothing_m = PARABOLA_SHARE * share * options.tolerance_m
+    cut_m = (1.0 - share) * options.tolerance_m
     path = PlannedPath(
         axes=programmed.axes,
         radius_m=programmed.radius_m,

@@ -83,6 +83,8 @@ class Pieces:
         (n,) part of the length over which the curvature falls towards the end, and the start.
     length
         (n,) m at the tool.
+    leave, enter
+        (n,) m at the tool: |q_u| at the end and at the start, which times u' is the speed there.
     operation
         (n,) int.
     whole
@@ -96,6 +98,8 @@ class Pieces:
     ahead: FloatArray
     behind: FloatArray
     length: FloatArray
+    leave: FloatArray
+    enter: FloatArray
     operation: IntArray
     whole: IntArray
 
@@ -108,7 +112,8 @@ class Pieces:
 
 
 _COLUMNS = (
-    "c", "straight", "feed", "smooth", "ahead", "behind", "length", "operation", "whole",
+    "c", "straight", "feed", "smooth", "ahead", "behind", "length", "leave", "enter",
+    "operation", "whole",
 )  # fmt: skip
 
 
@@ -140,11 +145,8 @@ def prepare(
     lone[1:-2] &= (behind[1:-2] > 1.0 - _HAT) & (ahead[2:-1] > 1.0 - _HAT)
     lone[2:-1] |= lone[1:-2]
     seen = 1.0 - np.minimum(allowed.smoothing.width_s * np.sqrt(smooth) / 8.0, 0.25)
-    length = (
-        size(c[:, 1], allowed.radius)
-        + size(c[:, 1] + c[:, 2], allowed.radius)
-        + size(slope(c), allowed.radius)
-    ) / 3.0
+    enter, leave = size(c[:, 1], allowed.radius), size(slope(c), allowed.radius)
+    middle = size(c[:, 1] + c[:, 2], allowed.radius)
     return Pieces(
         c=c,
         straight=straight.astype(np.int64),
@@ -152,7 +154,9 @@ def prepare(
         smooth=np.where(lone, smooth / seen, smooth),
         ahead=ahead,
         behind=behind,
-        length=length,
+        length=(enter + middle + leave) / 3.0,
+        leave=leave,
+        enter=enter,
         operation=operation,
         whole=straight.astype(np.int64),
     )
@@ -165,8 +169,8 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
     """
     begin, end = np.zeros(len(pieces)), np.zeros(len(pieces))
     _zones(
-        pieces.smooth, pieces.length, pieces.straight, pieces.ahead, pieces.behind,
-        allowed.reach_s, allowed.top_m_s, begin, end,
+        pieces.smooth, pieces.length, pieces.leave, pieces.enter, pieces.straight,
+        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s, begin, end,
     )  # fmt: skip
     due = pieces.whole == 1
     if not ends:
@@ -197,6 +201,8 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
         ahead=out.ahead,
         behind=out.behind,
         length=out.length * share,
+        leave=out.leave * share,
+        enter=out.enter * share,
         operation=out.operation,
         whole=np.where(due[rows], 0, out.whole),
     )
@@ -206,8 +212,8 @@ def caps(pieces: Pieces, factor: FloatArray, allowed: Allowance) -> FloatArray:
     """Return the (n,) largest u'^2, with what the curves nearby ask for."""
     cap = np.minimum(pieces.feed, pieces.smooth)
     _spread(
-        cap, pieces.smooth, factor, pieces.length, pieces.straight, pieces.ahead, pieces.behind,
-        allowed.reach_s, allowed.top_m_s,
+        cap, pieces.smooth, factor, pieces.length, pieces.leave, pieces.enter, pieces.straight,
+        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s,
     )  # fmt: skip
     return cap
 
@@ -262,12 +268,12 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 @njit(cache=True)
-def _zones(cap, length, straight, ahead, behind, reach, top, begin, end):  # type: ignore[no-untyped-def]
+def _zones(cap, length, leave, enter, straight, ahead, behind, reach, top, begin, end):  # type: ignore[no-untyped-def]
     """Write how much of each straight piece, from its start and its end, curves reach into."""
     for i in range(len(cap)):
         if straight[i] or np.sqrt(cap[i]) * length[i] >= top:
             continue
-        far = np.sqrt(cap[i]) * length[i] * reach
+        far = np.sqrt(cap[i]) * leave[i] * reach
         gone = ahead[i] * length[i]
         for j in range(i + 1, len(cap)):
             if gone >= far:
@@ -275,6 +281,7 @@ def _zones(cap, length, straight, ahead, behind, reach, top, begin, end):  # typ
             if straight[j]:
                 begin[j] = max(begin[j], min(far - gone, length[j]))
             gone += length[j]
+        far = np.sqrt(cap[i]) * enter[i] * reach
         gone = behind[i] * length[i]
         for j in range(i - 1, -1, -1):
             if gone >= far:
@@ -285,12 +292,12 @@ def _zones(cap, length, straight, ahead, behind, reach, top, begin, end):  # typ
 
 
 @njit(cache=True)
-def _spread(cap, own, factor, length, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
     """Let the cap of a curved piece hold for all pieces that the smoothing sees from there."""
     for i in range(len(own)):
         if straight[i] or np.sqrt(own[i]) * length[i] >= top:
             continue
-        far = np.sqrt(own[i]) * length[i] * reach
+        far = np.sqrt(own[i]) * leave[i] * reach
         x = own[i]
         gone = ahead[i] * length[i]
         for j in range(i + 1, len(own)):
@@ -300,6 +307,7 @@ def _spread(cap, own, factor, length, straight, ahead, behind, reach, top):  # t
             x = x * factor[j - 1]
             cap[j] = min(cap[j], x)
             gone += length[j]
+        far = np.sqrt(own[i]) * enter[i] * reach
         x = own[i]
         gone = behind[i] * length[i]
         for j in range(i - 1, -1, -1):
