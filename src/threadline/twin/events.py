@@ -40,7 +40,8 @@ def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
     The side is 0 when it stays. The sections of the interval are looked at in order, then
     Newton's method, kept within a bracket, finds the crossing.
     """
-    stays_apart()
+    stays_apart(False)
+    before = q[0]
     for section in range(_SECTIONS):
         a = section / _SECTIONS
         if a >= until:
@@ -50,10 +51,15 @@ def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
         for k in range(TERMS - 1, -1, -1):
             value = value * b + q[k]
         if low <= value <= high:
+            before = value
             continue
         side = 1 if value > high else -1
         bound = high if side > 0 else low
-        left, right, s = a, b, 0.5 * (a + b)
+        left, right = a, b
+        # The secant's crossing, then Newton's; what is left squares itself at every turn.
+        s = a + (b - a) * (bound - before) / (value - before)
+        if not (a <= s <= b):
+            s = 0.5 * (a + b)
         for _ in range(80):
             value, slope = q[TERMS], 0.0
             for k in range(TERMS - 1, -1, -1):
@@ -65,9 +71,9 @@ def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
             else:
                 left = s
             better = s - value / (slope * side) if slope != 0.0 else 0.5 * (left + right)
-            if not (left < better < right):
+            if not (left <= better <= right):
                 better = 0.5 * (left + right)
-            done = abs(better - s) < 1e-15 or right - left < 1e-15
+            done = abs(better - s) < 1e-9 or right - left < 1e-15
             s = better
             if done:
                 break
@@ -82,7 +88,7 @@ def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no
     Called again after that, it goes on where it was: ``where[DONE]`` cells and, of the next, the
     fraction ``1 - q[-1]``. ``cells`` = 0 only leaves modes that don't hold at z.
     """
-    stays_apart()
+    stays_apart(False)
     f, sizes = t.values, t.sizes
     n, size, guards = sizes[N_STATES], sizes[COLUMNS], sizes[GUARDS]
     guard, rate, low, hold = n * size, sizes[AT_RATE], sizes[AT_LOW], sizes[AT_HOLD]

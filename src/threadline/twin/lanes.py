@@ -144,7 +144,7 @@ STEP, UNTIL_SAMPLE, TICK, HEADS = 0, 1, 2, 3
 @njit
 def _leave(w, u, L, v, offsets, cells, plant, t, modes, where, z, y, D, q, tripped):  # type: ignore[no-untyped-def]
     """Advance lane u, modes changing, from z of the workspace to its next state."""
-    stays_apart()
+    stays_apart(True)
     before = modes[u]
     where[MODE] = max(before, 0)
     where[DONE] = 0
@@ -177,7 +177,7 @@ def _leave(w, u, L, v, offsets, cells, plant, t, modes, where, z, y, D, q, tripp
 @njit
 def _is_outside(w, u, L, sizes, offsets, x):  # type: ignore[no-untyped-def]
     """Whether an advance of length x might leave a guard of lane u."""
-    stays_apart()
+    stays_apart(True)
     size, guards = sizes[COLUMNS], sizes[GUARDS]
     per = 1 + 3 * sizes[PARTS]
     for g in range(guards):
@@ -198,7 +198,7 @@ def _sample(w, L, first, offsets, K, nb, quantised, frame, tripped, peak, out): 
     Columns: counts and volts of each controller, load and frame of each axis, current and its
     peak of each drive, every switch.
     """
-    stays_apart()
+    stays_apart(True)
     axes = frame.shape[1]
     size = frame.shape[2]
     drives = peak
@@ -309,7 +309,7 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
     ):  # fmt: skip
         _ = sources
         if not fixed:
-            stays_apart()
+            stays_apart(True)
         n = _n if fixed else numbers[0]
         nu = _nu if fixed else numbers[1]
         K = _K if fixed else numbers[2]

@@ -104,7 +104,7 @@ def new_modes(
 @njit
 def _compose(plant, v, t, row, mode):  # type: ignore[no-untyped-def]  # noqa: PLR0915
     """Fill generator, guards, transitions and currents of the row."""
-    stays_apart()
+    stays_apart(True)
     f, p, out, to_out = plant.values, plant.plan, t.values, t.plan
     n, size, elements, M, G, drives = p[0], p[1], p[2], p[3], p[4], p[5]
     direction = n * size
@@ -188,7 +188,7 @@ def _compose(plant, v, t, row, mode):  # type: ignore[no-untyped-def]  # noqa: P
 @njit
 def _after(t, row, level, P, source, target):  # type: ignore[no-untyped-def]
     """P[target] = advance by cell * 2**level after P[source], rows (n, N), identity below."""
-    stays_apart()
+    stays_apart(True)
     n, size = t.sizes[N_STATES], t.sizes[COLUMNS]
     step = t.sizes[AT_STEP] + level * n * size
     for i in range(n):
@@ -206,7 +206,7 @@ def _fill_fast(t, row, index, P):  # type: ignore[no-untyped-def]
     The n rows of the state's propagator, then per guard its value at the start and, per watched
     interval, the two inner Bezier points of its cubic Hermite interpolant and its end.
     """
-    stays_apart()
+    stays_apart(True)
     n, size, W, parts = t.sizes[N_STATES], t.sizes[COLUMNS], t.sizes[GUARDS], t.sizes[PARTS]
     values = t.values
     length = t.sizes[AT_LENGTHS + index]
@@ -255,7 +255,7 @@ def _fill_fast(t, row, index, P):  # type: ignore[no-untyped-def]
 @njit
 def meet(plant, v, t, mode):  # type: ignore[no-untyped-def]
     """Fill the tables of a mode of variant v that is met for the first time."""
-    stays_apart()
+    stays_apart(True)
     n, size = t.sizes[N_STATES], t.sizes[COLUMNS]
     slots = len(t.values) // len(t.slot_of)
     row = v * slots + t.used[v, 0]
