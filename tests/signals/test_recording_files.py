@@ -340,6 +340,7 @@ def test_our_csv_notices_what_is_missing(tmp_path) -> None:
 def test_no_file_and_other_files(tmp_path) -> None:
     with pytest.raises(RecordingError, match="cannot read"):
         read_recording(tmp_path / "none.csv")
+    (tmp_path / "a.xls").write_bytes(b"x")
     with pytest.raises(RecordingError, match=r"does not end like a recording.*Known: \.npz, \.csv"):
         read_recording(tmp_path / "a.xls")
     (tmp_path / "b.npz").write_bytes(b"PK\3\4 but no archive")
