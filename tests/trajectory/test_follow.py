@@ -84,6 +84,45 @@ def test_limits_ends_and_tolerance(line, tolerance_m):
     assert gap_to_polyline(vertices, scaled).max() <= 1.01 * tolerance_m + sagitta
 
 
+# Reversals beside chords of some micrometres, and between very long ones: the smoothing sees
+# more than the corner there.
+NASTY = [
+    (("A", "X"), 1.2e-6, [[0, 0], [4.151, 0.0355], [20, 0.057], [4.151, 0.0355]]),
+    (("X",), 4.6e-6, [[0], [0.002291519], [0.002291085], [-0.0117063], [-0.0116993]]),
+    (
+        ("A", "X"),
+        3.7e-5,
+        [
+            [0, 0],
+            [-0.009, 0.0002],
+            [0.215, 0.0107],
+            [1.917, 0.0131],
+            [1.91695, 0.01309],
+            [1.9, 0.01],
+        ],
+    ),
+    (
+        ("X", "Y"),
+        1.1e-5,
+        [[0, 0], [-0.0787, 0], [-0.2267, -4e-6], [-0.1563, -8e-9], [-0.1563, -2e-5]],
+    ),
+]
+
+
+@pytest.mark.parametrize(("axes", "tolerance_m", "points"), NASTY)
+def test_short_chords_and_reversals_stay_within_tolerance(axes, tolerance_m, points):
+    path, trajectory = followed(points, axes, tolerance_m)
+    check_limits(trajectory, WINDER)
+    vertices = np.array(points) * path.radius_m
+    nearest = np.full(len(vertices), np.inf)
+    for block in trajectory:
+        at = np.linspace(block.start_s[0], block.end_s, 40 * len(block) + 1)
+        scaled = block.evaluate(at) * path.radius_m
+        assert gap_to_polyline(scaled, vertices).max() <= tolerance_m
+        nearest = np.minimum(nearest, gap_to_polyline(vertices, scaled))
+    assert nearest.max() <= tolerance_m
+
+
 @pytest.mark.parametrize("length_m", [0.002, 0.05, 0.4])
 def test_straight_move_takes_the_time_of_the_trapezoid(length_m):
     """L / V + V / A, or 2 sqrt(L / A); the jerk limit adds 2 A / J, the step 2.5 more samples."""

@@ -18,7 +18,10 @@ _ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
 _HAT = 0.25  # of the larger curvature: the smaller one at the end of a corner's piece
 _CUSP = 1e-5  # of the piece's size: a slower end is a cusp
 _TAILS = 20.0  # times what the tails of the smoothing may cut: a tolerance below is fine
-_NEAR = 1e-6  # of a straight piece: it is not cut nearer to its ends
+_ZONES = 6  # lengths over which curves of different speed reach into one straight piece
+_ALIKE = 1.1  # zones nearer in length are one
+_WIDE = 1.11  # so that a cap may hold a little farther than it must
+_NEAR = 1e-10  # of a straight piece: it is not cut nearer to its ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,30 +170,17 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
 
     The last piece stays whole unless the run ``ends`` there: what follows it is not known.
     """
-    begin, end = np.zeros(len(pieces)), np.zeros(len(pieces))
-    _zones(
-        pieces.smooth, pieces.length, pieces.leave, pieces.enter, pieces.straight,
-        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s, begin, end,
-    )  # fmt: skip
     due = pieces.whole == 1
     if not ends:
         due[-1] = False
-    length = np.where(pieces.length > 0, pieces.length, 1.0)
-    one, two = begin / length, 1.0 - end / length
-    cuts = np.stack([np.minimum(one, two), np.maximum(one, two)], axis=1)
-    valid = due[:, None] & (cuts > _NEAR) & (cuts < 1.0 - _NEAR)
-    valid[:, 1] &= ~valid[:, 0] | (cuts[:, 1] - cuts[:, 0] > _NEAR)
-    low = np.where(valid[:, 0], cuts[:, 0], np.where(valid[:, 1], cuts[:, 1], 1.0))
-    high = np.where(valid[:, 0] & valid[:, 1], cuts[:, 1], 1.0)
-    count = 1 + valid.sum(axis=1)
-    rows = np.repeat(np.arange(len(pieces)), count)
-    part = np.arange(len(rows)) - (np.cumsum(count) - count)[rows]
-    start = np.where(part == 0, 0.0, np.where(part == 1, low[rows], high[rows]))
-    stop = np.where(part == 0, low[rows], np.where(part == 1, high[rows], 1.0))
-    share = np.where(count[rows] == 1, 1.0, stop - start)
+    rows, start, stop = _cut(
+        due, pieces.smooth, pieces.length, pieces.leave, pieces.enter, pieces.straight,
+        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s,
+    )  # fmt: skip
+    share = stop - start
+    many = np.bincount(rows, minlength=len(pieces))[rows] > 1
     out = pieces.take(rows)
     c = out.c.copy()
-    many = count[rows] > 1
     c[many, 0] += start[many, None] * c[many, 1]
     c[many, 1] *= share[many, None]
     return Pieces(
@@ -268,27 +258,65 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 @njit(cache=True)
-def _zones(cap, length, leave, enter, straight, ahead, behind, reach, top, begin, end):  # type: ignore[no-untyped-def]
-    """Write how much of each straight piece, from its start and its end, curves reach into."""
-    for i in range(len(cap)):
+def _note(zones, reach):  # type: ignore[no-untyped-def]
+    """Take a zone into a list of some, of which those of nearly the same length are one."""
+    for k in range(len(zones)):
+        if zones[k] == 0.0:
+            zones[k] = reach
+            return
+        if reach <= zones[k] <= reach * _ALIKE or zones[k] <= reach <= zones[k] * _ALIKE:
+            zones[k] = max(zones[k], reach)
+            return
+    zones[np.argmax(zones)] = max(reach, zones.max())
+
+
+@njit(cache=True)
+def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+    """Return row, start and end in [0, 1] of every part of every piece."""
+    count = len(cap)
+    begin, end = np.zeros((count, _ZONES)), np.zeros((count, _ZONES))
+    for i in range(count):
         if straight[i] or np.sqrt(cap[i]) * length[i] >= top:
             continue
         far = np.sqrt(cap[i]) * leave[i] * reach
         gone = ahead[i] * length[i]
-        for j in range(i + 1, len(cap)):
+        for j in range(i + 1, count):
             if gone >= far:
                 break
-            if straight[j]:
-                begin[j] = max(begin[j], min(far - gone, length[j]))
+            if straight[j] and far - gone < length[j]:
+                _note(begin[j], far - gone)
             gone += length[j]
         far = np.sqrt(cap[i]) * enter[i] * reach
         gone = behind[i] * length[i]
         for j in range(i - 1, -1, -1):
             if gone >= far:
                 break
-            if straight[j]:
-                end[j] = max(end[j], min(far - gone, length[j]))
+            if straight[j] and far - gone < length[j]:
+                _note(end[j], far - gone)
             gone += length[j]
+    most = count * (2 * _ZONES + 1)
+    rows, start, stop = np.empty(most, dtype=np.int64), np.empty(most), np.empty(most)
+    n = 0
+    places = np.empty(2 * _ZONES)
+    for i in range(count):
+        at = 0.0
+        if due[i]:
+            used = 0
+            for k in range(_ZONES):
+                if begin[i, k] > 0.0:
+                    places[used] = begin[i, k] / length[i]
+                    used += 1
+                if end[i, k] > 0.0:
+                    places[used] = 1.0 - end[i, k] / length[i]
+                    used += 1
+            for place in np.sort(places[:used]):
+                if place > at + _NEAR and place < 1.0 - _NEAR:
+                    rows[n], start[n], stop[n] = i, at, place
+                    n += 1
+                    at = place
+        rows[n], start[n], stop[n] = i, at, 1.0
+        n += 1
+    return rows[:n], start[:n], stop[:n]
 
 
 @njit(cache=True)
@@ -302,7 +330,7 @@ def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, rea
         gone = ahead[i] * length[i]
         for j in range(i + 1, len(own)):
             # A straight piece that is not seen whole was cut where it need not be.
-            if gone >= far or (straight[j] and gone + length[j] > far * (1.0 + 1e-6)):
+            if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
                 break
             x = x * factor[j - 1]
             cap[j] = min(cap[j], x)
@@ -311,7 +339,7 @@ def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, rea
         x = own[i]
         gone = behind[i] * length[i]
         for j in range(i - 1, -1, -1):
-            if gone >= far or (straight[j] and gone + length[j] > far * (1.0 + 1e-6)):
+            if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
                 break
             x = x / factor[j]
             cap[j] = min(cap[j], x)
