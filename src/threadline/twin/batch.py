@@ -235,7 +235,8 @@ class _Batch:
                 references[:, controller] = position[:, names.index(axis)]
             shape = (blocks, samples if columns else 0, prepared.columns, state.shape.lanes)
             records = np.zeros(shape)
-            cuts = np.linspace(0, blocks, workers + 1).astype(int)
+            # More parts than cores: a core that others use too must not keep the rest waiting.
+            cuts = np.linspace(0, blocks, 8 * workers + 1).astype(int)
             jobs = [
                 pool.submit(
                     state.run, a, b, references, self.every * bool(columns), window, records
