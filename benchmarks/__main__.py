@@ -30,7 +30,7 @@ def main() -> int:
         print(f"-- {name}", flush=True)
         for entry in importlib.import_module(f"benchmarks.{name}").run():
             results.append(entry)
-            ratio = "not measured" if entry["ratio"] is None else f"{entry['ratio']:10.3g} x"
+            ratio = "     no peer" if entry["ratio"] is None else f"{entry['ratio']:10.3g} x"
             print(f"   {ratio}  {entry['name']}: {entry['note']}", flush=True)
     if chosen == names:
         temporary = RESULTS.with_suffix(".json.part")
