@@ -36,10 +36,10 @@ KE = 8.6 / (1000 * 2 * np.pi / 60)
 J, GAIN, VOLT = 3.606e-4, 0.45, 20 / 4096
 LIMIT, SLIDE, BREAK = 4.0, 0.05, 0.06
 VARIANTS = 1000
-BATCH_TICKS = {"linear-quantised": 20_000, "saturated": 4_000, "contact": 4_000}
 SUBSTEPS = (1, 4, 16, 64, 256)
 WITHIN_UM = 1.0
 CASES = ("linear-quantised", "saturated", "contact")
+BATCH_TICKS = dict.fromkeys(CASES, 20_000)
 
 
 def machine_of(case: str, *, reversal: bool = True) -> Machine:

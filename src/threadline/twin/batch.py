@@ -333,9 +333,13 @@ class _Batch:
 
 
 def _lanes(prepared: Prepared, guards: int) -> int:
-    """Return how many variants side by side still fit the fastest memory: 8 to 64."""
+    """Return how many variants side by side: what still fits the fastest memory, 8 to 64.
+
+    With guards no more than 16: one variant with an event sends its whole block to look for it.
+    """
     rows = prepared.shape(1, guards, peak=True, quantised=True).layout()["rows"]
-    return next((lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES), 8)
+    sizes = (16,) if guards else (64, 32, 16)
+    return next((lanes for lanes in sizes if 8 * rows * lanes <= _CACHE_BYTES), 8)
 
 
 def _joined(parts: list[BatchResult]) -> BatchResult:
