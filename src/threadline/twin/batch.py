@@ -17,7 +17,7 @@ from threadline.machine import Machine
 from threadline.plant.network import piecewise_linear
 from threadline.plant.values import Values
 from threadline.signals import TickTable
-from threadline.twin import lanes as k
+from threadline.twin import shape as k
 from threadline.twin.events import ENDLESS, EVENTS, SLOW
 from threadline.twin.prepare import Prepared, State, common_guards, new_state, prepare
 from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases

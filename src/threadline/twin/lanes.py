@@ -13,237 +13,51 @@ import hashlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from threadline.twin.compiled import stays_apart
-from threadline.twin.events import (
-    DONE,
-    ENDLESS,
-    EVENTS,
-    MODE,
-    SLOW,
-    TERMS,
-    advance_watched,
-)
-from threadline.twin.modes import (
-    AT_CURRENT,
-    AT_FAST,
-    AT_LENGTHS,
-    AT_LOW,
-    COLUMNS,
-    DRIVES,
-    GUARDS,
-    LENGTHS,
-    N_STATES,
-    PARTS,
-    meet,
-)
-
-
-class Shape(NamedTuple):
-    """What a kernel is compiled for."""
-
-    states: int
-    drives: int
-    controllers: int
-    axes: int
-    guards: int
-    checks: int  # rows per guard
-    lengths: int
-    lanes: int
-    feedback: bool  # controllers use their earlier outputs
-    second: bool  # controllers look two ticks back
-    peak: bool  # currents are watched
-    quantised: bool
-    delayed: bool  # some command is under way longer than no time
-    limited: bool  # some drive's input has a limit of its own
-    bodies: int  # the first states are their coordinates: all that sensors and loads look at
-    reversal: bool  # every controller puts a zero tick where its level changes sign
-    shared: bool  # every tick each controller reads just what is its axis' load
-
-    def layout(self) -> dict[str, int]:
-        """Return where each part of the workspace begins, in rows of ``lanes`` floats."""
-        n, size = self.states, self.states + self.drives + 1
-        k, a, d = self.controllers, self.axes, self.drives
-        parts = {
-            "z": size,
-            "next": n,
-            "control": 18 * k,
-            "sensor": self.bodies * k,
-            "measure": 5 * a,
-            "load": self.bodies * a,
-            "peak": d,
-            "current": d * size,
-            "low": self.guards,
-            "high": self.guards,
-            "matrix": self.lengths * n * size,
-            "watch": self.lengths * self.guards * self.checks * size,
-        }
-        offsets, at = {}, 0
-        for name, rows in parts.items():
-            offsets[name] = at
-            at += rows
-        offsets["rows"] = at
-        return offsets
-
-    def numbers(self) -> tuple[int, ...]:
-        """Return all that a kernel has to know, as integers: sizes, switches, places."""
-        at = self.layout()
-        names = ("next", "control", "sensor", "measure", "load", "peak", "current", "low", "high")
-        return (
-            self.states,
-            self.drives,
-            self.controllers,
-            self.axes,
-            self.guards,
-            self.checks,
-            self.lengths,
-            int(self.feedback),
-            int(self.second),
-            int(self.peak),
-            int(self.quantised),
-            int(self.delayed),
-            int(self.limited),
-            self.bodies,
-            int(self.reversal),
-            int(self.shared),
-            *(at[name] for name in (*names, "matrix", "watch")),
-        )
-
-
-# Rows of a controller in the workspace.
-(
-    E1,
-    E2,
-    O1,
-    O2,
-    LEVEL,
+from threadline.twin.events import SLOW, TERMS
+from threadline.twin.modes import AT_LENGTHS
+from threadline.twin.rare import is_outside, leave, sample
+from threadline.twin.shape import (
+    A1,
+    A2,
     B0,
     B1,
     B2,
-    A1,
-    A2,
-    LOW,
-    HIGH,
-    VOLT,
+    E1,
+    E2,
     GAIN,
-    LIMIT,
-    PHASE,
-    ZERO,
+    HEADS,
     HELD,
-) = range(18)
-# Rows of an axis: largest |commanded - load|, least and greatest load of the window, last, scale.
-WORST, LOWEST, HIGHEST, LAST, SCALE = range(5)
-# Entries of ``clock``, before the heads of the dead times (written, read).
-STEP, UNTIL_SAMPLE, TICK, HEADS = 0, 1, 2, 3
-
-
-@njit
-def _leave(w, u, L, v, offsets, cells, plant, t, modes, where, z, y, D, q, tripped):  # type: ignore[no-untyped-def]
-    """Advance lane u, modes changing, from z of the workspace to its next state."""
-    stays_apart(True)
-    before = modes[u]
-    where[MODE] = max(before, 0)
-    where[DONE] = 0
-    q[-1] = 1.0
-    n, size, guards = t.sizes[N_STATES], t.sizes[COLUMNS], t.sizes[GUARDS]
-    for j in range(size):
-        z[j] = w[j * L + u]
-    while not advance_watched(t, v, where, z, y, D, q, cells, tripped):
-        meet(plant, v, t, where[MODE])
-    for i in range(n):
-        w[(size + i) * L + u] = z[i]
-    if where[MODE] == before:
-        return
-    modes[u] = where[MODE]
-    row = t.slot_of[v, where[MODE]]
-    f = t.values
-    for g in range(2 * guards):
-        w[(offsets[0] + g) * L + u] = f[row, t.sizes[AT_LOW] + g]
-    for d in range(t.sizes[DRIVES] * size):
-        w[(offsets[2] + d) * L + u] = f[row, t.sizes[AT_CURRENT] + d]
-    checks = guards * (1 + 3 * t.sizes[PARTS])
-    for x in range(t.sizes[LENGTHS]):
-        fast = t.sizes[AT_FAST] + x * (n + checks) * size
-        for i in range(n * size):
-            w[(offsets[3] + x * n * size + i) * L + u] = f[row, fast + i]
-        for i in range(checks * size):
-            w[(offsets[4] + x * checks * size + i) * L + u] = f[row, fast + n * size + i]
-
-
-@njit
-def _is_outside(w, u, L, sizes, offsets, x):  # type: ignore[no-untyped-def]
-    """Whether an advance of length x might leave a guard of lane u."""
-    stays_apart(True)
-    size, guards = sizes[COLUMNS], sizes[GUARDS]
-    per = 1 + 3 * sizes[PARTS]
-    for g in range(guards):
-        for p in range(per):
-            at = offsets[4] + ((x * guards + g) * per + p) * size
-            total = w[(at + size - 1) * L + u]
-            for j in range(size - 1):
-                total += w[(at + j) * L + u] * w[j * L + u]
-            if total > w[(offsets[1] + g) * L + u] or total < w[(offsets[0] + g) * L + u]:
-                return True
-    return False
-
-
-@njit
-def _sample(w, L, first, offsets, K, nb, quantised, frame, tripped, peak, out):  # type: ignore[no-untyped-def]
-    """Fill a sample of every lane.
-
-    Columns: counts and volts of each controller, load and frame of each axis, current and its
-    peak of each drive, every switch.
-    """
-    stays_apart(True)
-    axes = frame.shape[1]
-    size = frame.shape[2]
-    drives = peak
-    C, S, F, CU, PK = offsets[5], offsets[6], offsets[7], offsets[2], offsets[8]
-    for u in range(L):
-        at = 0
-        for c in range(K):
-            now = 0.0
-            for i in range(nb):
-                now += w[(S + c * nb + i) * L + u] * w[i * L + u]
-            o = C + 18 * c
-            if quantised:
-                now = np.floor(now + w[(o + PHASE) * L + u])
-            out[at, u] = now
-            out[at + 1, u] = w[(o + LEVEL) * L + u] * w[(o + VOLT) * L + u]
-            at += 2
-        for x in range(axes):
-            load = w[(F + x * nb) * L + u] * w[u]
-            for i in range(1, nb):
-                load += w[(F + x * nb + i) * L + u] * w[i * L + u]
-            now = 0.0
-            for j in range(size):
-                now += frame[first + u, x, j] * w[j * L + u]
-            out[at, u] = load
-            out[at + 1, u] = now
-            at += 2
-        for d in range(drives):
-            now = 0.0
-            for j in range(size):
-                now += w[(CU + d * size + j) * L + u] * w[j * L + u]
-            kept = w[(PK + d) * L + u]
-            out[at, u] = now
-            out[at + 1, u] = now if abs(now) > abs(kept) else kept
-            w[(PK + d) * L + u] = 0.0
-            at += 2
-        for s in range(tripped.shape[1]):
-            out[at + s, u] = tripped[first + u, s]
+    HIGH,
+    HIGHEST,
+    LAST,
+    LEVEL,
+    LIMIT,
+    LOW,
+    LOWEST,
+    O1,
+    O2,
+    PHASE,
+    SCALE,
+    STEP,
+    TICK,
+    UNTIL_SAMPLE,
+    WORST,
+    ZERO,
+    Shape,
+)
 
 
 @cache
 def _sources() -> str:
     """Return a digest of the kernels' sources: numba must not reuse code of older ones."""
     digest = hashlib.sha256()
-    for name in ("lanes.py", "events.py", "modes.py", "tables.py", "compiled.py"):
-        digest.update((Path(__file__).parent / name).read_bytes())
+    for name in ("lanes", "rare", "shape", "events", "modes", "tables", "compiled"):
+        digest.update((Path(__file__).parent / f"{name}.py").read_bytes())
     return digest.hexdigest()
 
 
@@ -354,7 +168,7 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
             running = True
             if mode[b, 0] < 0:
                 for u in range(L):
-                    _leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b], where, z, y,
+                    leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b], where, z, y,
                            D, q, tripped[b * L + u])  # fmt: skip
             while running:
                 for a in range(first_action[step], first_action[step + 1]):
@@ -391,7 +205,7 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                         row += 1
                         if every > 0:
                             if clock[b, UNTIL_SAMPLE] == 0:
-                                _sample(w, L, b * L, offsets, K, nb, quantised, frame, tripped, nu,
+                                sample(w, L, b * L, offsets, K, nb, quantised, frame, tripped, nu,
                                         records[b, taken])  # fmt: skip
                                 taken += 1
                                 clock[b, UNTIL_SAMPLE] = every
@@ -480,7 +294,7 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                                     jumped += np.int64(now < w[(LO + g) * L + u])
                             if jumped > 0:
                                 for u in range(L):
-                                    _leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b],
+                                    leave(w, u, L, b * L + u, offsets, nothing, plant, t, mode[b],
                                            where, z, y, D, q, tripped[b * L + u])  # fmt: skip
                                     for i in range(n):
                                         w[i * L + u] = w[(Y + i) * L + u]
@@ -511,10 +325,10 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
                                     outside += np.int64(total < w[(LO + g) * L + u])
                         if outside > 0:
                             for u in range(L):
-                                if _is_outside(w, u, L, t.sizes, offsets, x):
+                                if is_outside(w, u, L, t.sizes, offsets, x):
                                     where[SLOW] += 1
                                     v = b * L + u
-                                    _leave(w, u, L, v, offsets, t.sizes[AT_LENGTHS + x], plant, t,
+                                    leave(w, u, L, v, offsets, t.sizes[AT_LENGTHS + x], plant, t,
                                            mode[b], where, z, y, D, q, tripped[v])  # fmt: skip
                 for i in range(n * L):
                     w[i] = w[Y * L + i]
@@ -532,6 +346,3 @@ def _kernel(L: int, numbers: tuple[int, ...] | None) -> Callable[..., None]:  # 
             clock[b, STEP] = step
 
     return run
-
-
-__all__ = ["ENDLESS", "EVENTS", "Shape", "lanes_kernel"]

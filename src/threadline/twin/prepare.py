@@ -12,7 +12,8 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
-from threadline.twin import lanes as k
+from threadline.twin import shape as k
+from threadline.twin.lanes import lanes_kernel
 from threadline.twin.modes import Modes, Plant, new_modes, pack_plant
 from threadline.twin.schedule import Schedule, make_schedule
 from threadline.twin.tables import (
@@ -202,7 +203,7 @@ class State:
 
     def specialised(self) -> State:
         """Return the same state under a kernel that is compiled for its very shape."""
-        return replace(self, kernel=k.lanes_kernel(self.shape, fixed=True))
+        return replace(self, kernel=lanes_kernel(self.shape, fixed=True))
 
     def measures(self) -> FloatArray:
         """Return (V, axes, 5): see the rows of an axis in ``lanes``."""
@@ -310,7 +311,7 @@ def new_state(
         prepared=prepared,
         plant=pack_plant(prepared.plant, which),
         frame=np.ascontiguousarray(prepared.piece.frame_rows[which]),
-        kernel=k.lanes_kernel(shape, fixed=fixed),
+        kernel=lanes_kernel(shape, fixed=fixed),
         numbers=np.array(shape.numbers()),
         modes=modes,
         work=work.reshape(blocks, -1),
