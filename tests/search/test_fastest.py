@@ -31,15 +31,17 @@ def test_two_intervals_are_both_reported_the_faster_first() -> None:
     assert found.intervals[0].low >= 3.0
     assert found.best <= 5.0
     assert found.limited_by == "contour_error"
-    assert found.verdict is not None
     assert found.verdict.passed
 
 
-def test_nothing_passes() -> None:
-    found = find_fastest(lambda _: verdict(2.0), 0.1, 10.0)
+def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:
+    """The least excess is at 2.0, inside the range: neither the slowest nor the fastest feed."""
+    found = find_fastest(lambda f: verdict(1.5 + abs(f - 2.0)), 0.1, 10.0, points=41)
     assert found.best is None
     assert found.intervals == ()
-    assert found.verdict is None
+    assert found.limited_by == "contour_error"
+    assert not found.verdict.passed
+    assert found.verdict.results[0].measured == pytest.approx(1.5, abs=0.12)
 
 
 def test_everything_passes_up_to_the_end_of_the_range() -> None:

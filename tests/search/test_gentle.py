@@ -23,7 +23,7 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     assert result.best.share < 1.0
     assert result.best.duration_s is not None
     assert result.best.duration_s < 1.2
-    assert result.best.found.verdict is not None
+
     assert result.best.found.verdict.passed
 
 

@@ -26,9 +26,9 @@ from threadline.jobs import read_job
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import Machine
 from threadline.pipeline import Options, parse_feed
-from threadline.search import FastestJob, fastest_job, fastest_needle
+from threadline.search import Fastest, FastestJob, fastest_job, fastest_needle
 from threadline.units import parse_quantity
-from threadline.verdict import Spec, load_spec, verdict_rows
+from threadline.verdict import Spec, criteria_json, load_spec, verdict_rows
 
 
 def fastest(
@@ -78,7 +78,7 @@ def fastest(
         print_json(_content(result))
     else:
         _show(result, f"{read.name} on {chosen.name}, {interpolation}")
-    raise typer.Exit(0 if result.best.found.verdict is not None else 1)
+    raise typer.Exit(0 if result.best.found.best is not None else 1)
 
 
 def _content(result: FastestJob) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def _content(result: FastestJob) -> dict[str, Any]:
         "limits": result.best.share,
         "duration_s": result.best.duration_s,
         "tried": sum(rung.found.tried for rung in result.rungs),
-        "verdict": None if found.verdict is None else found.verdict.passed,
+        "verdict": _verdict_content(found),
         "rungs": [
             {
                 "limits": rung.share,
@@ -122,14 +122,15 @@ def _show(result: FastestJob, title: str) -> None:
     print_table(f"{title}: feeds in spec", header, rows)
     best = result.best
     tried = sum(rung.found.tried for rung in result.rungs)
-    if best.found.verdict is None or best.found.best is None:
-        typer.echo(f"no feed is in spec ({tried} tried)")
+    head, body = verdict_rows(best.found.verdict)
+    if best.found.best is None:
+        typer.echo(f"no feed is in spec ({tried} tried): {best.found.limited_by} fails at all")
+        print_table("verdict where the search came closest", head, body)
         return
     typer.echo(
         f"fastest: {best.duration_s:.3f} s at {best.found.best * 1e3:.2f} mm/s with "
         f"{best.share:.1%} of the limits, limited by {best.found.limited_by}; {tried} plans tried"
     )
-    head, body = verdict_rows(best.found.verdict)
     print_table("verdict at the fastest", head, body)
 
 
@@ -153,11 +154,14 @@ def _fastest_seam(
                 "intervals": [[i.low, i.high] for i in found.intervals],
                 "limited_by": found.limited_by,
                 "tried": found.tried,
-                "verdict": None if found.verdict is None else found.verdict.passed,
+                "verdict": _verdict_content(found),
             }
         )
-    elif found.verdict is None:
-        typer.echo(f"no needle speed is in spec ({found.tried} tried)")
+    elif found.best is None:
+        typer.echo(
+            f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all"
+        )
+        print_table("verdict where the search came closest", *verdict_rows(found.verdict))
     else:
         rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
         title = f"{job.name} on {machine.name}: needle speeds in spec"
@@ -167,7 +171,11 @@ def _fastest_seam(
             f"{found.tried} plans tried"
         )
         print_table("verdict at the fastest", *verdict_rows(found.verdict))
-    raise typer.Exit(0 if found.verdict is not None else 1)
+    raise typer.Exit(0 if found.best is not None else 1)
+
+
+def _verdict_content(found: Fastest) -> dict[str, Any]:
+    return {"passed": found.verdict.passed, "criteria": criteria_json(found.verdict)}
 
 
 def _needle_hz(text: str | None) -> float | None:

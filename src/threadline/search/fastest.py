@@ -6,6 +6,7 @@ the whole range is scanned first, then the edges of every interval that passes a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,16 +37,16 @@ class Fastest:
         Every interval found, the fastest first; empty when no feed passes.
     limited_by
         The criterion that fails just above the fastest interval, ``"range"`` when the search
-        ended first, ``""`` when nothing passes at all.
+        ended first; when nothing passes, the one that fails where the search came closest.
     verdict
-        At the best feed; None when nothing passes.
+        At the best feed; when nothing passes, where the search came closest.
     tried
         Number of feeds tried.
     """
 
     intervals: tuple[Interval, ...]
     limited_by: str
-    verdict: Verdict | None
+    verdict: Verdict
     tried: int
 
     @property
@@ -111,10 +112,13 @@ def find_fastest(
             start = None
     intervals.reverse()
     if not intervals:
-        return Fastest(intervals=(), limited_by="", verdict=None, tried=len(seen))
+        closest = min(seen.values(), key=lambda verdict: _worst(verdict)[1])
+        return Fastest(
+            intervals=(), limited_by=_worst(closest)[0], verdict=closest, tried=len(seen)
+        )
     best = intervals[0].high
     above = [feed for feed in seen if feed > best]
-    limited_by = _first_failure(seen[min(above)]) if above else "range"
+    limited_by = _worst(seen[min(above)])[0] if above else "range"
     return Fastest(
         intervals=tuple(intervals),
         limited_by=limited_by,
@@ -134,16 +138,20 @@ def _edge(verdict_at: Judged, passing: float, failing: float, edge_relative: flo
     return passing
 
 
-def _first_failure(verdict: Verdict) -> str:
-    """Return the name of the criterion that exceeds its limit by the largest factor."""
-    worst, factor = "", -np.inf
+def _worst(verdict: Verdict) -> tuple[str, float]:
+    """Return the criterion that exceeds its limit by the largest factor, and the factor.
+
+    A required criterion that was not measured, or one whose limit is zero, exceeds it by
+    infinitely much, but is named only when no other fails.
+    """
+    worst, factor, unbounded = "", 0.0, ""
     for result in verdict.results:
         if result.status is Status.FAILED and result.limit and result.measured is not None:
             ratio = result.measured / result.limit
             if ratio > factor:
                 worst, factor = result.name, ratio
-        elif (result.status is Status.FAILED and not worst) or (
-            result.status is Status.NOT_MEASURED and result.required and not worst
+        elif result.status is Status.FAILED or (
+            result.status is Status.NOT_MEASURED and result.required
         ):
-            worst = result.name
-    return worst
+            unbounded = unbounded or result.name
+    return worst or unbounded, math.inf if unbounded else factor

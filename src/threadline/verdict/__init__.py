@@ -1,7 +1,7 @@
 """Specification, measures and the judge of recordings."""
 
 from threadline.verdict.judge import judge
-from threadline.verdict.present import verdict_json, verdict_rows
+from threadline.verdict.present import criteria_json, verdict_json, verdict_rows
 from threadline.verdict.spec import load_spec
 from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
@@ -13,6 +13,7 @@ __all__ = [
     "Spec",
     "Status",
     "Verdict",
+    "criteria_json",
     "judge",
     "load_spec",
     "sewn_stitches",

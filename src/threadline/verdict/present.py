@@ -30,13 +30,18 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "passed": verdict.passed,
         "duration_s": plan.trajectory.duration_s,
         "ticks": commands.tick_count() if isinstance(commands, TickTable) else None,
-        "criteria": [_criterion(result) for result in verdict.results],
+        "criteria": criteria_json(verdict),
         "job_sha256": plan.job.sha256,
         "machine_sha256": plan.machine.sha256,
         "threadline": __version__,
         "simulated": verdict.simulated,
         "options": dict(plan.options),
     }
+
+
+def criteria_json(verdict: Verdict) -> list[dict[str, Any]]:
+    """Return the criteria as ``prove --json`` lists them."""
+    return [_criterion(result) for result in verdict.results]
 
 
 def _criterion(result: Result) -> dict[str, Any]:
