@@ -13,14 +13,17 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
-from threadline.path import plan_path, programmed_path
-from threadline.plan import Plan
+from threadline.path import check_budget, plan_path, programmed_path
+from threadline.plan import Plan, SwitchPlan
 from threadline.plant.analysis import unstable_loops
 from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.signals import Recording, RecordingBlock, Stream, TickTable
 from threadline.targets import compile_ticks
+from threadline.targets.schedule import compile_schedule
+from threadline.targets.schedule_options import shaping_of
 from threadline.trajectory import plan_trajectory
 from threadline.twin import simulate
+from threadline.twin.switching import simulate_switching
 from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict import Spec, Verdict, judge
 
@@ -64,6 +67,16 @@ class Proof:
     """A plan, what the simulated machine made of it, what was asked, and the verdict."""
 
     plan: Plan
+    recording: Recording
+    verdict: Verdict
+    spec: Spec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SwitchProof:
+    """The same of an on/off machine."""
+
+    plan: SwitchPlan
     recording: Recording
     verdict: Verdict
     spec: Spec
@@ -137,8 +150,14 @@ def check_loops(machine: Machine) -> None:
     Raises
     ------
     PlanError
-        Naming the axis and how far the loop is beyond its limit.
+        Naming the axis and how far the loop is beyond its limit; or that the machine has no loop.
     """
+    if not machine.axes:
+        raise PlanError(
+            f"{machine.name} has no axes with loops: its cylinders are switched on and off",
+            place=Place(machine.file),
+            remedy="threadline prove, judge and compile take its move lists.",
+        )
     unstable = unstable_loops(machine)
     if unstable:
         raise PlanError(
@@ -157,6 +176,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         If the machine cannot do the job.
     """
     programmed = programmed_path(job, machine, feed=options.feed)
+    check_budget(job, machine, options.feed)
     limited = derate(machine, options.limit_share)
     path = plan_path(
         programmed,
@@ -177,6 +197,29 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         trajectory=trajectory,
         commands=commands,
         unshaped=None if options.shaper is None else planned,
+        options=describe(job, machine, options),
+    )
+
+
+def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
+    """Plan ``job`` on an on/off machine: its schedule.
+
+    Raises
+    ------
+    PlanError
+        If the machine cannot do the job.
+    OptionError
+        If an option is given that a schedule does not have.
+    """
+    if replace(options, shaper=None) != Options():
+        raise OptionError(
+            f"{machine.name} switches on and off: it has no interpolation, feed, tolerance or "
+            "share of limits to choose",
+            remedy="Leave these options out; a shaper may be given.",
+        )
+    shaping = {} if options.shaper is None else shaping_of(machine, options.shaper)
+    return SwitchPlan(
+        scheduled=compile_schedule(job, machine, shaping),
         options=describe(job, machine, options),
     )
 
@@ -259,6 +302,14 @@ def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None, repeats
         recordings.append(simulate(plan.commands, other, encoder_phase=phase))
     verdict = judge(recordings, plan, spec)
     return Proof(plan=plan, recording=first, verdict=verdict, spec=spec)
+
+
+def prove_switching(job_file: Path, machine: Machine, spec: Spec, options: Options) -> SwitchProof:
+    """Plan, simulate and judge a move list of an on/off machine."""
+    plan = plan_switching(read_job(job_file, machine), machine, options)
+    recording = replace(simulate_switching(plan.commands, machine), origin=dict(plan.options))
+    verdict = judge([recording], plan, spec)
+    return SwitchProof(plan=plan, recording=recording, verdict=verdict, spec=spec)
 
 
 def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:

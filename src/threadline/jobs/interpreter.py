@@ -32,6 +32,7 @@ from threadline.jobs.words import ONE
 _KEPT_BYTES = 1 << 21
 _KEPT_BLOCKS = 10_000
 _KEPT_FEEDS = 1000
+_STEADY_PASS = 3
 _RAPID = Feed(FeedMode.RAPID, 0.0)
 _MM_PER_M = 1000 * ONE
 _FINE = ONE // kernel.STEPS
@@ -64,7 +65,28 @@ class PartProgram:
         JobError
             Where a block does not say what it needs to: a feed, or a mode of motion.
         """
-        return Interpreter(self).run()
+        return (item for item, _, _ in Interpreter(self).run())
+
+    def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+        """Return the operations with passes that repeat each other given once.
+
+        From its third pass on a subroutine makes the same moves in every pass: the first has set
+        every mode that it sets, and the second, in these modes, has placed every axis that it
+        places absolutely. So three passes stand for all.
+
+        Returns
+        -------
+        iterator
+            Of an operation or a run, how many times it happens, and the line of the call in the
+            main program that it comes from (0 for the main program's own). A move that happens
+            0 times says where the passes that were left out end.
+
+        Raises
+        ------
+        JobError
+            As ``runs`` does.
+        """
+        return Interpreter(self, fold=True).run()
 
 
 @dataclass(slots=True)
@@ -73,13 +95,37 @@ class _Frame:
     lines: Lines
     pass_: int
     passes: int
+    calls: int = 1  # how many times the call that began it stands for
+    line: int = 0  # of the call in the main program
+    folded: int = 1  # how many passes the present one stands for
+    start: tuple[int, ...] = ()  # the exact position where the pass that is folded begins
+
+    @property
+    def times(self) -> int:
+        """How many times an operation of the present pass happens."""
+        return self.calls * self.folded
+
+    def fold_rest(self, position: tuple[int, ...]) -> None:
+        """Let the pass that begins at ``position`` stand for all that are left."""
+        self.folded = self.passes - self.pass_ + 1
+        self.pass_ = self.passes
+        self.start = position
 
 
 class Interpreter:
-    """The state of one reading. Positions are exact: 10**-18 mm or degrees."""
+    """The state of one reading. Positions are exact: 10**-18 mm or degrees.
 
-    def __init__(self, program: PartProgram) -> None:
+    Parameters
+    ----------
+    program
+        What is read.
+    fold
+        Whether the third pass of a subroutine stands for all that follow.
+    """
+
+    def __init__(self, program: PartProgram, fold: bool = False) -> None:
         self._program = program
+        self._fold = fold
         self._path = program.file.path
         self._linear = program.linear
         self._exact = [0] * len(program.linear)
@@ -96,8 +142,11 @@ class Interpreter:
         self._parsed: dict[int, Block | None] = {}
         self._feeds: dict[tuple[FeedMode, float], Feed] = {}
 
-    def run(self) -> Iterator[Operation | MoveRun]:
-        """Return the operations, moves in runs where the kernel has read them."""
+    def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+        """Return the operations, moves in runs where the kernel has read them.
+
+        With each comes how many times it happens and the line of the main program's call.
+        """
         structure = self._program.structure
         frames = [_Frame(structure.main, self._lines(structure.main), 1, 1)]
         while frames:
@@ -108,21 +157,29 @@ class Interpreter:
             if self._plain.worth_trying():
                 run = self._read_plain(lines)
                 if run is not None:
-                    yield run
+                    yield run, frame.times, frame.line
                     continue
                 if not lines.more():
                     continue
             block = self._next(lines)
             if block is None:
                 continue
-            yield from self._step(block)
+            for operation in self._step(block):
+                yield operation, frame.times, frame.line
             if block.program == 98:
                 callee = structure.programs[(block.p or 0) // ONE]
-                frames.append(_Frame(callee, self._lines(callee), 1, self._turns(callee, block)))
+                turns = self._turns(callee, block)
+                line = frame.line or block.line
+                frames.append(_Frame(callee, self._lines(callee), 1, turns, frame.times, line))
                 self._passes = (*self._passes, 1)
             elif block.program == 99:
+                if frame.folded > 1:
+                    self._advance(frame)
+                    yield Move(tuple(self._position), _RAPID, self._source(block)), 0, frame.line
                 if frame.pass_ < frame.passes:
                     frame.pass_ += 1
+                    if self._fold and frame.pass_ == _STEADY_PASS:
+                        frame.fold_rest(tuple(self._exact))
                     frame.lines = self._lines(frame.program)
                     self._passes = (*self._passes[:-1], frame.pass_)
                 else:
@@ -130,6 +187,17 @@ class Interpreter:
                     self._passes = self._passes[:-1]
             elif block.program in (2, 30):
                 return
+
+    def _advance(self, frame: _Frame) -> None:
+        """Go where the passes that were folded into one would have led."""
+        for index, start in enumerate(frame.start):
+            self._put(index, start + frame.folded * (self._exact[index] - start))
+
+    def _put(self, index: int, exact: int) -> None:
+        """Let an axis be at an exact position."""
+        self._exact[index] = exact
+        linear = self._linear[index]
+        self._position[index] = exact / _MM_PER_M if linear else math.radians(exact / ONE)
 
     def _turns(self, callee: Program, block: Block) -> int:
         """Return the passes; a body that only sets modes sets the same in every pass."""
@@ -251,8 +319,7 @@ class Interpreter:
             target = value * self._tenth_mm // 10 if linear else value
             if self._relative:
                 target += self._exact[index]
-            self._exact[index] = target
-            self._position[index] = target / _MM_PER_M if linear else math.radians(target / ONE)
+            self._put(index, target)
 
     def _move(self, block: Block) -> Move:
         feed = _RAPID if self._motion == 0 else self._feed

@@ -161,13 +161,28 @@ class OperationStream(Stream[Operation]):
     ----------
     runs
         Called once per reading; returns a fresh iterator over operations and runs of moves.
+    folded
+        The same with repeated passes given once: an operation or run, how many times it
+        happens, and the line of the call that repeats it (0 for none); left out where
+        nothing repeats.
     """
 
-    __slots__ = ("_runs",)
+    __slots__ = ("_folded", "_runs")
 
-    def __init__(self, runs: Callable[[], Iterator[Operation | MoveRun]]) -> None:
+    def __init__(
+        self,
+        runs: Callable[[], Iterator[Operation | MoveRun]],
+        folded: Callable[[], Iterator[tuple[Operation | MoveRun, int, int]]] | None = None,
+    ) -> None:
         super().__init__(lambda: _one_by_one(runs()))
         self._runs = runs
+        self._folded = folded
+
+    def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+        """Return a fresh reading with repeated passes given once."""
+        if self._folded is not None:
+            return self._folded()
+        return ((item, 1, 0) for item in self._runs())
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Return a fresh reading with moves in runs."""
@@ -221,6 +236,12 @@ class Job:
             return self.operations.runs()
         return iter(self.operations)
 
+    def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+        """Return them with repeated passes given once: each, its times, the line of the call."""
+        if isinstance(self.operations, OperationStream):
+            return self.operations.folded()
+        return ((item, 1, 0) for item in move_runs(self))
+
 
 def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
     """Return the operations of ``job`` with every move in a run of at most about ``longest``.
@@ -231,19 +252,20 @@ def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
     for item in job.runs():
         if isinstance(item, Move):
             if moves and (len(moves) >= longest or item.source.file != moves[0].source.file):
-                yield _gathered(moves)
+                yield gathered(moves)
                 moves = []
             moves.append(item)
             continue
         if moves:
-            yield _gathered(moves)
+            yield gathered(moves)
             moves = []
         yield item
     if moves:
-        yield _gathered(moves)
+        yield gathered(moves)
 
 
-def _gathered(moves: list[Move]) -> MoveRun:
+def gathered(moves: list[Move]) -> MoveRun:
+    """Return ``moves``, at least one, as a run; their tags are left behind."""
     feeds = [(0, moves[0].feed)]
     for index, move in enumerate(moves):
         if move.feed is not feeds[-1][1]:

@@ -76,13 +76,13 @@ def read_part_program(
         sha256=file.sha256,
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
-        operations=OperationStream(program.runs),
+        operations=OperationStream(program.runs, program.folded),
         warnings=_warnings(scanner, machine, file),
     )
 
 
 def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> None:
-    """Refuse more moves than ticks: a move takes one tick at least."""
+    """Refuse more operations than ticks: each counts as one at least, however short it is."""
     budget = int(machine.tick_budget.si)
     main = structure.main
     totals = structure.totals[main.label]
@@ -98,7 +98,7 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
     asked = f"{needed}" if needed < 10**15 else "more than 10^15"
     raise BudgetError(
         f"the program asks for {asked} operations with all passes; the machine's tick budget is "
-        f"{budget} and each takes a tick or more",
+        f"{budget} and each counts as a tick at least",
         place=file.place(line),
         remedy="Lower L, or raise tick_budget in the machine file.",
     )

@@ -69,7 +69,7 @@ class Totals:
 
     @property
     def operations(self) -> int:
-        """All of them; each takes a tick at least."""
+        """All of them; each counts as a tick at least."""
         return self.moves + self.others
 
 

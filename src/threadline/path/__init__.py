@@ -1,5 +1,6 @@
 """Paths in axis space: what is programmed, what is planned, how far the two are apart."""
 
+from threadline.path.budget import check_budget
 from threadline.path.deviation import PathDeviation, path_deviation
 from threadline.path.plan import interpolation_names, plan_path
 from threadline.path.programmed import programmed_path
@@ -12,6 +13,7 @@ __all__ = [
     "ProgrammedPath",
     "Timing",
     "VertexBlock",
+    "check_budget",
     "interpolation_names",
     "path_deviation",
     "plan_path",

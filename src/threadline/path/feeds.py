@@ -8,7 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, PlanError
-from threadline.jobs.operations import Feed, FeedMode
+from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 
 
@@ -74,3 +74,40 @@ def feed_time_s(
     length = np.sqrt((at_tool[:, base] ** 2).sum(axis=1))
     whole = np.sqrt((at_tool**2).sum(axis=1))
     return np.asarray(np.where(length > 0, length, whole) / feed.value)
+
+
+def wanted_feed(
+    programmed: Feed | None, given: Feed | None, place: Place | None, job: Job, machine: Machine
+) -> Feed:
+    """Return the feed that counts for a move: rapid, the one given, or the programmed.
+
+    Raises
+    ------
+    PlanError
+        If there is none, or nothing would move at it.
+    """
+    if programmed is not None and programmed.mode is FeedMode.RAPID:
+        return programmed
+    if given is not None:
+        return given
+    if programmed is None:
+        if machine.operator is None:
+            raise PlanError(
+                "a move has no feed", place=place, remedy="Program a feed (F), or give one."
+            )
+        return Feed(FeedMode.COUNT_PER_TICK, machine.operator.normal_feed.si)
+    check_feed(programmed, job.axes, place)
+    return programmed
+
+
+def nominal_time_s(
+    displacement: FloatArray, wanted: Feed, given: Feed | None, job: Job, machine: Machine
+) -> tuple[FloatArray, int]:
+    """Return the (n,) times at a feed, and how many moves the operator's normal feed slowed."""
+    nominal = feed_time_s(displacement, wanted, job.axes, machine)
+    operator = machine.operator
+    if given is not None or operator is None or wanted.mode is FeedMode.RAPID:
+        return nominal, 0
+    normal = Feed(FeedMode.COUNT_PER_TICK, operator.normal_feed.si)
+    slowest = feed_time_s(displacement, normal, job.axes, machine)
+    return np.maximum(nominal, slowest), int((slowest > nominal * (1 + 1e-9)).sum())

@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LimitError, Place, PlanError
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
-from threadline.path.feeds import check_feed, feed_time_s
+from threadline.path.feeds import check_feed, nominal_time_s, wanted_feed
 from threadline.path.types import ProgrammedPath, VertexBlock
 from threadline.signals import Stream
 
@@ -145,9 +145,9 @@ def _block(
         if begin >= end:
             continue
         place = Place(pending.file, int(line[begin])) if line[begin] else None
-        nominal[begin:end], late = _nominal(
+        nominal[begin:end], late = nominal_time_s(
             displacement[begin:end],
-            _wanted(programmed, feed, place, job, machine),
+            wanted_feed(programmed, feed, place, job, machine),
             feed,
             job,
             machine,
@@ -167,37 +167,6 @@ def _block(
         line=line,
         slowed=slowed,
     )
-
-
-def _wanted(
-    programmed: Feed | None, feed: Feed | None, place: Place | None, job: Job, machine: Machine
-) -> Feed:
-    """Return the feed that counts for a move."""
-    if programmed is not None and programmed.mode is FeedMode.RAPID:
-        return programmed
-    if feed is not None:
-        return feed
-    if programmed is None:
-        if machine.operator is None:
-            raise PlanError(
-                "a move has no feed", place=place, remedy="Program a feed (F), or give one."
-            )
-        return Feed(FeedMode.COUNT_PER_TICK, machine.operator.normal_feed.si)
-    check_feed(programmed, job.axes, place)
-    return programmed
-
-
-def _nominal(
-    displacement: FloatArray, wanted: Feed, given: Feed | None, job: Job, machine: Machine
-) -> tuple[FloatArray, int]:
-    """Return the times, and how many moves the operator's normal feed slowed."""
-    nominal = feed_time_s(displacement, wanted, job.axes, machine)
-    operator = machine.operator
-    if given is not None or operator is None or wanted.mode is FeedMode.RAPID:
-        return nominal, 0
-    normal = Feed(FeedMode.COUNT_PER_TICK, operator.normal_feed.si)
-    slowest = feed_time_s(displacement, normal, job.axes, machine)
-    return np.maximum(nominal, slowest), int((slowest > nominal * (1 + 1e-9)).sum())
 
 
 def _check_start(job: Job, machine: Machine) -> None:
