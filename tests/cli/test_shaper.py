@@ -46,6 +46,17 @@ def test_json_of_the_published_shaper(capsys: pytest.CaptureFixture[str]) -> Non
     assert any("amplifies" in w for w in content["warnings"])
 
 
+def test_si_without_a_band_holds_a_fifth_to_either_side(capsys: pytest.CaptureFixture[str]) -> None:
+    """The vibration of the simulated oscillator stays within 5 % over 0.8 ... 1.2 of its mode."""
+    code, out, _ = run(
+        capsys, "shaper", "--mode", "3 Hz", "--damping", "0.01", "--kind", "si", "--json"
+    )  # fmt: skip
+    shaped = made(json.loads(out))
+    found = [simulated_vibration(shaped, 3.0 * x, 0.01) for x in np.linspace(0.8, 1.2, 41)]
+    assert code == 0
+    assert max(found) == pytest.approx(0.05, rel=1e-6)
+
+
 def test_several_modes_directly_and_convolved(capsys: pytest.CaptureFixture[str]) -> None:
     both = ["--mode", "3.04 Hz", "--mode", "9 Hz", "--damping", "0.01", "--json"]
     durations = {}

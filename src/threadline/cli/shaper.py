@@ -35,6 +35,8 @@ from threadline.shaping import (
     vibration_of,
 )
 
+_SI_BAND = 0.2  # of the frequency to either side: what a machine's stiffness is usually known to
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
@@ -59,8 +61,11 @@ def shaper(
     ] = 0.05,
     kind: Annotated[str, typer.Option(help=", ".join(KINDS) + ".")] = "zv",
     band: Annotated[
-        float, typer.Option(help="Half width of the band of frequency for si and --tick: 0.2.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            help="Half width of the band of frequency, for si (0.2 unless given) and --tick."
+        ),
+    ] = None,
     tick: Annotated[
         str | None, typer.Option(help='Impulses on whole ticks of the controller: "10 ms".')
     ] = None,
@@ -85,6 +90,8 @@ def shaper(
     Example: threadline shaper --mode 3.04Hz --damping 0.17 --tolerance 0.05 --kind um-2ei
     """
     modes = modes_of(mode, damping)
+    if band is None:
+        band = _SI_BAND if kind == "si" else 0.0
     made = designed(kind, modes, tolerance, band)
     realised = None
     if tick is None:
