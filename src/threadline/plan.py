@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath, ProgrammedPath
-from threadline.signals import Commands
+from threadline.signals import Commands, SwitchSchedule
+from threadline.targets.schedule import Scheduled
 from threadline.trajectory.types import Trajectory
 
 
@@ -42,3 +43,42 @@ class Plan:
     commands: Commands
     unshaped: Trajectory | None = None
     options: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SwitchPlan:
+    """Everything that was decided before an on/off machine moved.
+
+    Such a machine is told when to switch and not where to be: there are moves with levels instead
+    of paths and a trajectory.
+
+    Parameters
+    ----------
+    scheduled
+        Job, machine, schedule, and every move with its levels.
+    options
+        How it was planned (shaper), as text, for people and recordings.
+    """
+
+    scheduled: Scheduled
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def job(self) -> Job:
+        """The job."""
+        return self.scheduled.job
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.scheduled.machine
+
+    @property
+    def commands(self) -> SwitchSchedule:
+        """What the PLC is given."""
+        return self.scheduled.commands
+
+    @property
+    def duration_s(self) -> float:
+        """Of the schedule; inputs that come late make a cycle longer."""
+        return self.commands.duration_ticks * float(self.commands.clock.period_s)

@@ -15,10 +15,10 @@ from threadline.cli.options import (
 from threadline.cli.output import print_json, print_table
 from threadline.errors import OptionError
 from threadline.jobs import read_job
-from threadline.pipeline import options_from, plan_job
+from threadline.pipeline import options_from, plan_job, plan_switching
 from threadline.signals.files import read_recording
 from threadline.verdict import judge as judge_recordings
-from threadline.verdict import load_spec, verdict_json, verdict_rows
+from threadline.verdict import load_spec, step_rows, verdict_json, verdict_rows
 
 
 def judge(
@@ -67,7 +67,8 @@ def judge(
     origin.setdefault("feed", "programmed")
     origin.setdefault("tolerance", "0.1 mm")
     chosen = machine_from(origin["machine"], None)
-    plan = plan_job(read_job(Path(origin["job"]), chosen), chosen, options_from(origin))
+    made = plan_switching if chosen.cylinders else plan_job
+    plan = made(read_job(Path(origin["job"]), chosen), chosen, options_from(origin))
     for path, recording in zip(recordings, read, strict=True):
         if recording.job_sha256 and recording.job_sha256 != plan.job.sha256:
             raise OptionError(
@@ -90,6 +91,8 @@ def judge(
         print_table(
             f"{', '.join(p.name for p in recordings)} against {plan.job.name}", header, rows
         )
+        if chosen.cylinders:
+            print_table("Step by step", *step_rows(verdict))
         typer.echo("IN SPEC" if verdict.passed else "OUT OF SPEC")
     raise typer.Exit(0 if verdict.passed else 1)
 

@@ -28,13 +28,14 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import note, print_json, print_table, progress_bar
-from threadline.pipeline import Proof
+from threadline.errors import OptionError
+from threadline.pipeline import Proof, SwitchProof, prove_switching
 from threadline.pipeline import prove as prove_job
 from threadline.plant.suspicions import suspicions
 from threadline.report import write_report
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
-from threadline.verdict import Criterion, load_spec, verdict_json, verdict_rows
+from threadline.verdict import Criterion, load_spec, step_rows, verdict_json, verdict_rows
 
 
 def prove(
@@ -62,26 +63,49 @@ def prove(
     Exit status: 0 in spec, 1 out of spec, 2 wrong input.
 
     Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
+
+    Of an on/off machine: threadline prove examples/letter-cycle.toml
+    -m letter-placer+whole-scans+own-damping --shaper zv
     """
     chosen = machine_from(machine, par)
     keep_inputs(recording, job, chosen.file, par, spec)
     options = options_of(interpolation, feed, tolerance, limits, shaper)
     asked = load_spec(spec, chosen)
-    if shaper is not None and all(c.name != "shaping_deviation" for c in asked.criteria):
+    if chosen.cylinders and repeats > 1:
+        raise OptionError(
+            f"--repeats varies loops and encoders, which {chosen.name} does not have",
+            remedy="Leave it out; overlays like +hysteresis vary an on/off machine.",
+        )
+    if (
+        not chosen.cylinders
+        and shaper is not None
+        and all(c.name != "shaping_deviation" for c in asked.criteria)
+    ):
         # What the shaper does to the path is always said, with or without a limit.
         asked = replace(asked, criteria=(*asked.criteria, Criterion(name="shaping_deviation")))
     with progress_bar(not json) as progress:
-        proof = prove_job(job, chosen, asked, options, progress, repeats)
+        proof: Proof | SwitchProof
+        if chosen.cylinders:
+            proof = prove_switching(job, chosen, asked, options)
+        else:
+            proof = prove_job(job, chosen, asked, options, progress, repeats)
         if recording is not None:
             write_recording(proof.recording, recording)
-        written = None if report is None else write_report(proof, report)
+        written = None
+        if report is not None:
+            if isinstance(proof, SwitchProof):
+                raise OptionError("there is no report of an on/off machine")
+            written = write_report(proof, report)
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:
             content["report"] = str(written)
         print_json(content)
     else:
-        show_proof(proof)
+        if isinstance(proof, SwitchProof):
+            show_switching(proof)
+        else:
+            show_proof(proof)
         if written is not None:
             typer.echo(f"Report: {written}")
     raise typer.Exit(0 if proof.verdict.passed else 1)
@@ -96,6 +120,18 @@ def show_proof(proof: Proof) -> None:
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
     for line in calculate(plan).lines():
         typer.echo(line)
+    typer.echo("IN SPEC" if proof.verdict.passed else "OUT OF SPEC")
+
+
+def show_switching(proof: SwitchProof) -> None:
+    """Print the verdict of a proof on an on/off machine for people."""
+    plan = proof.plan
+    for warning in plan.scheduled.warnings:
+        note(f"warning: {warning}")
+    header, rows = verdict_rows(proof.verdict)
+    print_table(f"{plan.job.name} on {plan.machine.name}, switched", header, rows)
+    header, rows = step_rows(proof.verdict)
+    print_table(f"Step by step, shaper {plan.options.get('shaper', 'none')}", header, rows)
     typer.echo("IN SPEC" if proof.verdict.passed else "OUT OF SPEC")
 
 

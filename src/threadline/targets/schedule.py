@@ -20,7 +20,7 @@ from threadline.machine import Machine
 from threadline.signals import Clock, Event, SwitchSchedule
 from threadline.targets.schedule_moves import AxisShaping, Levels, move_levels, open_flows
 
-_REST_LAGS = 4.0
+REST_LAGS = 4.0
 """So many lags after the last switching a cylinder has come to rest within 2 %."""
 
 
@@ -208,7 +208,7 @@ class _Builder:
                 f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
                 f"set the flow to {self._whole(levels):.6g} m/s to meet it"
             )
-        return last + self._ticks(cylinder.delay.si + _REST_LAGS * cylinder.lag.si)
+        return last + self._ticks(cylinder.delay.si + REST_LAGS * cylinder.lag.si)
 
     def _whole(self, levels: Levels) -> float:
         """Return the speed at which the same scans cover the distance that was asked for."""

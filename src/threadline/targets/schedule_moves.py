@@ -30,14 +30,14 @@ class AxisShaping:
     ----------
     shaper
         Convolved with the level that switches on for the move and off at its end.
-    mode
-        What the train is judged by when it is moved onto the scan.
+    modes
+        What the train is judged by when it is moved onto the scan; the worst counts.
     relative
         Half width of the band of frequency that counts then.
     """
 
     shaper: Shaper
-    mode: FlexibleMode
+    modes: tuple[FlexibleMode, ...]
     relative: float = 0.0
 
 
@@ -116,7 +116,7 @@ def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realise
     # The search takes seconds for long trains, and every move of a cylinder shares it.
     return realise(
         shaping.shaper,
-        [shaping.mode],
+        shaping.modes,
         ControllerLimits(tick_s=tick_s, dwell_s=dwell_s),
         relative=shaping.relative,
     )

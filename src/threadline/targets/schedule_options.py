@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from threadline.errors import OptionError, UnitError
+import re
+from dataclasses import dataclass
+
+from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.plant.pneumatic import flow_mode
-from threadline.shaping import FlexibleMode, ShaperKind, convolve, design
+from threadline.shaping import FlexibleMode, ShaperKind, convolve, design, parse_mode_hz
+from threadline.shaping.designs import DEFAULT_TOLERANCE
 from threadline.signals.files.common import nearest
 from threadline.targets.schedule_moves import AxisShaping
-from threadline.units import parse_quantity
 
 UNSHAPED_WORD = "none"
+_REMEDY = 'Write it like "zv", "zv*um-2ei", "zv:3.04Hz:0.17" or "X=zv, Z=none".'
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """One shaper as it was asked for; None is the machine's own mode."""
+
+    kind: str
+    frequency_hz: float | None
+    damping_ratio: float | None
+    tolerance: float
 
 
 def shaping_of(
@@ -25,9 +39,11 @@ def shaping_of(
     Parameters
     ----------
     shaper
-        Kinds joined by ``*``, which convolve: ``"zv*um-2ei"``; ``"none"`` for unshaped moves.
+        ``kind``, or ``kind:frequency``, then where wanted ``:damping ratio`` and ``:tolerance``;
+        joined by ``*``, which convolves: ``"zv*um-2ei"``, ``"zv:3.04Hz:0.17"``. ``"none"`` for
+        unshaped moves. ``"X=zv, Z=none"`` gives cylinders their own.
     mode, damping_ratio
-        Undamped frequency, like ``"3.04 Hz"``, and damping ratio that the shapers are made for;
+        Undamped frequency, like ``"3.04 Hz"``, and damping ratio of shapers that name none;
         where one is None, it is that of the slowest mode under each cylinder with its air.
 
     Raises
@@ -35,33 +51,71 @@ def shaping_of(
     OptionError
         If a word is unknown.
     """
-    if shaper == UNSHAPED_WORD:
-        return {}
-    kinds = [word.strip() for word in shaper.split("*")]
-    for kind in kinds:
-        if kind not in set(ShaperKind):
-            known = (UNSHAPED_WORD, *ShaperKind)
-            raise OptionError(
-                f"unknown shaper {kind[:40]!r}", remedy=nearest(kind, tuple(map(str, known)))
-            )
-    found: dict[FlexibleMode, AxisShaping] = {}
+    frequency = None if mode is None else parse_mode_hz(mode)
+    texts = _by_axis(machine, shaper)
+    made: dict[tuple[tuple[str, FlexibleMode, float], ...], AxisShaping] = {}
     shaping = {}
-    for axis in machine.cylinders:
+    for axis, text in texts.items():
+        if text == UNSHAPED_WORD:
+            continue
         own_hz, own_damping = flow_mode(machine, axis)
-        frequency = own_hz if mode is None else _frequency(mode)
-        used = FlexibleMode(frequency, own_damping if damping_ratio is None else damping_ratio)
-        if used not in found:
-            made = [design(kind, used) for kind in kinds]
-            train = made[0] if len(made) == 1 else convolve(*made)
-            found[used] = AxisShaping(shaper=train, mode=used)
-        shaping[axis] = found[used]
+        key = []
+        for wanted in (_wanted(part.strip(), shaper) for part in text.split("*")):
+            hz = wanted.frequency_hz or frequency or own_hz
+            ratio = wanted.damping_ratio
+            if ratio is None and wanted.frequency_hz is None:
+                ratio = damping_ratio if damping_ratio is not None else own_damping
+            key.append((wanted.kind, FlexibleMode(hz, ratio or 0.0), wanted.tolerance))
+        if tuple(key) not in made:
+            trains = [design(kind, used, tolerance=tolerance) for kind, used, tolerance in key]
+            made[tuple(key)] = AxisShaping(
+                shaper=trains[0] if len(trains) == 1 else convolve(*trains),
+                modes=tuple(dict.fromkeys(used for _, used, _ in key)),
+            )
+        shaping[axis] = made[tuple(key)]
     return shaping
 
 
-def _frequency(text: str) -> float:
-    try:
-        return parse_quantity(text, "Hz")
-    except UnitError as error:
+def _by_axis(machine: Machine, text: str) -> dict[str, str]:
+    """Return the text of every cylinder's shaper."""
+    parts = [part.strip() for part in text.split(",")]
+    named = [re.fullmatch(r"([A-Za-z])\s*=\s*(.+)", part) for part in parts]
+    if len(parts) == 1 and named[0] is None:
+        return dict.fromkeys(machine.cylinders, parts[0])
+    found: dict[str, str] = {}
+    for part, match in zip(parts, named, strict=True):
+        if match is None:
+            raise OptionError(f"shaper {text!r}: {part!r} has no axis before it", remedy=_REMEDY)
+        if match[1] not in machine.cylinders:
+            raise OptionError(
+                f"shaper {text!r}: there is no cylinder {match[1]!r}",
+                remedy=f"There are {', '.join(machine.cylinders)}.",
+            )
+        if match[1] in found:
+            raise OptionError(f"shaper {text!r}: cylinder {match[1]} has two", remedy=_REMEDY)
+        found[match[1]] = match[2].strip()
+    return found
+
+
+def _wanted(text: str, whole: str) -> _Wanted:
+    words = [word.strip() for word in text.split(":")]
+    if words[0] not in set(ShaperKind):
+        known = (UNSHAPED_WORD, *ShaperKind)
         raise OptionError(
-            f"mode {text!r}: {error.message}", remedy='Write it like "3.04 Hz".'
-        ) from error
+            f"unknown shaper {words[0][:40]!r}", remedy=nearest(words[0], tuple(map(str, known)))
+        )
+    if len(words) > 4 or not all(words):
+        raise OptionError(f"shaper {whole[:80]!r} cannot be read", remedy=_REMEDY)
+    return _Wanted(
+        kind=words[0],
+        frequency_hz=parse_mode_hz(words[1]) if len(words) > 1 else None,
+        damping_ratio=_number(words[2], whole) if len(words) > 2 else None,
+        tolerance=_number(words[3], whole) if len(words) > 3 else DEFAULT_TOLERANCE,
+    )
+
+
+def _number(text: str, whole: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise OptionError(f"shaper {whole[:80]!r}: {text!r} is no number", remedy=_REMEDY) from None

@@ -1,7 +1,7 @@
 """Specification, measures and the judge of recordings."""
 
 from threadline.verdict.judge import judge
-from threadline.verdict.present import criteria_json, verdict_json, verdict_rows
+from threadline.verdict.present import criteria_json, step_rows, verdict_json, verdict_rows
 from threadline.verdict.spec import load_spec
 from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
@@ -17,6 +17,7 @@ __all__ = [
     "judge",
     "load_spec",
     "sewn_stitches",
+    "step_rows",
     "verdict_json",
     "verdict_rows",
 ]

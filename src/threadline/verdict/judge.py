@@ -10,7 +10,7 @@ import numpy as np
 
 from threadline.errors import RecordingError, SpecError
 from threadline.path.types import ProgrammedPath
-from threadline.plan import Plan
+from threadline.plan import Plan, SwitchPlan
 from threadline.signals import Recording
 from threadline.verdict.blocks import (
     find_first,
@@ -22,14 +22,15 @@ from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.measure import Finding, Measure, MeasureKind, Setting
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
-from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
+from threadline.verdict.switch_judge import judge_switching
+from threadline.verdict.types import Criterion, Result, Spec, Verdict
 from threadline.verdict.window import PathWindow
 
 _EXCUSED = ("acceleration", "jerk")
 _Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
 
 
-def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
+def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) -> Verdict:
     """Measure every criterion of ``spec`` and say what came of it.
 
     Each recording is read once, in bounded memory; of several, the worst counts.
@@ -54,6 +55,8 @@ def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
         raise RecordingError("there is no recording to judge", remedy="Give at least one.")
     for recording in recordings:
         _check_same_job(recording, plan)
+    if isinstance(plan, SwitchPlan):
+        return judge_switching(recordings, plan, spec)
     findings: dict[_Key, list[Finding]] = {}
     keys = {_key(criterion): criterion for criterion in spec.criteria}
     for recording in recordings:
@@ -78,7 +81,7 @@ def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
     )
 
 
-def _check_same_job(recording: Recording, plan: Plan) -> None:
+def _check_same_job(recording: Recording, plan: Plan | SwitchPlan) -> None:
     theirs, ours = recording.job_sha256, plan.job.sha256
     if theirs and ours and theirs != ours:
         raise RecordingError(
@@ -204,21 +207,13 @@ def _result(
         finding = Finding(value=0.0, axis=finding.axis, note=finding.note)
     if criterion.hard and plan.path.historical and criterion.name in _EXCUSED:
         limit = None
-    if finding.value is None:
-        status = Status.NOT_MEASURED
-    elif limit is None:
-        status = Status.REPORTED
-    else:
-        status = (
-            Status.PASSED if finding.value <= kind.slack * limit + kind.allowance else Status.FAILED
-        )
     return Result(
         name=criterion.name,
         axis=axis,
         measured=finding.value,
         limit=limit,
         unit=kind.unit(plan.machine.axes[axis].kind if axis in plan.machine.axes else "linear"),
-        status=status,
+        status=kind.status(finding.value, limit),
         required=criterion.required,
         time_s=finding.time_s,
         operation=finding.operation,

@@ -11,6 +11,8 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
+from threadline.verdict.switch_run import SwitchRun
+from threadline.verdict.types import Status
 from threadline.verdict.window import PathWindow
 
 Dimension = Literal["tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "ratio"]
@@ -21,7 +23,8 @@ Dimension = Literal["tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "c
 class Finding:
     """The worst value of one measure, of one axis or (``""``) of the tool.
 
-    ``value`` is None where nothing could be measured; ``note`` then says why.
+    ``value`` is None where nothing could be measured; ``note`` then says why. ``step`` is the step
+    of a move list.
     """
 
     value: float | None
@@ -31,6 +34,7 @@ class Finding:
     job_line: int | None = None
     position: tuple[float, ...] | None = None
     note: str = ""
+    step: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,6 +153,8 @@ class MeasureKind:
         Begins a measurement of a recording; None for measures of the plan or of many recordings.
     of_many
         Measures all recordings together.
+    of_switching
+        Measures a run of an on/off machine; None where there is nothing to measure on one.
     options
         What a specification may set.
     slack, allowance
@@ -163,6 +169,7 @@ class MeasureKind:
     of_many: (
         Callable[[Sequence[Recording], Plan, Mapping[str, float]], Sequence[Finding]] | None
     ) = None
+    of_switching: Callable[[SwitchRun, Mapping[str, float]], Sequence[Finding]] | None = None
     options: Mapping[str, Option] = field(default_factory=dict)
     slack: float = 1.0
     allowance: float = 0.0
@@ -173,6 +180,15 @@ class MeasureKind:
         if self.dimension.startswith("axis"):
             return length + self.dimension.removeprefix("axis")
         return {"tool": "m", "time": "s", "current": "A", "ratio": ""}[self.dimension]
+
+    def status(self, value: float | None, limit: float | None) -> Status:
+        """Return what comes of a measured value under a limit, each None where there is none."""
+        if value is None:
+            return Status.NOT_MEASURED
+        if limit is None:
+            return Status.REPORTED
+        within = value <= self.slack * limit + self.allowance
+        return Status.PASSED if within else Status.FAILED
 
 
 def largest(values: FloatArray) -> tuple[int, float]:

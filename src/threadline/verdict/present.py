@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from threadline import __version__
-from threadline.plan import Plan
+from threadline.plan import Plan, SwitchPlan
 from threadline.signals import TickTable
 from threadline.verdict.types import Result, Status, Verdict
 
@@ -20,15 +20,23 @@ _SHOWN = {
 }
 
 
-def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
+ON_OFF = "on-off"
+"""Stands where other plans have an interpolation."""
+
+
+def verdict_json(verdict: Verdict, plan: Plan | SwitchPlan) -> dict[str, Any]:
     """Return what ``prove --json`` prints; SI units, ``None`` for what is not a finite number."""
     commands = plan.commands
+    if isinstance(plan, SwitchPlan):
+        interpolation, duration_s = ON_OFF, plan.duration_s
+    else:
+        interpolation, duration_s = plan.path.interpolation, plan.trajectory.duration_s
     return {
         "job": plan.job.name,
         "machine": plan.machine.name,
-        "interpolation": plan.path.interpolation,
+        "interpolation": interpolation,
         "passed": verdict.passed,
-        "duration_s": plan.trajectory.duration_s,
+        "duration_s": duration_s,
         "ticks": commands.tick_count() if isinstance(commands, TickTable) else None,
         "criteria": criteria_json(verdict),
         "job_sha256": plan.job.sha256,
@@ -48,6 +56,7 @@ def _criterion(result: Result) -> dict[str, Any]:
     return {
         "name": result.name,
         "axis": result.axis,
+        **({"step": result.step} if result.step else {}),
         "measured": _finite(result.measured),
         "limit": _finite(result.limit),
         "unit": result.unit,
@@ -101,8 +110,31 @@ def _row(result: Result) -> list[str]:
         result.status.value + (" (required)" if _lacking(result) else ""),
         "-" if result.time_s is None else f"{result.time_s:.3f} s",
         "-" if result.job_line is None else str(result.job_line),
-        result.note,
+        f"{result.step}: {result.note}".removesuffix(": ") if result.step else result.note,
     ]
+
+
+def step_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of what each step of a move list leaves, measure by measure.
+
+    One row per step, in order; one column per measure and axis that is told of steps.
+    """
+    told = [r for r in verdict.results if r.step]
+    columns = list(dict.fromkeys((r.name, r.axis) for r in told))
+    cells = {(r.step, r.name, r.axis): r for r in told}
+    header = ["step", *(" ".join((n.replace("_", " "), a)).strip() for n, a in columns)]
+    rows = []
+    for step in dict.fromkeys(r.step for r in told):
+        row = [step]
+        for column in columns:
+            result = cells.get((step, *column))
+            if result is None or result.measured is None:
+                row.append("-" if result is None else "not measured")
+                continue
+            failed = result.status is Status.FAILED
+            row.append(_shown(result.measured, result.unit) + (" (failed)" if failed else ""))
+        rows.append(row)
+    return header, rows
 
 
 def _lacking(result: Result) -> bool:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import difflib
 
 from threadline.signals import ChannelKind
-from threadline.verdict import demands, electrical, repeat, ripple, settling, stitches, turning
+from threadline.verdict import (
+    demands,
+    electrical,
+    repeat,
+    ripple,
+    settling,
+    stitches,
+    switch_measures,
+    turning,
+)
 from threadline.verdict.contour import start_contour
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.tracking import start_tracking
@@ -41,7 +50,13 @@ _KINDS = (
         options=repeat.OPTIONS,
     ),
     # A sum of increments may end a rounding beyond the travel.
-    MeasureKind(name="travel", dimension="axis", per_axis=True, allowance=1e-9),
+    MeasureKind(
+        name="travel",
+        dimension="axis",
+        per_axis=True,
+        allowance=1e-9,
+        of_switching=switch_measures.travel,
+    ),
     MeasureKind(name="velocity", dimension="axis/s", per_axis=True, slack=demands.SLACK),
     MeasureKind(name="acceleration", dimension="axis/s^2", per_axis=True, slack=demands.SLACK),
     MeasureKind(name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK),
@@ -92,6 +107,7 @@ _KINDS = (
         per_axis=True,
         needs=(_ACTUAL, _COMMANDED),
         start=settling.start_residual,
+        of_switching=switch_measures.residual_vibration,
         options=settling.RESIDUAL_OPTIONS,
     ),
     MeasureKind(
@@ -100,6 +116,7 @@ _KINDS = (
         per_axis=False,
         needs=(_ACTUAL, _COMMANDED),
         start=settling.start_settling,
+        of_switching=switch_measures.settling_time,
         options=settling.SETTLING_OPTIONS,
     ),
     MeasureKind(
@@ -123,7 +140,54 @@ _KINDS = (
         needs=((ChannelKind.CURRENT,),),
         start=electrical.start_current_rms,
     ),
+    MeasureKind(
+        name="end_position_error",
+        dimension="axis",
+        per_axis=True,
+        of_switching=switch_measures.end_position_error,
+    ),
+    MeasureKind(
+        name="cycle_time",
+        dimension="time",
+        per_axis=False,
+        of_switching=switch_measures.cycle_time,
+    ),
+    MeasureKind(
+        name="switching_order",
+        dimension="ratio",
+        per_axis=False,
+        of_switching=switch_measures.switching_order,
+    ),
+    MeasureKind(
+        name="switching_error",
+        dimension="time",
+        per_axis=False,
+        of_switching=switch_measures.switching_error,
+    ),
+    # Recorded instants are sums of periods: a rounding is no fault.
+    MeasureKind(
+        name="switching_dwell",
+        dimension="time",
+        per_axis=False,
+        allowance=1e-9,
+        of_switching=switch_measures.switching_dwell,
+    ),
+    MeasureKind(
+        name="valve_conflict",
+        dimension="time",
+        per_axis=False,
+        of_switching=switch_measures.valve_conflict,
+    ),
+    MeasureKind(
+        name="over_level",
+        dimension="ratio",
+        per_axis=False,
+        allowance=1e-9,
+        of_switching=switch_measures.over_level,
+    ),
 )
+SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "over_level")
+"""Measures of an on/off machine whose limit is the machine's own."""
 MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
 
 

@@ -15,13 +15,23 @@ from threadline.machine import Machine
 from threadline.opening import refuse_special
 from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
-from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
+from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS, nearest
 from threadline.verdict.types import Criterion, Spec
 
 _MAX_BYTES = 1_000_000
 _TOP = ("name", "lag", "criteria")
 _COMMON = ("name", "axis", "limit", "required")
 _ALWAYS = (*PLAN_DEMANDS, "path_deviation", "tracking_error", "dac_saturation")
+_ALWAYS_ON_OFF = (
+    "residual_vibration",
+    "settling_time",
+    "end_position_error",
+    "cycle_time",
+    "travel",
+    *SWITCHING_LIMITS,
+    "switching_error",
+)
+_LIMITS_ON_OFF = ("travel", *SWITCHING_LIMITS)
 _OWN = "machine"  # a limit that is the machine's own
 _LAG_S = 0.1
 _MOST_LAG_S = 3600.0
@@ -32,7 +42,9 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
     Axis limits are hard, and planned and tracked deviations are always of interest: travel,
     velocity, acceleration and jerk (with the machine's limits), path deviation, tracking error
-    and DAC saturation (without) are added where the file does not mention them.
+    and DAC saturation (without) are added where the file does not mention them. Of an on/off
+    machine it is what its frame does at each step, how long the cycle takes, and the limits of its
+    valves.
 
     Parameters
     ----------
@@ -120,22 +132,24 @@ class _Reader:
             self._refuse(
                 "there are no criteria", None, "criteria", "Write [[criteria]] tables, one each."
             )
-        criteria: dict[tuple[str, str], Criterion] = {}
+        criteria: dict[tuple[str, str, str], Criterion] = {}
         for index, row in enumerate(rows):
             for criterion in self._criteria(row, index):
-                key = criterion.name, criterion.axis
+                key = criterion.name, criterion.axis, criterion.step
                 # A criterion of one axis replaces that of every axis, wherever it stands.
                 if key in criteria and criteria[key].every_axis == criterion.every_axis:
                     axis = f" of axis {key[1]}" if key[1] else ""
                     self._refuse(f"{key[0]}{axis} is there twice", index, "name", "Keep one.")
                 if key not in criteria or criteria[key].every_axis:
                     criteria[key] = criterion
-        named = {criterion.name for criterion in criteria.values()}
-        for missing in _ALWAYS:
+        named = {criterion.name for criterion in criteria.values() if not criterion.step}
+        on_off = bool(self._machine.cylinders)
+        own = _LIMITS_ON_OFF if on_off else PLAN_DEMANDS
+        for missing in _ALWAYS_ON_OFF if on_off else _ALWAYS:
             if missing not in named:
-                row = {"name": missing} | ({"limit": _OWN} if missing in PLAN_DEMANDS else {})
+                row = {"name": missing} | ({"limit": _OWN} if missing in own else {})
                 for criterion in self._criteria(row, None):
-                    criteria[criterion.name, criterion.axis] = criterion
+                    criteria[criterion.name, criterion.axis, ""] = criterion
         lag_s = self._number(content["lag"], "s", None, "lag") if "lag" in content else _LAG_S
         if lag_s > _MOST_LAG_S:
             self._refuse(f"lag = {content['lag']!r} is above {_MOST_LAG_S:g} s", None, "lag")
@@ -154,7 +168,11 @@ class _Reader:
         if kind is None:
             remedy = nearest(name, list(MEASURES))
             self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
-        self._known(row, (*_COMMON, *kind.options), index)
+        on_off = bool(self._machine.cylinders)
+        self._known(row, (*_COMMON, *kind.options, *(("step",) if on_off else ())), index)
+        step = row.get("step", "")
+        if not isinstance(step, str):
+            self._refuse(f"step must be a name, got {step!r}", index, "step")
         required = row.get("required", False)
         if not isinstance(required, bool):
             self._refuse(f"required must be true or false, got {required!r}", index, "required")
@@ -174,16 +192,18 @@ class _Reader:
                 options=options,
                 hard=row.get("limit") == _OWN,
                 every_axis=bool(axis) and not wanted,
+                step=step,
             )
 
     def _axes(self, kind: MeasureKind, wanted: Any, index: int | None) -> list[str]:
-        names = list(self._machine.axis_names)
+        names = list(self._machine.cylinders or self._machine.axis_names)
         if not kind.per_axis:
             if wanted:
                 self._refuse(f"{kind.name} is measured at the tool, not of an axis", index, "axis")
             return [""]
         if wanted == "":
-            return [n for n in names if kind.name != "travel" or not self._machine.axes[n].endless]
+            endless = [n for n, axis in self._machine.axes.items() if axis.endless]
+            return [n for n in names if kind.name != "travel" or n not in endless]
         if wanted not in names:
             self._refuse(
                 f"machine {self._machine.name!r} has no axis {str(wanted)[:40]!r}",
@@ -198,7 +218,8 @@ class _Reader:
             return None
         if text == _OWN:
             return self._own_limit(kind, axis, index)
-        axis_kind = self._machine.axes[axis].kind if axis else "linear"
+        of_axis = self._machine.axes.get(axis)
+        axis_kind = "linear" if of_axis is None else of_axis.kind
         unit = kind.unit(axis_kind)
         factor = 1.0
         if axis_kind == "rotary" and kind.dimension.startswith("axis"):
@@ -209,12 +230,16 @@ class _Reader:
         return factor * self._number(text, unit, index, "limit")
 
     def _own_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
-        if kind.name not in PLAN_DEMANDS:
+        plc = self._machine.plc
+        if self._machine.cylinders and plc is not None and kind.name in _LIMITS_ON_OFF:
+            return None if kind.name == "over_level" and not plc.never_over else 0.0
+        if kind.name not in PLAN_DEMANDS or self._machine.cylinders:
             self._refuse(
                 f"the machine has no limit of {kind.name}",
                 index,
                 "limit",
-                f'limit = "machine" is for {", ".join(PLAN_DEMANDS)}.',
+                'limit = "machine" is for '
+                f"{', '.join(_LIMITS_ON_OFF if self._machine.cylinders else PLAN_DEMANDS)}.",
             )
         limits = self._machine.axes[axis]
         if kind.name == "travel":

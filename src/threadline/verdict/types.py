@@ -28,6 +28,8 @@ class Criterion:
         One of the measures: ``contour_error``, ``turning_point_error``, ...
     axis
         The axis that it is asked of, ``""`` for every axis or for the tool.
+    step
+        The step of a move list that it is asked of, ``""`` for every step.
     limit
         Largest allowed value, SI; None where it is only reported.
     required
@@ -48,6 +50,7 @@ class Criterion:
     options: Mapping[str, float] = field(default_factory=lambda: NO_OPTIONS)
     hard: bool = False
     every_axis: bool = False
+    step: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +95,8 @@ class Result:
         missed, the point; None where there is no such place.
     note
         What the number alone does not say: ``short``, ``past``, why nothing was measured.
+    step
+        The step of a move list that it was measured in; ``""`` for the whole job.
     """
 
     name: str
@@ -106,6 +111,7 @@ class Result:
     job_line: int | None = None
     position: tuple[float, ...] | None = None
     note: str = ""
+    step: str = ""
 
     @property
     def severity(self) -> tuple[int, float]:

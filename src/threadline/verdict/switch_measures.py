@@ -1,0 +1,264 @@
+"""Measures of an on/off machine: what each step leaves, and whether the valves were kept whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.plant.pneumatic import flow_mode
+from threadline.signals import ChannelKind
+from threadline.verdict.measure import Finding
+from threadline.verdict.switch_run import RunStep, SwitchRun
+
+SwitchMeasure = Callable[[SwitchRun, Mapping[str, float]], Sequence[Finding]]
+"""Measures one run with the options of a criterion."""
+
+_LEAST_PERIODS = 0.5  # less does not show both extremes of what rings
+_STOP_GIVES_M = 1e-5  # a piston that runs into its end stop presses it in by less
+
+
+def _unknown(run: SwitchRun, axis: str = "") -> list[Finding]:
+    at = len(run.row_s)
+    note = f"the outputs leave the schedule after {at} of its {len(run.commands.ticks)} switchings"
+    return [Finding(value=None, axis=axis, note=note)]
+
+
+def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
+    """Per step and cylinder: half the peak-to-peak of its frame, m, once it has come to rest.
+
+    From ``after`` its coming to rest, for ``window``, until it moves again at the latest. What
+    rang before and rings on counts too.
+    """
+    found: list[Finding] = []
+    for axis in run.plan.job.axes:
+        frame = run.find(ChannelKind.FRAME, axis)
+        if frame is None:
+            note = f"no frame channel of {axis}"
+            found.append(Finding(value=None, axis=axis, note=note))
+        elif not run.steps:
+            found += _unknown(run, axis)
+        else:
+            period_s = 1.0 / flow_mode(run.plan.machine, axis)[0]
+            found += [_ringing(run, step, axis, frame, period_s, options) for step in run.steps]
+    return found
+
+
+def _ringing(
+    run: SwitchRun,
+    step: RunStep,
+    axis: str,
+    frame: tuple[FloatArray, FloatArray],
+    period_s: float,
+    options: Mapping[str, float],
+) -> Finding:
+    begin_s, end_s = run.quiet_s(step, axis)
+    begin_s += options["after"]
+    end_s = min(end_s, begin_s + options["window"])
+    time_s, values = frame
+    inside = np.flatnonzero((time_s >= begin_s) & (time_s <= end_s))
+    seen = (end_s - begin_s) / period_s
+    if len(inside) < 2 or seen < _LEAST_PERIODS:
+        note = f"it moves again after {max(seen, 0.0):.2f} of a period: too soon to see what rings"
+        return Finding(value=None, axis=axis, step=step.name, operation=step.operation, note=note)
+    part = values[inside]
+    rest = 0.5 * (part.max() + part.min())
+    return Finding(
+        value=0.5 * float(np.ptp(part)),
+        axis=axis,
+        step=step.name,
+        time_s=float(time_s[inside[np.argmax(np.abs(part - rest))]]),
+        operation=step.operation,
+        note="" if seen >= 1.0 else f"{seen:.2f} of a period is seen before it moves again",
+    )
+
+
+def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
+    """Per step: from its last switching of a cylinder until every frame stays in the band, s.
+
+    The band is about the place at which the frames stood before the cycle. A frame that has not
+    come to rest before its cylinder moves again never settles.
+    """
+    axes = run.plan.job.axes
+    frames = {axis: run.find(ChannelKind.FRAME, axis) for axis in axes}
+    missing = [axis for axis, frame in frames.items() if frame is None]
+    if missing:
+        return [Finding(value=None, note=f"no frame channel of {', '.join(missing)}")]
+    if not run.steps:
+        return _unknown(run)
+    found = []
+    for step in run.steps:
+        ends = [m.end_s for m in run.moves if step.begin_s - 1e-9 <= m.begin_s < step.end_s - 1e-9]
+        if not ends:
+            continue  # nothing moved
+        last_s = max(ends)
+        worst = Finding(value=-1.0)
+        for axis, frame in frames.items():
+            assert frame is not None
+            time_s, values = frame
+            inside = (time_s >= last_s) & (time_s <= run.quiet_s(step, axis)[1])
+            out = np.flatnonzero(inside & (np.abs(values - values[0]) > options["band"]))
+            settled = float(time_s[out[-1]]) - last_s if len(out) else 0.0
+            never = bool(len(out)) and not (inside & (time_s > time_s[out[-1]])).any()
+            value = float("inf") if never else settled
+            if worst.value is None or value > worst.value:
+                note = f"{axis} rings on until it moves again" if never else axis
+                worst = Finding(
+                    value=value,
+                    step=step.name,
+                    operation=step.operation,
+                    time_s=last_s + settled,
+                    note=note if settled else "",
+                )
+        found.append(worst)
+    return found
+
+
+def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Per step and cylinder that moves in it: how far from its target it stands in the end, m."""
+    found: list[Finding] = []
+    for axis in run.plan.job.axes:
+        load = run.find(ChannelKind.LOAD, axis)
+        if load is None:
+            found.append(Finding(value=None, axis=axis, note=f"no load channel of {axis}"))
+            continue
+        if not run.steps:
+            found += _unknown(run, axis)
+        for move in run.moves_of(axis):
+            step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
+            end_s = run.quiet_s(step, axis)[1]
+            at = max(int(np.searchsorted(load[0], end_s, side="right")) - 1, 0)
+            found.append(
+                Finding(
+                    value=abs(float(load[1][at]) - move.target_m),
+                    axis=axis,
+                    step=step.name,
+                    time_s=float(load[0][at]),
+                    operation=move.planned.operation,
+                )
+            )
+    return found
+
+
+def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Per cylinder: how far the piston goes beyond its stroke, m; negative where room is left.
+
+    At an end stop it is 0, the hundredth of a millimetre included by which a stop gives way.
+    """
+    found = []
+    for axis in run.plan.job.axes:
+        load = run.find(ChannelKind.LOAD, axis)
+        if load is None:
+            found.append(Finding(value=None, axis=axis, note=f"no load channel of {axis}"))
+            continue
+        beyond = np.maximum(load[1] - run.plan.machine.cylinders[axis].stroke.si, -load[1])
+        at = int(np.argmax(beyond))
+        value = 0.0 if 0.0 <= beyond[at] <= _STOP_GIVES_M else float(beyond[at])
+        found.append(Finding(value=value, axis=axis, time_s=float(load[0][at])))
+    return found
+
+
+def cycle_time(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Time from the start to the end of the last step, s, waits for inputs included."""
+    if not run.steps:
+        return _unknown(run)
+    return [Finding(value=run.steps[-1].end_s - run.steps[0].begin_s, time_s=run.steps[-1].end_s)]
+
+
+def switching_order(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Share of the switchings of the schedule that did not come, or not in its order."""
+    total = len(run.commands.ticks)
+    if run.followed:
+        return [Finding(value=0.0)]
+    at = len(run.row_s)
+    operation = int(run.commands.operation[at])
+    time_s = float(run.time_s[run.changes[at]]) if at < len(run.changes) else run.time_s[-1]
+    return [
+        Finding(
+            value=(total - at) / total,
+            time_s=float(time_s),
+            operation=operation,
+            note=f"{at} of {total} switchings follow the schedule",
+        )
+    ]
+
+
+def switching_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Largest error of the time between two switchings of one move, s."""
+    if not run.followed:
+        return _unknown(run)
+    period_s = float(run.commands.clock.period_s)
+    worst = Finding(value=0.0)
+    for move in run.moves:
+        ticks = [move.planned.first_tick + t for t in move.planned.levels.ticks]
+        for tick in ticks[1:]:
+            error = abs(run.instant_s(tick) - move.begin_s - (tick - ticks[0]) * period_s)
+            if error > (worst.value or 0.0) + 1e-9:
+                worst = Finding(
+                    value=error, time_s=run.instant_s(tick), operation=move.planned.operation
+                )
+    return [worst]
+
+
+def switching_dwell(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """By how much a valve switched again sooner than it can, s; negative where room is left."""
+    machine = run.plan.machine
+    assert machine.plc is not None
+    valves = [
+        i for i, n in enumerate(run.commands.outputs) if machine.outputs[n].kind in _VALVE_KINDS
+    ]
+    worst = Finding(value=None, note="no valve switches twice")
+    for column in valves:
+        values = run.states[:, column]
+        at = np.flatnonzero(np.diff(values, prepend=0))
+        if len(at) < 2:
+            continue
+        spans = np.diff(run.time_s[at])
+        short = int(np.argmin(spans))
+        value = machine.plc.dwell.si - float(spans[short])
+        if worst.value is None or value > worst.value:
+            worst = Finding(
+                value=value,
+                time_s=float(run.time_s[at[short + 1]]),
+                note=f"{run.commands.outputs[column]}, shortest {spans[short] * 1e3:.4g} ms",
+            )
+    return [worst]
+
+
+_VALVE_KINDS = ("direction", "flow")
+
+
+def valve_conflict(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """How long opposite valves were open together, or one without the soft-start valve, s."""
+    machine = run.plan.machine
+    on = {n: run.states[:, i] != 0 for i, n in enumerate(run.commands.outputs)}
+    air = np.ones(len(run.time_s), dtype=bool)
+    for name, output in machine.outputs.items():
+        if output.kind == "soft-start":
+            air &= on[name]
+    # A sample stands for the time until the next one.
+    span = np.append(np.diff(run.time_s), 0.0)
+    wrong = np.zeros(len(run.time_s), dtype=bool)
+    for cylinder in machine.cylinders.values():
+        forward, back = on[cylinder.forward.valve], on[cylinder.back.valve]
+        wrong |= (forward & back) | ((forward | back) & ~air)
+    at = np.flatnonzero(wrong)
+    time_s = float(run.time_s[at[0]]) if len(at) else None
+    return [Finding(value=float(span[wrong].sum()), time_s=time_s)]
+
+
+def over_level(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """By how much the open flow controls of a cylinder exceed the unshaped level."""
+    worst = Finding(value=0.0)
+    on = {n: run.states[:, i] for i, n in enumerate(run.commands.outputs)}
+    for axis, cylinder in run.plan.machine.cylinders.items():
+        for way in (cylinder.forward, cylinder.back):
+            flows = np.sum([flow.si * on[n] for n, flow in way.flows.items()], axis=0)
+            level = np.where(on[way.valve] != 0, flows, 0.0)
+            at = int(np.argmax(level))
+            beyond = float(level[at]) - 1.0
+            # Flow controls are set to so many digits; their sum is 1 within them.
+            if beyond > way.level_tolerance + (worst.value or 0.0):
+                worst = Finding(value=beyond, time_s=float(run.time_s[at]), note=axis)
+    return [worst]
