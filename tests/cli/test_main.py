@@ -77,7 +77,7 @@ def test_a_closed_pipe_is_no_error(unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run(
-        [sys.executable, "-m", "threadline.cli.main", "--help"],
+        [sys.executable, "-m", "threadline.cli.start", "--help"],
         stdout=writing,
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONUNBUFFERED": unbuffered},

@@ -11,17 +11,18 @@ import typer
 from typer.exceptions import TyperException
 
 from threadline import __version__
-from threadline.cli import analyse, compare, compile_, fastest, judge_, prove, shaper, size
+from threadline.cli.lazy import LazyGroup
+from threadline.cli.start import EXIT_INTERRUPTED, INTERRUPTED
 from threadline.errors import InputError, LinkFaultError, OptionError, ThreadlineError
 
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
-EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141  # 128 + SIGPIPE
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 app = typer.Typer(
     name="threadline",
+    cls=LazyGroup,
     help="How fast can this machine do this job and stay in spec, and can you prove it?",
     no_args_is_help=True,
     add_completion=False,
@@ -43,10 +44,6 @@ def _root(
     ] = False,
 ) -> None:
     """Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault."""
-
-
-for module in (prove, compare, fastest, compile_, judge_, analyse, shaper, size):
-    module.register(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -80,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         status = EXIT_INTERRUPTED
     if status == EXIT_INTERRUPTED:
-        _stop("interrupted; nothing was left half-written", EXIT_INTERRUPTED)
+        sys.stderr.write(INTERRUPTED)
     sys.exit(status)
 
 
@@ -95,7 +92,3 @@ def _stop(text: str, status: int) -> NoReturn:
     """Say in one line why the program ends, and end it."""
     sys.stderr.write(f"error: {' '.join(text.split())}\n")
     sys.exit(status)
-
-
-if __name__ == "__main__":
-    main()

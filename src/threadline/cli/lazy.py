@@ -1,0 +1,86 @@
+"""Commands that are imported when they are called: ``--help`` need not wait for numpy."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from threadline.cli.start import leaving_on_interrupt
+from threadline.errors import OptionError
+
+
+@dataclass(frozen=True, slots=True)
+class LazyCommand:
+    """A command of the program.
+
+    Parameters
+    ----------
+    module
+        In ``threadline.cli``; its ``register`` adds the command to a typer application.
+    summary
+        One line for ``threadline --help``: what the command's own help begins with.
+    """
+
+    module: str
+    summary: str
+
+
+COMMANDS = {
+    "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
+    "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
+    "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
+    "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
+    "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
+    "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
+    "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
+    "size": LazyCommand("size", "Size a machine from what its product asks for."),
+    "law": LazyCommand("law", "Show a motion law: its Cv, Ca, Cj and efficiency."),
+}
+
+
+class LazyGroup(TyperGroup):
+    """A group whose commands are the table above."""
+
+    def list_commands(self, _context: Any) -> list[str]:
+        """Return the names in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, _context: Any, cmd_name: str) -> Any:
+        """Import and return a command, None if there is none of that name."""
+        entry = COMMANDS.get(cmd_name)
+        if entry is None:
+            return None
+        if cmd_name not in self.commands:
+            with leaving_on_interrupt():
+                module = import_module(f"threadline.cli.{entry.module}")
+            app = typer.Typer(add_completion=False, rich_markup_mode=None)
+            module.register(app)
+            self.commands[cmd_name] = get_command(app)
+        return self.commands[cmd_name]
+
+    def resolve_command(self, context: Any, args: list[str]) -> Any:
+        """Return the command that is called, and what is left of the arguments.
+
+        Raises
+        ------
+        OptionError
+            If there is none of that name.
+        """
+        if args and args[0] not in COMMANDS:
+            close = difflib.get_close_matches(args[0], COMMANDS, n=1)
+            hint = f"Did you mean {close[0]!r}? " if close else ""
+            raise OptionError(
+                f"there is no command {args[0]!r}", remedy=f"{hint}threadline --help lists them."
+            )
+        return super().resolve_command(context, args)
+
+    def format_commands(self, _context: Any, formatter: Any) -> None:
+        """Write the commands for ``--help`` without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.summary) for name, entry in COMMANDS.items()])

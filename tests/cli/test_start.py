@@ -1,0 +1,64 @@
+"""The program's first moments: what is imported when, and an interrupt before anything runs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+import typer
+
+from threadline.cli.lazy import COMMANDS
+
+INTERRUPTING = """
+import os, signal, sys
+class Interrupter:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+            import time; time.sleep(5)
+sys.meta_path.insert(0, Interrupter())
+sys.argv = ["threadline", "law", "cubic"]
+from threadline.cli.start import run
+run()
+"""
+
+
+def run(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+
+
+@pytest.mark.parametrize("name", ["typer", "threadline.cli.law", "numpy"])
+def test_an_interrupt_while_importing_is_one_line(name: str) -> None:
+    """Of the command line, of a command, and inside a package that the command needs."""
+    done = run(INTERRUPTING.format(name=name))
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "error: interrupted; nothing was left half-written\n"
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """``threadline --help`` needs typer and no array: that is what makes it answer at once."""
+    done = run(
+        "import sys\n"
+        "from threadline.cli.main import main\n"
+        "try:\n    main(['--help'])\n"
+        "except SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'pint', 'pydantic', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert all(name in done.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_of_the_table_is_there(name: str) -> None:
+    """The module adds one command, with that name, a help and an example in it."""
+    app = typer.Typer()
+    import_module(f"threadline.cli.{COMMANDS[name].module}").register(app)
+    (command,) = app.registered_commands
+    assert command.name == name
+    assert command.callback is not None
+    assert f"Example: threadline {name}" in (command.callback.__doc__ or "")
