@@ -236,8 +236,8 @@ VALUES = {
     "bits without end": ('bits = "12 bit', 'bits = "1000000 bit', "must be at most 32"),
     "part of a tick": ('record_every = "20 tick', 'record_every = "0.5 tick', "whole number"),
     "part of a knot": ('knots_between = "4 exact', 'knots_between = "4.5 exact', "whole number"),
-    "yes for true": ("endless = true", 'endless = "yes"', "boolean"),
-    "1 for true": ("zero_on_reversal = true", "zero_on_reversal = 1", "boolean"),
+    "yes for true": ("endless = true", 'endless = "yes"', "must be true or false"),
+    "1 for true": ("zero_on_reversal = true", "zero_on_reversal = 1", "must be true or false"),
     "axis name": ("[axes.A]", "[axes.mandrel]", "axes.mandrel"),
 }
 

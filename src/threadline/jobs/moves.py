@@ -31,6 +31,7 @@ from threadline.jobs.textfile import open_binary
 from threadline.machine import Machine
 from threadline.signals import Stream
 from threadline.units import parse_quantity
+from threadline.wording import toml_fault
 
 MAX_BYTES = 4 * 1024 * 1024
 STEP_EVENT = "step "
@@ -58,18 +59,22 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
         content = b"" if path.is_dir() else stream.read(MAX_BYTES + 1)
     place = Place(str(path))
     if len(content) > MAX_BYTES:
-        raise JobError(f"the move list has more than {MAX_BYTES} bytes", place=place)
+        raise JobError(
+            f"the move list has more than {MAX_BYTES} bytes",
+            place=place,
+            remedy="Is this a move list?",
+        )
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise JobError("the file is not UTF-8 text", place=place) from error
+        raise JobError(
+            "the file is not UTF-8 text", place=place, remedy="Save it as UTF-8."
+        ) from error
     try:
         table = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        at = re.search(r"at line (\d+)", str(error))
-        raise JobError(
-            f"not valid TOML: {error}", place=Place(str(path), int(at[1]) if at else 0)
-        ) from error
+        what, line = toml_fault(error, text)
+        raise JobError(what, place=Place(str(path), line), remedy="Correct that line.") from error
     reader = _Reader(str(path), text, machine)
     operations = reader.operations(table)
     name = table.get("name", path.stem)

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import tomllib
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,6 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 from threadline.errors import MachineError, Place
 from threadline.machine.model import Machine
 from threadline.opening import refuse_special
+from threadline.wording import field_fault, toml_fault
 
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
@@ -86,7 +88,9 @@ def _overlaid(content: dict[str, Any], overlays: list[str], name: str, file: str
     available = content.get("overlays", {})
     if not isinstance(available, dict) or not all(isinstance(o, dict) for o in available.values()):
         raise MachineError(
-            "overlays must be tables like [overlays.heavy.bodies.x]", place=Place(file)
+            "overlays must be tables",
+            place=Place(file),
+            remedy="Write them like [overlays.heavy.bodies.x].",
         )
     for overlay in overlays:
         if overlay not in available:
@@ -103,19 +107,18 @@ def _overlaid(content: dict[str, Any], overlays: list[str], name: str, file: str
 
 def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str]:
     if name in seen:
+        above, above_file = _read(seen[-1])
         raise MachineError(
-            f"machine files are based on each other in a circle: {' -> '.join([*seen, name])}"
+            f"machine files are based on each other in a circle: {' -> '.join([*seen, name])}",
+            place=Place(above_file, _line_of(above, ("base",))),
+            remedy="Take one base out.",
         )
     text, file = _read(name)
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        at = re.search(r"at line (\d+)", str(error))
-        raise MachineError(
-            f"not valid TOML: {error}",
-            place=Place(file, int(at[1]) if at else 0),
-            remedy="Correct that line.",
-        ) from error
+        what, line = toml_fault(error, text)
+        raise MachineError(what, place=Place(file, line), remedy="Correct that line.") from error
     for key in _OURS:
         if key in content:
             raise MachineError(
@@ -128,8 +131,9 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         return content, text, file
     if not isinstance(base, str):
         raise MachineError(
-            'base must be the name of a machine, like base = "lathe-winder"',
+            f"base must be the name of a machine, got {base!r}",
             place=Place(file, _line_of(text, ("base",))),
+            remedy='Write it like base = "lathe-winder".',
         )
     base_name, base_overlays = _split(base)
     if base_name.endswith(".toml"):
@@ -148,10 +152,13 @@ def _read(name: str) -> tuple[str, str]:
                 raise MachineError(
                     f"the file has {path.stat().st_size} bytes, limit {_MAX_BYTES}",
                     place=Place(name),
+                    remedy="Is this a machine file?",
                 )
             return path.read_bytes().decode("utf-8"), name
         except UnicodeDecodeError as error:
-            raise MachineError("the file is not UTF-8 text", place=Place(name)) from error
+            raise MachineError(
+                "the file is not UTF-8 text", place=Place(name), remedy="Save it as UTF-8."
+            ) from error
         except MachineError:
             raise
         except (OSError, ValueError) as error:  # a null in a name is a ValueError
@@ -206,12 +213,13 @@ def _refuse(error: ValidationError, text: str, file: str) -> NoReturn:
         raise MachineError(
             f"{where!r} is missing", place=place, remedy="Add it to the file."
         ) from error
-    message = str(first["msg"]).removeprefix("Value error, ")
+    message, remedy = field_fault(first)
     named = _REFERENCE.match(message)
     if not location and named:
         # What checks references sees the whole machine; its message begins with the key.
         place = Place(file, _line_of(text, tuple(named[1].split("."))))
-    raise MachineError(f"{where}: {message}" if where else message, place=place) from error
+    said = f"{where}: {message}" if where else message
+    raise MachineError(said, place=place, remedy=remedy) from error
 
 
 def _is_tagged(location: tuple[str, ...]) -> bool:
@@ -219,9 +227,15 @@ def _is_tagged(location: tuple[str, ...]) -> bool:
     return len(location) > 2 and location[0] in {"controllers", "sensors"}
 
 
+@cache
+def _schema() -> dict[str, Any]:
+    """Return the schema of a machine file; it takes longer to make than a file to read."""
+    return _ADAPTER.json_schema(mode="validation")
+
+
 def _field_names(location: tuple[str, ...]) -> list[str]:
     """Return the keys allowed at ``location`` by walking the schema of the model."""
-    schema: Any = _ADAPTER.json_schema(mode="validation")
+    schema = _schema()
     definitions = schema.get("$defs", {})
     node = schema
     for part in location:
@@ -270,7 +284,11 @@ def _line_of(text: str, location: tuple[str, ...]) -> int:
 def replace_operator(machine: Machine, **changes: Any) -> Machine:
     """Return ``machine`` with other operator settings, and a hash that tells them apart."""
     if machine.operator is None:
-        raise MachineError(f"machine {machine.name!r} has no [operator] table to change")
+        raise MachineError(
+            f"machine {machine.name!r} has no [operator] table to change",
+            place=Place(machine.file),
+            remedy="Add the table, or leave the parameter file out.",
+        )
     operator = dataclasses.replace(machine.operator, **changes)
     note = json.dumps({key: str(value) for key, value in changes.items()}, sort_keys=True)
     sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()

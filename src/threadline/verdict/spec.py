@@ -17,6 +17,7 @@ from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS, nearest
 from threadline.verdict.types import Criterion, Spec
+from threadline.wording import toml_fault
 
 _MAX_BYTES = 1_000_000
 _TOP = ("name", "lag", "criteria")
@@ -97,7 +98,9 @@ def _read(path: Path) -> str:
             )
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
-        raise SpecError("the file is not UTF-8 text", place=Place(str(path))) from error
+        raise SpecError(
+            "the file is not UTF-8 text", place=Place(str(path)), remedy="Save it as UTF-8."
+        ) from error
     except SpecError:
         raise
     except (OSError, ValueError) as error:
@@ -117,11 +120,9 @@ class _Reader:
         try:
             content = tomllib.loads(self._text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            at = re.search(r"at line (\d+)", str(error))
+            what, line = toml_fault(error, self._text)
             raise SpecError(
-                f"not valid TOML: {error}",
-                place=Place(self._file, int(at[1]) if at else 0),
-                remedy="Correct that line.",
+                what, place=Place(self._file, line), remedy="Correct that line."
             ) from error
         self._known(content, _TOP, None)
         name = content.get("name")

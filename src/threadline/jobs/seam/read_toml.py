@@ -13,6 +13,7 @@ from threadline.jobs.seam.drawing import Drawing, Stroke, decode_text
 from threadline.jobs.seam.settings import STITCHING_KEYS, nearest
 from threadline.jobs.seam.written import CONTOUR_KEYS, written_contour
 from threadline.units import parse_quantity, unit_factor
+from threadline.wording import toml_fault
 
 MAX_TOML_BYTES = 64 * 1024 * 1024
 _DRAWING = ("file", "unit", "gap", "origin", "by")
@@ -62,10 +63,8 @@ def read_seam_file(content: bytes, file: str) -> SeamFile:
     try:
         table = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        at = re.search(r"at line (\d+)", str(error))
-        raise JobError(
-            f"not valid TOML: {error}", place=Place(file, int(at[1]) if at else 0)
-        ) from (error)
+        what, line = toml_fault(error, text)
+        raise JobError(what, place=Place(file, line), remedy="Correct that line.") from error
     reader = _Reader(file, _lines(text))
     return reader.seam_file(table)
 

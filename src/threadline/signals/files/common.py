@@ -20,6 +20,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from threadline.errors import Place, RecordingError, ThreadlineError
 from threadline.opening import refuse_special
+from threadline.wording import field_fault
 
 MAX_LINE_BYTES = 1 << 20
 MAX_META_BYTES = 1 << 20
@@ -184,7 +185,7 @@ def checked_meta(adapter: TypeAdapter[T], meta: Any, path: Path) -> T:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise RecordingError(
-            f"the description in the file is wrong at {where!r}: {first['msg']}",
+            f"the description in the file is wrong at {where!r}: {field_fault(first)[0]}",
             place=Place(str(path)),
             remedy="Write it again with this version of Threadline.",
         ) from error

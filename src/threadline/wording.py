@@ -1,0 +1,100 @@
+"""What the libraries that read files say of a mistake, in words for people who write the files."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from typing import Any
+
+_SHOWN = 60
+
+_KINDS = {
+    "string": ("must be a text", 'Write it in quotes, like "servo".'),
+    "tuple": ("must be a list", 'Write it in brackets, like ["a", "b"].'),
+    "list": ("must be a list", 'Write it in brackets, like ["a", "b"].'),
+    "dict": ("must be a table", "Write it as a [table] with a key on each line."),
+    "dataclass": ("must be a table", "Write it as a [table] with a key on each line."),
+    "model_attributes": ("must be a table", "Write it as a [table] with a key on each line."),
+    "bool": ("must be true or false", "Write true or false, without quotes."),
+    "int": ("must be a whole number", "Write it without quotes, unit and decimals."),
+    "float": ("must be a number", "Write it without quotes and unit."),
+}
+_RANGES = {
+    "greater_than": ("greater than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+
+
+def toml_fault(error: Exception, text: str) -> tuple[str, int]:
+    """Return what is wrong with a TOML file, and the line; the last line where the end is.
+
+    Parameters
+    ----------
+    error
+        What ``tomllib`` raised: its own error, or ``RecursionError`` of a deep nest.
+    text
+        The file.
+    """
+    if isinstance(error, RecursionError):
+        return "the file is nested too deeply", 0
+    said = str(error)
+    at = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", said)
+    if at is None:
+        return f"not valid TOML: {said}", 0
+    said = said[: at.start()]
+    said = said[:1].lower() + said[1:]
+    if at[1] is not None:
+        return f"not valid TOML: {said}", int(at[1])
+    last = text.rstrip("\n").count("\n") + 1
+    return f"not valid TOML: {said} before the end; the file may be truncated", last
+
+
+def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what is wrong with a value, and the remedy.
+
+    Parameters
+    ----------
+    error
+        One of ``ValidationError.errors()`` of pydantic.
+    """
+    kind, context = error["type"], error.get("ctx", {})
+    got = f", got {_shown(error.get('input'))}"
+    for ending in ("_type", "_parsing", "_exact_type"):
+        if kind.endswith(ending) and kind.removesuffix(ending) in _KINDS:
+            must, remedy = _KINDS[kind.removesuffix(ending)]
+            return must + got, remedy
+    if kind in _RANGES:
+        words, key = _RANGES[kind]
+        return f"must be {words} {context[key]}{got}", "Correct the number."
+    if kind in {"literal_error", "enum"}:
+        return f"must be {context['expected']}{got}", _nearest(error, context["expected"])
+    if kind == "union_tag_invalid":
+        tags = context["expected_tags"]
+        return f"kind must be one of {tags}, got {context['tag']!r}", _nearest(context, tags)
+    if kind == "too_short":
+        least = context["min_length"]
+        entries = "entry" if least == 1 else "entries"
+        return f"must have at least {least} {entries}{got}", "Add what is missing."
+    if kind == "string_pattern_mismatch":
+        if context["pattern"] == "^[A-Z]$":
+            return f"must be one capital letter{got}", "Name it like A, X or Y."
+        return f"must look like {context['pattern']}{got}", "Correct it."
+    if kind == "value_error":
+        return str(error["msg"]).removeprefix("Value error, "), ""
+    said = str(error["msg"]).removeprefix("Input ")
+    return f"{said[:1].lower()}{said[1:]}{got}", "Correct it."
+
+
+def _nearest(error: Mapping[str, Any], expected: str) -> str:
+    known = re.findall(r"'([^']*)'", expected)
+    given = error.get("tag", error.get("input"))
+    close = difflib.get_close_matches(str(given), known, n=1)
+    return f"Did you mean {close[0]!r}?" if close else "Choose one of them."
+
+
+def _shown(value: object) -> str:
+    text = repr(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
