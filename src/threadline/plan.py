@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from threadline.control import Demand
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath, ProgrammedPath
@@ -30,7 +31,12 @@ class Plan:
     commands
         What the controller is given.
     unshaped
-        The trajectory before it was shaped; None where it is not shaped.
+        The trajectory before it was shaped, or smoothed for feed-forward; None where it is
+        neither.
+    feed_forward
+        What the motion asks of each axis where the commands come from the inverses of the axes,
+        so that the loads follow the trajectory as it stands; empty where the commands are the
+        trajectory itself.
     options
         How it was planned (interpolation, feed, tolerance), as text, for people and recordings.
     """
@@ -42,6 +48,7 @@ class Plan:
     trajectory: Trajectory
     commands: Commands
     unshaped: Trajectory | None = None
+    feed_forward: tuple[Demand, ...] = ()
     options: Mapping[str, str] = field(default_factory=dict)
 
 

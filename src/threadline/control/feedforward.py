@@ -16,11 +16,9 @@ from scipy.signal import lfilter
 
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Followed, Motion, inverse_of
-from threadline.errors import MachineError, Place
+from threadline.control.preview import timing_of
 from threadline.machine import Machine
 from threadline.plant.values import Values
-
-_LEFT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,31 +94,19 @@ def feed_forward(
     """
     inverse = inverse_of(machine, axis, model)
     loop = inverse.loop
-    digital = loop.filters[loop.index]
-    place = Place(machine.file) if machine.file else None
-    zeros = np.roots(np.trim_zeros(digital.numerator, "b"))
-    if (np.abs(zeros) >= 1.0).any():
-        raise MachineError(
-            f"axis {axis}: its controller has no stable inverse, a zero lies at "
-            f"z = {zeros[int(np.argmax(np.abs(zeros)))]:.4g}",
-            place=place,
-            remedy="Raise its proportional gain against the differential one.",
-        )
+    timing = timing_of(machine, axis, inverse)
     if settle_s is None:
-        inner = np.linalg.eigvals(inverse.Q).real if len(inverse.Q) else np.array([-np.inf])
-        settle_s = float(np.log(_LEFT) / inner.max())
-    tick = digital.period_s
+        settle_s = timing.settle_s
+    digital = loop.filters[loop.index]
+    tick, step, held, early = timing.tick_s, timing.step_s, timing.held_s, timing.early_s
+    lead = timing.lead_s
     controller = machine.controllers[machine.axes[axis].controller]
-    step = float(machine.clock(controller.reference_clock or controller.clock).period_s)
-    held = 0.5 * step if controller.reference_clock else 0.0
-    early = float(loop.plant.delay_s[loop.index]) + 0.5 * tick
-    lead = np.ceil((early + held + 2 * tick) / step) * step
     begin = start_s - lead
     # Twice as fine as the ticks: the volts are wanted in the middle of a hold.
     count = int(np.ceil((end_s + settle_s + lead - begin) / tick)) + 2
-    ticks = begin + tick * np.arange(count)
+    ticks: FloatArray = np.asarray(begin + tick * np.arange(count))
     sensed = inverse.follow(motion, ticks)
-    driven = inverse.follow(motion, ticks + early)
+    driven = inverse.follow(motion, np.asarray(ticks + early))
     error = lfilter(digital.denominator, digital.numerator, driven.volts)
     wanted = (sensed.measured_counts + error) / loop.counts_per_unit
     rows = int(np.floor((ticks[-1] - held - begin) / step)) + 1

@@ -103,14 +103,32 @@ class Inverse:
             (k,) equally spaced, in s; where a derivative jumps it should have an instant.
         """
         t = np.asarray(time_s, dtype=np.float64)
+        ladder = np.stack([motion(t, order) for order in range(self.degree + 1)], axis=1)
+        return self.outputs(t, ladder, self._inner(motion, t), float(ladder[0, 0]))
+
+    def outputs(
+        self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
+    ) -> Followed:
+        """Return what the axis does where its load and its inner states are known.
+
+        Parameters
+        ----------
+        time_s
+            (k,).
+        ladder
+            (k, degree + 1) position of the load and its derivatives.
+        inner
+            (k, n - degree) states that the load does not show, 0 at rest.
+        start_si
+            Where the load stood at rest before.
+        """
         r = self.degree
-        ladder = np.stack([motion(t, order) for order in range(r)], axis=1)
-        states = ladder @ self.from_load.T + self._inner(motion, t) @ self.from_inner.T
-        states += self._rest(float(ladder[0, 0]))
-        volts = (motion(t, r) - states @ self.chain.rows[r]) / self.chain.gain
+        states = ladder[:, :r] @ self.from_load.T + inner @ self.from_inner.T
+        states += self._rest(start_si)
+        volts = (ladder[:, r] - states @ self.chain.rows[r]) / self.chain.gain
         coil = [k for k, name in enumerate(self.plant.states) if name.endswith(".i")]
         return Followed(
-            time_s=t,
+            time_s=time_s,
             load_si=ladder[:, 0],
             measured_counts=states @ self.loop.own().C[0],
             volts=volts,

@@ -2,7 +2,7 @@
 
 from threadline.path.budget import check_budget
 from threadline.path.deviation import PathDeviation, path_deviation
-from threadline.path.plan import interpolation_names, plan_path
+from threadline.path.plan import interpolation_names, on_time_path, plan_path
 from threadline.path.programmed import programmed_path
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing, VertexBlock
 
@@ -15,6 +15,7 @@ __all__ = [
     "VertexBlock",
     "check_budget",
     "interpolation_names",
+    "on_time_path",
     "path_deviation",
     "plan_path",
     "programmed_path",

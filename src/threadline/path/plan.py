@@ -13,6 +13,7 @@ from threadline.machine import Machine
 from threadline.path import bspline, linear
 from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
+from threadline.path.on_time import on_time_pieces
 from threadline.path.polynomial import polynomial_pieces
 from threadline.path.pulled import PULLS, Pull
 from threadline.path.smoothing import smoothing_for, smoothing_share
@@ -81,6 +82,14 @@ def plan_path(
         )
     options = PathOptions(tolerance_m=tolerance_m, pull=pull)
     return _PLANNERS[interpolation](programmed, machine, options)
+
+
+def on_time_path(programmed: ProgrammedPath, machine: Machine) -> PlannedPath:
+    """Return chords at exactly their programmed times, rapid moves from rest to rest.
+
+    Velocities step at the vertices: the motion is passable once it is smoothed in time.
+    """
+    return _historical("on-time", programmed, lambda: on_time_pieces(programmed, machine), {})
 
 
 def interpolation_names() -> tuple[str, ...]:

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import IntArray
-from threadline.path.types import PieceBlock
+from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
@@ -16,6 +15,7 @@ from threadline.verdict.measure import Block, Finding
 from threadline.verdict.window import PathWindow
 
 PER_PIECE = 16  # points on a curved piece: between them it bows out by 1/256 of its own bow at most
+_SMOOTHED = 4  # chords on either side that a smoothing in time may reach to
 
 
 def measure_path_deviation(plan: Plan) -> list[Finding]:
@@ -25,13 +25,16 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     the two beside them, and from each programmed vertex to the planned path there.
     """
     contour = Contour(plan.programmed.radius_m)
-    for block in _blocks(plan, PathWindow(plan.programmed)):
+    pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.path if len(b))
+    for block in _blocks(pieces, PathWindow(plan.programmed), 1):
         contour.feed(block)
     return [replace(finding, time_s=None) for finding in contour.finish()]
 
 
 def measure_shaping_deviation(plan: Plan) -> list[Finding]:
     """Return how far the shaper takes the motion from the planned path, at the tool."""
+    if plan.feed_forward:
+        return _smoothing_deviation(plan)
     planned, text = plan.unshaped, plan.options.get("shaper")
     if planned is None or text is None:
         return [Finding(value=0.0, note="the motion is not shaped")]
@@ -47,15 +50,24 @@ def measure_shaping_deviation(plan: Plan) -> list[Finding]:
     ]
 
 
-def _blocks(plan: Plan, path: PathWindow) -> Iterator[Block]:
+def _smoothing_deviation(plan: Plan) -> list[Finding]:
+    """Return how far the motion of the loads leaves the programmed path, as it is intended."""
+    contour = Contour(plan.programmed.radius_m)
+    pieces = (_points(b.coefficients, b.operation, 1) for b in plan.trajectory if len(b))
+    for block in _blocks(pieces, PathWindow(plan.programmed), _SMOOTHED):
+        contour.feed(block)
+    return [replace(finding, time_s=None) for finding in contour.finish()]
+
+
+def _blocks(
+    pieces: Iterator[tuple[FloatArray, IntArray]], path: PathWindow, beside: int
+) -> Iterator[Block]:
+    """Yield points with the chords of their operation and ``beside`` of them on either side."""
     previous: int | None = None
-    for pieces in plan.path:
-        if not len(pieces):
-            continue
-        points, operation = _points(pieces)
-        path.reach(int(operation[-1]) + 1)
-        begin = path.chord_from(operation) - 1 + path.first
-        end = path.chord_to(operation) + 1 + path.first
+    for points, operation in pieces:
+        path.reach(int(operation[-1]) + beside)
+        begin = path.chord_from(operation) - beside + path.first
+        end = path.chord_to(operation) + beside + path.first
         path.drop(int(begin[0] if previous is None else previous))
         previous = int(begin[-1])
         end = np.minimum(end, path.first + len(path) - 1)
@@ -76,12 +88,14 @@ def _blocks(plan: Plan, path: PathWindow) -> Iterator[Block]:
         )
 
 
-def _points(pieces: PieceBlock) -> tuple[np.ndarray, IntArray]:
+def _points(
+    coefficients: FloatArray, operation: IntArray, curved: int
+) -> tuple[FloatArray, IntArray]:
     """Return (n, axes) points of the pieces, ends included, and (n,) their operations."""
-    order = pieces.coefficients.shape[1]
-    count = PER_PIECE if order > 2 else 1
+    order = coefficients.shape[1]
+    count = curved if order > 2 else 1
     places = np.arange(count + 1) / count
     powers = places[:, None] ** np.arange(order)
-    points = np.einsum("uk,nka->nua", powers, pieces.coefficients)
-    operation = np.maximum.accumulate(np.repeat(pieces.operation, count + 1))
+    points = np.einsum("uk,nka->nua", powers, coefficients)
+    operation = np.maximum.accumulate(np.repeat(operation, count + 1))
     return points.reshape(-1, points.shape[2]), operation

@@ -20,6 +20,7 @@ from threadline.verdict.blocks import (
 )
 from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
+from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import Finding, Measure, MeasureKind, Setting
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
 from threadline.verdict.switch_judge import judge_switching
@@ -57,6 +58,7 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
         _check_same_job(recording, plan)
     if isinstance(plan, SwitchPlan):
         return judge_switching(recordings, plan, spec)
+    recordings = [as_intended(recording, plan) for recording in recordings]
     findings: dict[_Key, list[Finding]] = {}
     keys = {_key(criterion): criterion for criterion in spec.criteria}
     for recording in recordings:

@@ -64,14 +64,18 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
 
     The needle is geared with the motion: it is down when the commanded head is at the end of
     the stitch's move. The planner labels pieces on a grid of its own, so the instant is refined
-    to where the trajectory is nearest to the stitch's point.
+    to where the trajectory is nearest to the stitch's point. Where the loads follow the motion by
+    feed-forward the needle keeps the times before smoothing, which are those of the job.
     """
+    motion = plan.trajectory
+    if plan.feed_forward and plan.unshaped is not None:
+        motion = plan.unshaped
     axes = [plan.programmed.axes.index(axis) for axis in plan.job.axes]
     radius = plan.programmed.radius_m[axes]
     moves = ((i, o) for i, o in enumerate(plan.job) if isinstance(o, Move))
     start = np.asarray(plan.job.start, dtype=np.float64)
     before_s, contour = 0.0, -1.0
-    for block, operation, end_s in _operation_ends(plan.trajectory):
+    for block, operation, end_s in _operation_ends(motion):
         taken: list[Move] = []
         index: list[int] = []
         for i, move in moves:
@@ -87,7 +91,7 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
         found = np.searchsorted(operation, at, side="right") - 1
         down = np.where(found >= 0, end_s[np.maximum(found, 0)], before_s)
         own = (found >= 0) & (operation[np.maximum(found, 0)] == at)
-        columns = [plan.trajectory.axes.index(axis) for axis in plan.job.axes]
+        columns = [motion.axes.index(axis) for axis in plan.job.axes]
         down[own] = _nearest_s(block, down[own], points[own] * radius, columns, radius)
         came_from = np.concatenate([start[None], points[:-1]])
         came_s = np.concatenate([[before_s], down[:-1]])

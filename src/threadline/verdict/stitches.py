@@ -63,14 +63,14 @@ class StitchFollower:
         Plan and recording.
     delay_s
         How long after the command the needle goes down: the head's lag, to which the needle is
-        set.
+        set. With feed-forward the head has none, and the needle goes down when it is due.
     """
 
     def __init__(self, setting: Setting, delay_s: float) -> None:
         self._source = planned_stitches(setting.plan)
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
         self._radius_m = setting.radius_m
-        self._delay_s = delay_s
+        self._delay_s = 0.0 if setting.plan.feed_forward else delay_s
         self._pending: list[Stitches] = []
         self._ended = False
         self._time_s: FloatArray = np.empty(0)

@@ -1,0 +1,243 @@
+"""Trajectory of the load -> the references with which the loops as they are follow it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.control import AxisPreview, Demand
+from threadline.errors import PlanError
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.plant.values import Values
+from threadline.signals import Stream, TickTable
+from threadline.targets.ticks import compile_ticks
+from threadline.trajectory import (
+    Trajectory,
+    TrajectoryBlock,
+    TrajectoryReader,
+    averaged_trajectory,
+    check_limits,
+    held_trajectory,
+)
+from threadline.trajectory.averaged import DEGREE
+
+_ROWS = 2048  # references in hand at once
+_KEPT = 32  # blocks of so many
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FeedForwardPlan:
+    """A motion, and the commands with which the loads make it.
+
+    Parameters
+    ----------
+    timed
+        The motion before it was smoothed, with the rests that it needs; on the clock of the
+        recording.
+    trajectory
+        Where the loads are to be, on the same clock.
+    commands
+        What the controllers are told.
+    demands
+        Per axis, what the model needs.
+    """
+
+    timed: Trajectory
+    trajectory: Trajectory
+    commands: TickTable
+    demands: tuple[Demand, ...]
+
+
+def feed_forward_commands(
+    planned: Trajectory,
+    machine: Machine,
+    job: Job,
+    width_s: float,
+    model: Values | None = None,
+) -> FeedForwardPlan:
+    """Return the commands with which the loads follow ``planned``, smoothed over ``width_s``.
+
+    Parameters
+    ----------
+    planned
+        From rest to rest; its velocity may step.
+    machine
+        Its limits are checked on the smoothed motion, before anything is put out.
+    job
+        Where an output, a wait or a dwell comes between two moves, the loads come to rest.
+    width_s
+        Of the moving averages, the same for all axes.
+    model
+        The numbers that the inverses believe in; the machine's own when None.
+
+    Raises
+    ------
+    LimitError
+        If the smoothed motion breaks a limit of travel, velocity, acceleration or jerk.
+    MachineError
+        If an axis or its filter has no stable inverse.
+    PlanError
+        If an inverse needs more derivatives than the smoothed motion has.
+    """
+    before_s, after_s = _rests_s(machine, planned.axes, model)
+    half_s = 0.5 * width_s
+    timed = held_trajectory(planned, job, width_s, before_s + half_s, after_s + half_s)
+    trajectory = averaged_trajectory(timed, width_s)
+    check_limits(trajectory, machine)
+    # The first reading finds the demands; of a short motion it is kept for the commands.
+    reading = _References(trajectory, machine, model)
+    kept: list[TrajectoryBlock] | None = []
+    for block in reading.blocks():
+        if kept is not None:
+            kept.append(block)
+            kept = kept if len(kept) <= _KEPT else None
+    references = reference_trajectory(trajectory, machine, model)
+    if kept is not None:
+        references = replace(references, blocks=Stream.of(kept))
+    return FeedForwardPlan(
+        timed=timed,
+        trajectory=trajectory,
+        commands=compile_ticks(references, machine, job),
+        demands=tuple(preview.demand for preview in reading.previews),
+    )
+
+
+def reference_trajectory(
+    trajectory: Trajectory, machine: Machine, model: Values | None = None
+) -> Trajectory:
+    """Return the positions to command, one straight piece per reference tick.
+
+    ``compile_ticks`` turns it into the table; its velocity is not limited, for the reference runs
+    ahead of the motor by what the filter needs to give the volts.
+
+    Parameters
+    ----------
+    trajectory
+        Of the load, at rest at its start for ``lead_s`` and at its end for ``settle_s`` of every
+        axis, with as many derivatives as their inverses need.
+    model
+        The numbers that the inverses believe in; the machine's own when None.
+
+    Raises
+    ------
+    MachineError
+        If an axis or its filter has no stable inverse.
+    """
+    return Trajectory(
+        axes=trajectory.axes,
+        historical=True,
+        blocks=Stream(lambda: _References(trajectory, machine, model).blocks()),
+    )
+
+
+class _References:
+    """One reading of the trajectory."""
+
+    def __init__(self, trajectory: Trajectory, machine: Machine, model: Values | None) -> None:
+        self._trajectory = trajectory
+        self._machine = machine
+        self.previews = [AxisPreview(machine, axis, model) for axis in trajectory.axes]
+
+    def blocks(self) -> Iterator[TrajectoryBlock]:
+        clock = self._machine.tick_clock
+        step = float(clock.period_s)
+        end_s = self._trajectory.duration_s
+        total = max(ceil(end_s / step - 1e-9), 0)
+        motion = TrajectoryReader(self._trajectory)
+        labels = _Labels(self._trajectory)
+        columns = [_Column(k, preview) for k, preview in enumerate(self.previews)]
+        last: FloatArray | None = None
+        for first in range(0, total, _ROWS):
+            count = min(_ROWS, total - first)
+            due = clock.times_s(first, count + 1)
+            told = np.stack([column.until(due, motion) for column in columns], axis=1)
+            if last is not None:
+                told[0] = last
+            last = told[-1]
+            motion.drop(min(column.reached_s for column in columns))
+            middle = due[:-1] + 0.5 * step
+            yield TrajectoryBlock(
+                start_s=due[:-1],
+                duration_s=np.diff(due),
+                coefficients=np.stack([told[:-1], np.diff(told, axis=0)], axis=1),
+                operation=labels.at(middle),
+            )
+
+
+class _Column:
+    """The references of one axis: computed at its controller's ticks, taken where they are due."""
+
+    def __init__(self, column: int, preview: AxisPreview) -> None:
+        self._column, self._preview = column, preview
+        self._next = 0  # tick of the controller
+        self._time_s: FloatArray = np.empty(0)
+        self._told: FloatArray = np.empty(0)
+
+    @property
+    def reached_s(self) -> float:
+        """Before it the motion is not read again."""
+        return self._next * self._preview.timing.tick_s
+
+    def until(self, due_s: FloatArray, motion: TrajectoryReader) -> FloatArray:
+        """Return the (n,) references that are due at (n,) rising times."""
+        timing, preview = self._preview.timing, self._preview
+        stop = ceil((due_s[-1] + timing.held_s) / timing.tick_s) + 1
+        time_s = np.arange(self._next, stop) * timing.tick_s
+        self._next = stop
+        now = motion.ladder(time_s, preview.orders)[:, :, self._column]
+        early = motion.ladder(time_s + timing.early_s, preview.orders)[:, :, self._column]
+        told = preview.feed(time_s, now, early)
+        self._time_s = np.concatenate([self._time_s, time_s])
+        self._told = np.concatenate([self._told, told])
+        result = np.interp(due_s + timing.held_s, self._time_s, self._told)
+        kept = max(int(np.searchsorted(self._time_s, due_s[-1])) - 2, 0)
+        self._time_s, self._told = self._time_s[kept:], self._told[kept:]
+        return np.asarray(result)
+
+
+class _Labels:
+    """The operation under way at rising times."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self._source = iter(trajectory)
+        self._block: TrajectoryBlock | None = None
+
+    def at(self, time_s: FloatArray) -> np.ndarray:
+        found = np.zeros(len(time_s), dtype=np.int64)
+        begin = 0
+        while begin < len(time_s):
+            if self._block is None or self._block.end_s <= time_s[begin]:
+                fresh = next(self._source, None)
+                if fresh is None:
+                    break
+                self._block = fresh
+                continue
+            end = int(np.searchsorted(time_s, self._block.end_s))
+            at = np.searchsorted(self._block.start_s, time_s[begin:end], side="right") - 1
+            found[begin:end] = self._block.operation[np.maximum(at, 0)]
+            begin = end
+        if begin < len(time_s) and self._block is not None:
+            found[begin:] = self._block.operation[-1]
+        return found
+
+
+def _rests_s(machine: Machine, axes: tuple[str, ...], model: Values | None) -> tuple[float, float]:
+    """Return how long the loads must rest before and after their motion, in s."""
+    before, after = 0.0, 0.0
+    for axis in axes:
+        preview = AxisPreview(machine, axis, model)
+        if preview.orders - 1 > DEGREE:
+            raise PlanError(
+                f"the inverse of axis {axis} needs {preview.orders - 1} derivatives of the "
+                f"motion, smoothed motions have {DEGREE}",
+                remedy="Leave feed-forward out.",
+            )
+        before = max(before, preview.timing.lead_s)
+        after = max(after, preview.timing.settle_s)
+    step = float(machine.tick_clock.period_s)
+    return before, ceil(after / step) * step

@@ -1,0 +1,229 @@
+r"""Trajectories smooth enough for an inverse: averages over time as a spline of fifth degree.
+
+The motion is sampled every ``step_s``; four moving averages of nine samples each are taken one
+after the other; what comes out are the control points of a uniform quintic B-spline. All of that
+is one kernel of the width ``38 step_s``, centred, the same for all axes: nothing is late, straight
+paths stay straight, and four derivatives are continuous. The motion passes a corner of angle
+``turn`` taken at speed v within :math:`v\,E|t|\sin(turn/2)`, where E\|t\| of the kernel is 0.111
+of its width.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+
+import numpy as np
+from scipy.interpolate import BSpline, PPoly
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+from threadline.jobs.operations import Dwell, Job, Move
+from threadline.signals import Stream
+from threadline.trajectory.types import Trajectory, TrajectoryBlock
+
+DEGREE = 5
+_AVERAGES, _SAMPLES = 4, 9
+STEPS = _AVERAGES * (_SAMPLES - 1) + DEGREE + 1
+"""Width of the kernel in sampling steps."""
+_REACH = _AVERAGES * (_SAMPLES - 1) // 2
+_BEFORE, _AFTER = _REACH + DEGREE // 2, _REACH + DEGREE // 2 + 1
+_CHUNK = 8192
+_KEPT = 1 << 16
+
+
+def averaging_weights() -> FloatArray:
+    """Return the (2 m + 1,) weights of the samples in a control point; they sum to 1."""
+    weights = np.ones(1)
+    for _ in range(_AVERAGES):
+        weights = np.convolve(weights, np.full(_SAMPLES, 1.0 / _SAMPLES))
+    return weights
+
+
+def spline_basis() -> FloatArray:
+    """Return the (DEGREE + 1, DEGREE + 1) matrix from control points to powers of u in [0, 1]."""
+    element = BSpline.basis_element(np.arange(DEGREE + 2.0))
+    pieces = PPoly.from_spline((element.t, element.c, element.k))
+    start = int(np.searchsorted(pieces.x, 0.0))
+    part = pieces.c[::-1, start : start + DEGREE + 1]
+    return np.asarray(part[:, ::-1])
+
+
+def held_trajectory(
+    trajectory: Trajectory, job: Job, width_s: float, before_s: float, after_s: float
+) -> Trajectory:
+    """Return ``trajectory`` with the rests that averages over ``width_s`` need.
+
+    Parameters
+    ----------
+    job
+        Where something other than a move or an empty dwell comes between two moves, the motion
+        rests for ``width_s`` more, so that it is really at rest when that happens.
+    before_s, after_s
+        How long it stands before it begins, and after its end.
+    """
+    return Trajectory(
+        axes=trajectory.axes,
+        historical=trajectory.historical,
+        blocks=Stream(lambda: _held(trajectory, job, width_s, before_s, after_s)),
+    )
+
+
+def averaged_trajectory(held: Trajectory, width_s: float) -> Trajectory:
+    """Return the averages of a trajectory over ``width_s``.
+
+    Parameters
+    ----------
+    held
+        It must stand for half of the width at both ends.
+
+    Raises
+    ------
+    OptionError
+        If the width is not above zero.
+    """
+    if not (np.isfinite(width_s) and width_s > 0.0):
+        raise OptionError(f"the width of the averages must be above 0 s, got {width_s!r}")
+    step_s = width_s / STEPS
+    if held.duration_s / step_s <= _KEPT:
+        # A short motion is worked out once and kept: it will be read many times.
+        return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, step_s))))
+    return Trajectory(axes=held.axes, blocks=Stream(lambda: _averaged(held, step_s)))
+
+
+def _rests(job: Job) -> Iterator[int]:
+    """Yield the index of the first operation of every group that needs the machine at rest."""
+    due: int | None = None
+    for index, operation in enumerate(job):
+        if isinstance(operation, Move):
+            if due is not None:
+                yield due
+            due = None
+        elif due is None and not (isinstance(operation, Dwell) and operation.duration_s == 0.0):
+            due = index
+
+
+def _held(
+    trajectory: Trajectory, job: Job, width_s: float, before_s: float, after_s: float
+) -> Iterator[TrajectoryBlock]:
+    rests = _rests(job)
+    rest = next(rests, None)
+    now = 0.0
+    last: tuple[FloatArray, int] | None = None  # where it stood, and the operation
+    for block in trajectory:
+        if not len(block):
+            continue
+        if last is None:
+            last = (block.coefficients[0, 0], int(block.operation[0]))
+            yield _still(*last, now, before_s)
+            now += before_s
+        before = np.concatenate([[last[1]], block.operation[:-1]])
+        begin = 0
+        # Only where operations are skipped can there be anything between two moves.
+        for at in np.flatnonzero(block.operation > before + 1).tolist():
+            due = False
+            while rest is not None and rest < block.operation[at]:
+                due |= rest > before[at]
+                rest = next(rests, None)
+            if not due:
+                continue
+            if at > begin:
+                yield _moved(block, begin, at, now)
+                now += float(block.start_s[at] - block.start_s[begin])
+                last = (block.coefficients[at - 1].sum(axis=0), int(block.operation[at - 1]))
+            begin = at
+            yield _still(*last, now, 0.5 * width_s)
+            yield _still(last[0], int(block.operation[at]), now + 0.5 * width_s, 0.5 * width_s)
+            now += width_s
+        yield _moved(block, begin, len(block), now)
+        now += block.end_s - float(block.start_s[begin])
+        last = (block.coefficients[-1].sum(axis=0), int(block.operation[-1]))
+    if last is not None:
+        yield _still(*last, now, after_s)
+
+
+def _moved(block: TrajectoryBlock, begin: int, end: int, start_s: float) -> TrajectoryBlock:
+    part = slice(begin, end)
+    return TrajectoryBlock(
+        start_s=block.start_s[part] - block.start_s[begin] + start_s,
+        duration_s=block.duration_s[part],
+        coefficients=block.coefficients[part],
+        operation=block.operation[part],
+    )
+
+
+def _still(place: FloatArray, operation: int, start_s: float, duration_s: float) -> TrajectoryBlock:
+    return TrajectoryBlock(
+        start_s=np.array([start_s]),
+        duration_s=np.array([duration_s]),
+        coefficients=np.asarray(place, dtype=np.float64)[None, None],
+        operation=np.array([operation]),
+    )
+
+
+def _averaged(held: Trajectory, step_s: float) -> Iterator[TrajectoryBlock]:
+    weights, basis = averaging_weights(), spline_basis()
+    raw: FloatArray | None = None  # samples from that of number ``done - _BEFORE`` on
+    labels: IntArray = np.empty(0, dtype=np.int64)
+    done = sampled = labelled = 0
+    end_s = 0.0
+    final: FloatArray = np.empty(0)
+    for block in held:
+        if raw is None:
+            raw = np.tile(block.coefficients[0, 0], (_BEFORE, 1))
+        end_s = block.end_s
+        while True:
+            fresh = np.arange(sampled, sampled + _CHUNK)
+            inside = int(np.searchsorted(fresh * step_s, end_s))
+            if inside:
+                raw = np.concatenate([raw, block.evaluate(np.asarray(fresh[:inside] * step_s))])
+                sampled += inside
+            middle = (np.arange(labelled, sampled + 1) + 0.5) * step_s
+            middle = middle[: np.searchsorted(middle, end_s)]
+            piece = np.searchsorted(block.start_s, middle, side="right") - 1
+            labels = np.concatenate([labels, block.operation[np.maximum(piece, 0)]])
+            labelled += len(middle)
+            ready = min(sampled - done - _AFTER, labelled - done)
+            if ready > 0:
+                yield _spline(raw, labels, done, ready, step_s, weights, basis)
+                raw, labels = raw[ready:], labels[ready:]
+                done += ready
+            if inside < _CHUNK:
+                break
+        final = block.coefficients[-1].sum(axis=0)
+    if raw is None:
+        return
+    count = ceil(end_s / step_s - 1e-9) - done
+    missing = count + _BEFORE + _AFTER - len(raw)
+    raw = np.concatenate([raw, np.tile(final, (max(missing, 0), 1))])
+    labels = np.concatenate([labels, np.repeat(labels[-1:], max(count - len(labels), 0))])
+    if count > 0:
+        yield _spline(raw, labels, done, count, step_s, weights, basis)
+
+
+def _spline(
+    raw: FloatArray,
+    labels: IntArray,
+    done: int,
+    count: int,
+    step_s: float,
+    weights: FloatArray,
+    basis: FloatArray,
+) -> TrajectoryBlock:
+    """Return pieces ``done`` to ``done + count``; ``raw`` begins ``_BEFORE`` samples before."""
+    controls = np.zeros((count + DEGREE, raw.shape[1]))
+    # About the first sample, so that rest is exactly rest.
+    away = raw[: count + _BEFORE + _AFTER] - raw[0]
+    for shift, weight in enumerate(weights):
+        controls += weight * away[shift : shift + len(controls)]
+    windows = np.stack([controls[i : i + count] for i in range(DEGREE + 1)], axis=1)
+    coefficients = np.einsum("ki,nia->nka", basis, windows)
+    coefficients[:, 0] += raw[0]
+    still = (np.ptp(windows, axis=1) == 0.0).all(axis=1)
+    coefficients[still, 1:] = 0.0
+    return TrajectoryBlock(
+        start_s=np.asarray((done + np.arange(count)) * step_s),
+        duration_s=np.full(count, step_s),
+        coefficients=coefficients,
+        operation=labels[:count],
+    )
