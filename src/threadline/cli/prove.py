@@ -32,7 +32,7 @@ from threadline.errors import OptionError
 from threadline.pipeline import Proof, SwitchProof, prove_switching
 from threadline.pipeline import prove as prove_job
 from threadline.plant.suspicions import suspicions
-from threadline.report import write_report
+from threadline.report import write_report, write_switching
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
 from threadline.verdict import Criterion, load_spec, step_rows, verdict_json, verdict_rows
@@ -92,9 +92,9 @@ def prove(
         if recording is not None:
             write_recording(proof.recording, recording)
         written = None
-        if report is not None:
-            if isinstance(proof, SwitchProof):
-                raise OptionError("there is no report of an on/off machine")
+        if report is not None and isinstance(proof, SwitchProof):
+            written = write_switching(proof, report)
+        elif report is not None and isinstance(proof, Proof):
             written = write_report(proof, report)
     if json:
         content = verdict_json(proof.verdict, proof.plan)

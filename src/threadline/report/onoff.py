@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
 from threadline.plant.pneumatic import StepRinging, flow_mode, step_ringing
@@ -21,7 +21,7 @@ from threadline.shaping import FlexibleMode, Shaper, convolve, design
 from threadline.shaping.types import UNSHAPED
 from threadline.signals import SwitchSchedule
 from threadline.targets.plc_net import petri_net
-from threadline.targets.schedule import Scheduled, compile_schedule
+from threadline.targets.schedule import Scheduled, ScheduledMove, compile_schedule
 from threadline.targets.schedule_options import shaping_of
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 
@@ -74,7 +74,13 @@ def break_sweep(name: str, shaper: Shaper, on_s: float, ringing: StepRinging) ->
     Steps of the level ring on independently; each counts with its decay since. The valves that
     shut are one more step, of minus the level of that instant.
     """
-    steps, heights = level_steps(shaper, on_s)
+    return sweep_of_steps(name, *level_steps(shaper, on_s), ringing)
+
+
+def sweep_of_steps(
+    name: str, steps: FloatArray, heights: FloatArray, ringing: StepRinging
+) -> BreakSweep:
+    """The same for any command: its level steps by ``heights`` at the times ``steps``, s."""
     times = np.arange(0.0, steps[-1] + 0.2, 1e-3)
     done = steps[None, :] <= times[:, None] + 1e-12
     gone = np.where(done, times[:, None] - steps[None, :], 0.0)
@@ -93,20 +99,71 @@ def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
     return [break_sweep(kind, train_of(kind, mode), on_s, ringing) for kind in ("none", *KINDS)]
 
 
-def break_figure(sweeps: list[BreakSweep]) -> Figure:
-    """Draw the ringing after a break against the instant of the break, a panel per shaper."""
+def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) -> FloatArray:
+    """Return what rings, m, when the valves shut at some scans after a move began: by the twin.
+
+    A beam is broken half a scan before. The move is played alone from the start of the stroke.
+    (n,) amplitudes at the instant of the shutting, by a sine fitted to what the frame does once
+    lag and dead time are over.
+    """
+    machine, commands = scheduled.machine, scheduled.commands
+    cylinder, pole = machine.cylinders[move.axis], step_ringing(machine, move.axis).pole
+    rows = (commands.ticks >= move.first_tick) & (commands.ticks <= move.last_tick)
+    alone = replace(
+        commands,
+        ticks=commands.ticks[rows] - move.first_tick,
+        levels=commands.levels[rows],
+        operation=commands.operation[rows],
+        duration_ticks=move.last_tick - move.first_tick + round(0.2 / commands.clock.period_s),
+        events=(),
+    )
+    calm_s = cylinder.delay.si + 8.0 * cylinder.lag.si
+    period_s = float(commands.clock.period_s)
+    found = []
+    for scan in scans.tolist():
+        options = SwitchOptions(after_s=calm_s + 1.0, break_s=(scan - 0.5) * period_s)
+        shut_s = scan * period_s
+        recording = simulate_switching(alone, machine, options)
+        size = ringing_m(recording, move.axis, shut_s + calm_s, pole)
+        found.append(size * np.exp(-pole.real * (calm_s - cylinder.delay.si)))
+    return np.array(found)
+
+
+def move_sweep(
+    scheduled: Scheduled, move: ScheduledMove, breaks: int = 8
+) -> tuple[BreakSweep, tuple[FloatArray, FloatArray]]:
+    """Return the sweep of a move as it is scheduled, and times and sizes that the twin finds."""
+    period_s = float(scheduled.commands.clock.period_s)
+    steps = np.array(move.levels.ticks, dtype=np.float64) * period_s
+    heights = np.diff(move.levels.levels, prepend=0.0)
+    ringing = step_ringing(scheduled.machine, move.axis)
+    sweep = sweep_of_steps("as scheduled", steps, heights, ringing)
+    scans = np.unique(np.linspace(1, move.levels.ticks[-1], breaks).round().astype(np.int64))
+    instants = scans.astype(np.float64) * period_s
+    return sweep, (instants, break_on_twin(scheduled, move, scans))
+
+
+def break_figure(
+    sweeps: list[BreakSweep], twin: tuple[FloatArray, FloatArray] | None = None
+) -> Figure:
+    """Draw the ringing after a break against the instant of the break, a panel per shaper.
+
+    ``twin``: times, s, and sizes, m, that go into the first panel.
+    """
     from matplotlib.figure import Figure
 
     columns = 3
     rows = -(-len(sweeps) // columns)
     figure = Figure(figsize=(9.0, 2.3 * rows))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    worst = float(sweeps[0].ringing_m.max()) * MICRO
+    worst = next(float(s.ringing_m.max()) for s in sweeps if s.name == "none") * MICRO
     for panel, sweep in zip(panels, sweeps, strict=False):
         panel.plot(sweep.times_s * 1e3, sweep.ringing_m * MICRO, color="#0072B2", linewidth=1.2)
         panel.axhline(worst, color="#D55E00", linestyle=(0, (1, 1.5)), linewidth=1.2)
         over = f", {sweep.over_level:.0%} over the level" if sweep.over_level > 1e-9 else ""
         panel.set_title(f"{sweep.name}{over}")
+    if twin is not None:
+        panels[0].plot(twin[0] * 1e3, twin[1] * MICRO, "o", color="black", mfc="none")
     for panel in panels[len(sweeps) :]:
         panel.set_visible(False)
     figure.supxlabel("beam broken, ms after the move began (dotted: worst unshaped)")

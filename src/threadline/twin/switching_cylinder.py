@@ -44,7 +44,7 @@ class CylinderTwin:
     mode: int = SLIDES
     sense: float = 0.0
     start_m: float = 0.0
-    _steps: dict[tuple[object, ...], FloatArray] = field(default_factory=dict)
+    _steps: dict[tuple[object, ...], list[FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.plant = cylinder_plant(self.machine, self.axis)
@@ -81,21 +81,25 @@ class CylinderTwin:
             # A standing piston breaks away at the beginning of a step, to within one step.
             self._change()
         key = self._key()
-        ahead = self._transition(key, self.step_s) @ self.state
+        ahead = self._transition(key, 0) @ self.state
         if self.mode != SLIDES or not self._ended(ahead):
             self.state = ahead
             return
-        low, high = 0.0, self.step_s
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            if self._ended(self._transition(key, middle) @ self.state):
-                high = middle
-            else:
-                low = middle
-        self.state = self._transition(key, high) @ self.state
+        # Halves, quarters ... of the step that end before the event, and one last part more.
+        left = 1 << _HALVINGS
+        for halvings in range(1, _HALVINGS + 1):
+            ahead = self._transition(key, halvings) @ self.state
+            if not self._ended(ahead):
+                self.state = ahead
+                left -= 1 << (_HALVINGS - halvings)
+        self.state = self._transition(key, _HALVINGS) @ self.state
+        left -= 1
         self._change()
         # It stands for the rest of the step.
-        self.state = self._transition(self._key(), self.step_s - high) @ self.state
+        key = self._key()
+        for halvings in range(1, _HALVINGS + 1):
+            if left & (1 << (_HALVINGS - halvings)):
+                self.state = self._transition(key, halvings) @ self.state
 
     def _key(self) -> tuple[object, ...]:
         cylinder = self.machine.cylinders[self.axis]
@@ -146,12 +150,17 @@ class CylinderTwin:
         housing = self.plant.states.index(f"{cylinder.reacts_on}'")
         return piston, housing, masses[0] / sum(masses)
 
-    def _transition(self, key: tuple[object, ...], span_s: float) -> FloatArray:
-        if span_s != self.step_s:
-            return np.asarray(expm(self._matrix(key) * span_s))
-        if key not in self._steps:
-            self._steps[key] = np.asarray(expm(self._matrix(key) * span_s))
-        return self._steps[key]
+    def _transition(self, key: tuple[object, ...], halvings: int) -> FloatArray:
+        """Return what a step that was halved so often does to the state."""
+        found = self._steps.get(key)
+        if found is None:
+            # The shortest part by series, the longer ones each the square of the one before.
+            found = [np.asarray(expm(self._matrix(key) * (self.step_s * 0.5**_HALVINGS)))]
+            for _ in range(_HALVINGS):
+                found.append(found[-1] @ found[-1])
+            found.reverse()
+            self._steps[key] = found
+        return found[halvings]
 
     def _ended(self, state: FloatArray) -> bool:
         """Say whether a sliding piston has come to a stop or turned."""

@@ -1,0 +1,91 @@
+"""The report of a proof on an on/off machine."""
+
+from __future__ import annotations
+
+import platform
+from pathlib import Path
+
+from threadline import __version__
+from threadline.pipeline import Options, SwitchProof, plan_switching, prove_switch_plan
+from threadline.report.document import Document, Table, write_document
+from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
+from threadline.report.style import figure_style
+from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
+from threadline.verdict import step_rows, verdict_rows
+
+_CAPTIONS = {
+    "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
+    "planned and without a shaper; dotted: the limit.",
+    "cycle": "Pistons, and what was switched on, over the cycle; grey marks the steps.",
+    "frame": "The frame over the cycle, as planned and without a shaper.",
+    "broken-beam": "A beam of the light grid is broken at each instant of the longest move and all "
+    "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
+    "circles at the scans that shut the valves; then every kind of shaper, made for "
+    "the machine's own mode.",
+    "petri-net": "The sequence that the PLC program runs: places numbered as in its text.",
+}
+
+
+def write_switching(proof: SwitchProof, folder: Path) -> Path:
+    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    plan = proof.plan
+    shaper = plan.options.get("shaper")
+    unshaped = None
+    if shaper is not None:
+        unshaped = prove_switch_plan(plan_switching(plan.job, plan.machine, Options()), proof.spec)
+    header, rows = verdict_rows(proof.verdict, every_axis=False)
+    steps = [_step_table(proof, f"shaper {shaper or 'none'}")]
+    if unshaped is not None:
+        steps.append(_step_table(unshaped, "without a shaper"))
+    with figure_style():
+        figures = {
+            "residual": residual_figure(proof, unshaped),
+            "cycle": cycle_figure(proof),
+            "frame": frame_figure(proof, unshaped),
+        }
+        # Every cylinder starts drawn in: what moves at all moves forward first.
+        forward = [move for move in plan.scheduled.moves if move.forward]
+        if forward:
+            longest = max(forward, key=lambda move: move.levels.wanted_m)
+            sweep, twin = move_sweep(plan.scheduled, longest)
+            sweeps = [sweep, *break_sweeps(plan.machine, longest.axis)]
+            figures["broken-beam"] = break_figure(sweeps, twin)
+        figures["petri-net"] = petri_figure(plan.scheduled)
+        document = Document(
+            title=f"{plan.job.name} on {plan.machine.name}",
+            subtitle=f"{plan.machine.title}; shaper {shaper or 'none'}",
+            verdicts=[("IN SPEC" if proof.verdict.passed else "OUT OF SPEC", proof.verdict.passed)],
+            warnings=(*plan.job.warnings, *plan.scheduled.warnings),
+            tables=[Table(title="Criteria", header=header, rows=rows), *steps],
+            figures=figures,
+            captions=_CAPTIONS,
+            facts=_facts(proof),
+        )
+        return write_document(document, folder, "report")
+
+
+def _step_table(proof: SwitchProof, how: str) -> Table:
+    header, rows = step_rows(proof.verdict)
+    return Table(title=f"Step by step, {how}", header=header, rows=rows)
+
+
+def _facts(proof: SwitchProof) -> list[tuple[str, str]]:
+    plan = proof.plan
+    return [
+        ("threadline", __version__),
+        ("Python", platform.python_version()),
+        ("job", plan.job.name),
+        ("job sha256", plan.job.sha256),
+        ("machine", f"{plan.machine.name} ({plan.machine.title})"),
+        ("machine sha256", plan.machine.sha256),
+        ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
+        ("schedule", f"{plan.duration_s:g} s, {len(plan.commands.ticks)} switchings"),
+        *sorted(plan.options.items()),
+    ]

@@ -1,0 +1,131 @@
+"""The figures of a proof on an on/off machine: the cycle, the frame, what each step leaves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from threadline.pipeline import SwitchProof
+from threadline.report.style import ACTUAL, LIMIT, PLANNED
+from threadline.verdict.switch_run import SwitchRun
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MICRO = 1e6
+_MOST_SAMPLES = 20_000
+_LEAST_UM = 1.0
+"""Where the logarithmic scale of what rings begins."""
+
+
+def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
+    """Shade every other step, and name them above the panel."""
+    for index, step in enumerate(run.steps):
+        if index % 2:
+            panel.axvspan(step.begin_s, step.end_s, color="0.93", zorder=0)
+        if names:
+            panel.annotate(
+                step.name,
+                (0.5 * (step.begin_s + step.end_s), 1.02),
+                xycoords=("data", "axes fraction"),
+                ha="center",
+                fontsize=7,
+            )
+
+
+def cycle_figure(proof: SwitchProof) -> Figure:
+    """Draw the pistons and every output over the cycle."""
+    from matplotlib.figure import Figure
+
+    run = SwitchRun(proof.recording, proof.plan)
+    axes = proof.plan.job.axes
+    outputs = proof.plan.commands.outputs
+    height = 1.3 * len(axes) + 0.19 * len(outputs) + 0.8
+    figure = Figure(figsize=(9.0, height))
+    panels = figure.subplots(
+        len(axes) + 1,
+        1,
+        sharex=True,
+        squeeze=False,
+        height_ratios=[*(1.3 for _ in axes), 0.19 * len(outputs)],
+    ).ravel()
+    thin = max(1, len(run.time_s) // _MOST_SAMPLES)
+    for panel, axis in zip(panels, axes, strict=False):
+        time_s, values = proof.recording.samples(f"{axis}.load")
+        panel.plot(time_s[::thin], values[::thin] * 1e3, **ACTUAL)
+        panel.set_ylabel(f"{axis} mm")
+        _mark_steps(panel, run, names=axis == axes[0])
+    lanes = panels[-1]
+    for row in range(len(outputs)):
+        on = run.states[:, row] != 0
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], on.astype(np.int8), [0]))))
+        end_s = np.append(run.time_s, run.time_s[-1])
+        spans = [
+            (float(end_s[a]), float(end_s[b] - end_s[a])) for a, b in edges.reshape(-1, 2).tolist()
+        ]
+        lanes.broken_barh(spans, (row - 0.35, 0.7), facecolors="#0072B2")
+    lanes.set_yticks(range(len(outputs)), outputs, fontsize=6)
+    lanes.set_ylim(len(outputs) - 0.5, -0.5)
+    lanes.set_xlabel("s")
+    _mark_steps(lanes, run, names=False)
+    return figure
+
+
+def frame_figure(proof: SwitchProof, unshaped: SwitchProof | None) -> Figure:
+    """Draw the frame over the cycle, with and without shaping."""
+    from matplotlib.figure import Figure
+
+    run = SwitchRun(proof.recording, proof.plan)
+    axes = proof.plan.job.axes
+    figure = Figure(figsize=(9.0, 1.9 * len(axes) + 0.6))
+    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    for panel, axis in zip(panels, axes, strict=True):
+        for other, look, label in (
+            (unshaped, PLANNED, "without a shaper"),
+            (proof, ACTUAL, proof.plan.options.get("shaper", "no shaper")),
+        ):
+            if other is not None:
+                time_s, values = other.recording.samples(f"{axis}.frame")
+                thin = max(1, len(time_s) // _MOST_SAMPLES)
+                panel.plot(time_s[::thin], values[::thin] * MICRO, label=label, **look)
+        panel.set_ylabel(f"frame along {axis}, um")
+        _mark_steps(panel, run, names=axis == axes[0])
+    panels[0].legend(loc="upper left")
+    panels[-1].set_xlabel("s")
+    return figure
+
+
+def residual_figure(proof: SwitchProof, unshaped: SwitchProof | None) -> Figure:
+    """Draw what each step leaves ringing, with and without shaping, beside its limit."""
+    from matplotlib.figure import Figure
+
+    axes = proof.plan.job.axes
+    figure = Figure(figsize=(9.0, 2.1 * len(axes) + 0.4))
+    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    for panel, axis in zip(panels, axes, strict=True):
+        cases = [(proof, "#0072B2", "", proof.plan.options.get("shaper", "no shaper"))]
+        if unshaped is not None:
+            cases.append((unshaped, "0.75", "//", "without a shaper"))
+        names: list[str] = []
+        for index, (other, colour, hatch, label) in enumerate(cases):
+            rows = [
+                r
+                for r in other.verdict.results
+                if r.name == "residual_vibration" and r.axis == axis and r.step
+            ]
+            names = [r.step for r in rows]
+            sizes = [(r.measured or 0.0) * MICRO for r in rows]
+            at = np.arange(len(rows)) + 0.4 * (index - 0.5 * (len(cases) - 1))
+            bars = panel.bar(at, sizes, 0.38, color=colour, hatch=hatch, label=label)
+            panel.bar_label(bars, [f"{s:.0f}" for s in sizes], fontsize=6)
+            limits = [r.limit for r in rows]
+            for place, limit in zip(range(len(rows)), limits, strict=True):
+                if limit is not None and index == 0:
+                    panel.plot([place - 0.45, place + 0.45], [limit * MICRO] * 2, **LIMIT)
+        panel.set_yscale("symlog", linthresh=_LEAST_UM)
+        panel.set_ylabel(f"frame along {axis}, um")
+        panel.set_xticks(range(len(names)), names)
+    panels[0].legend(loc="upper left")
+    return figure

@@ -1,0 +1,149 @@
+"""What the report of an on/off machine says: a broken beam, the net, the figures in its page."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.pipeline import Options, prove_switching
+from threadline.plant.pneumatic import flow_mode, step_ringing
+from threadline.report import write_switching
+from threadline.report.onoff import (
+    break_figure,
+    break_on_twin,
+    break_sweep,
+    break_sweeps,
+    move_sweep,
+    petri_figure,
+    train_of,
+)
+from threadline.report.style import figure_style
+from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
+from threadline.shaping import FlexibleMode
+from threadline.targets.schedule import Scheduled, ScheduledMove, compile_schedule
+from threadline.targets.schedule_options import shaping_of
+from threadline.verdict import load_spec
+
+TRIMMED = "letter-placer+whole-scans+own-damping"
+ACROSS = """[[operation]]
+valve = "main_air"
+[[operation]]
+step = "across"
+move = { X = "200 mm" }
+"""
+
+
+def across(folder: Path, shaper: str) -> tuple[Scheduled, ScheduledMove]:
+    file = folder / "across.toml"
+    file.write_text(ACROSS)
+    machine = load_machine(TRIMMED)
+    scheduled = compile_schedule(read_job(file, machine), machine, shaping_of(machine, shaper))
+    return scheduled, scheduled.moves[0]
+
+
+@pytest.mark.parametrize("shaper", ["none", "zv", "um-zv"])
+def test_twin_rings_after_a_broken_beam_as_the_residues_say(tmp_path: Path, shaper: str) -> None:
+    """The picture is made of residues of one mode; the twin knows nothing of them.
+
+    2 % of the worst: the air's damping builds up over the first 10 mm in the twin alone.
+    """
+    scheduled, move = across(tmp_path, shaper)
+    sweep, (instants, found) = move_sweep(scheduled, move, breaks=7)
+    assert len(found) == 7
+    wanted = np.interp(instants, sweep.times_s, sweep.ringing_m)
+    assert sweep.ringing_m.max() > 7e-4
+    assert np.abs(found - wanted).max() < 0.02 * sweep.ringing_m.max()
+
+
+def test_unit_magnitude_halves_what_a_broken_beam_leaves(tmp_path: Path) -> None:
+    """Why UM: worst of the instants, shaped against unshaped, by the twin alone."""
+    scans = np.arange(5, 60, 12)
+    worst = {}
+    for shaper in ("none", "um-zv"):
+        scheduled, move = across(tmp_path, shaper)
+        worst[shaper] = break_on_twin(scheduled, move, scans).max()
+    assert worst["um-zv"] < 0.6 * worst["none"]
+
+
+def test_unbroken_end_of_a_sweep_is_the_residual_of_the_shaper() -> None:
+    """Behind the move nothing is left of ZV; over-pressure exceeds the level by its 100 %."""
+    machine = load_machine("letter-placer")
+    mode = FlexibleMode(*flow_mode(machine, "X"))
+    ringing = step_ringing(machine, "X")
+    for kind, over in (("zv", 0.0), ("um-2ei", 0.0), ("negative-zv", 1.0)):
+        sweep = break_sweep(kind, train_of(kind, mode), 0.2 / 0.43, ringing)
+        assert sweep.ringing_m[-1] < 1e-9
+        assert sweep.over_level == pytest.approx(over, abs=1e-9)
+    unshaped = break_sweep("none", train_of("none", mode), 0.2 / 0.43, ringing)
+    # A step up and one down, half a period apart at 0.172 s, add; here they are 0.465 s apart.
+    turn = np.exp(ringing.pole * 0.2 / 0.43)
+    decayed = np.exp(ringing.pole.real * (unshaped.times_s[-1] - 0.2 / 0.43))
+    wanted = abs(ringing.amplitude_m) * abs(turn - 1.0) * decayed
+    assert unshaped.ringing_m[-1] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_break_figure_has_a_panel_for_every_shaper_and_the_circles_of_the_twin() -> None:
+    machine = load_machine("letter-placer")
+    with figure_style():
+        sweeps = break_sweeps(machine)
+        figure = break_figure(sweeps, (np.array([0.1]), np.array([2e-4])))
+    panels = [p for p in figure.axes if p.get_visible()]
+    assert [p.get_title(loc="left").split(",")[0] for p in panels] == [s.name for s in sweeps]
+    for panel, sweep in zip(panels, sweeps, strict=True):
+        curve, limit = panel.lines[:2]
+        assert curve.get_ydata() == pytest.approx(sweep.ringing_m * 1e6)
+        assert limit.get_ydata()[0] == pytest.approx(1511, abs=1)
+    assert panels[0].lines[2].get_xydata().tolist() == [[100.0, 200.0]]
+
+
+def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
+    """One row per step; a transition fires at the shaper's time or when the input comes."""
+    machine = load_machine(TRIMMED)
+    scheduled = compile_schedule(
+        read_job(examples / "letter-cycle.toml", machine), machine, shaping_of(machine, "zv")
+    )
+    with figure_style():
+        (panel,) = petri_figure(scheduled).axes
+    texts = [t.get_text() for t in panel.texts]
+    numbers = [int(t) for t in texts if t.isdigit()]
+    assert sorted(numbers) == list(range(1, 50))
+    waits = [e.name for e in scheduled.commands.events if e.kind == "wait"]
+    assert sum(t in waits for t in texts) == len(waits) == 9
+    bars = [line for line in panel.lines if line.get_marker() != "o"]
+    assert len(bars) == 49
+    assert "180 ms" in texts  # 0.172 s of the ZV, on the scan of 10 ms after the place's own
+
+
+def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) -> None:
+    file = tmp_path / "across.toml"
+    file.write_text(ACROSS)
+    machine = load_machine(TRIMMED)
+    spec = load_spec(None, machine)
+    proof = prove_switching(file, machine, spec, Options(shaper="zv"))
+    unshaped = prove_switching(file, machine, spec, Options())
+    with figure_style():
+        bars = residual_figure(proof, unshaped).axes[0].patches
+        cycle = cycle_figure(proof)
+        frame = frame_figure(proof, unshaped).axes[0]
+    shown = [p.get_height() for p in bars if p.get_height()]
+    measured = [
+        p.verdict.result("residual_vibration", "X").measured * 1e6  # type: ignore[operator]
+        for p in (proof, unshaped)
+    ]
+    assert shown == pytest.approx(measured)
+    assert len(frame.lines) == 2
+    lanes = [t.get_text() for t in cycle.axes[-1].get_yticklabels()]
+    assert lanes == list(machine.outputs)
+    page = write_switching(proof, tmp_path / "report").read_text(encoding="utf-8")
+    assert "IN SPEC" in page
+    for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
+        assert words in page
+    names = {f.name for f in (tmp_path / "report").iterdir()}
+    for figure in ("residual", "cycle", "frame", "broken-beam", "petri-net"):
+        assert {f"report-{figure}.svg", f"report-{figure}.png"} <= names
+        assert re.search(rf'"{figure}"|>{figure}<|id="{figure}"', page) or figure in page
