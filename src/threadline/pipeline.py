@@ -13,12 +13,12 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
-from threadline.path import check_budget, plan_path, programmed_path
+from threadline.path import check_budget, on_time_path, plan_path, programmed_path
 from threadline.plan import Plan, SwitchPlan
 from threadline.plant.analysis import unstable_loops
 from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.signals import Recording, RecordingBlock, Stream, TickTable
-from threadline.targets import compile_ticks
+from threadline.targets import compile_ticks, feed_forward_commands
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import shaping_of
 from threadline.trajectory import plan_trajectory
@@ -53,6 +53,10 @@ class Options:
     shaper
         Text of the shaper, or of one per axis, that the trajectory is convolved with; None
         leaves it as it was planned.
+    feed_forward_s
+        Command the exact inverses of the axes, so that the loads and not the motors follow the
+        motion, smoothed over this time; ``auto`` then keeps every programmed time exactly. None
+        commands the motion itself.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -60,6 +64,7 @@ class Options:
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
     shaper: str | None = None
+    feed_forward_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,6 +149,25 @@ def parse_share(text: str) -> float:
     return value
 
 
+def parse_width_s(text: str) -> float:
+    """Return the width of a smoothing in time such as ``"36 ms"`` in s.
+
+    Raises
+    ------
+    OptionError
+        If it is not a time of at least 0.1 ms and at most 10 s.
+    """
+    try:
+        value = parse_quantity(text, "s")
+    except UnitError as error:
+        raise OptionError(
+            f"smoothing {text!r}: {error.message}", remedy='Write it like "36 ms".'
+        ) from error
+    if not 1e-4 <= value <= 10.0:
+        raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
+    return value
+
+
 def check_loops(machine: Machine) -> None:
     """Refuse a machine whose position loop is unstable, before any motion is planned.
 
@@ -170,6 +194,10 @@ def check_loops(machine: Machine) -> None:
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """Plan ``job`` on ``machine``: paths, trajectory, commands.
 
+    With ``options.feed_forward_s`` the trajectory of the plan is where the loads are to be, on
+    the clock of the recording, and ``Plan.feed_forward`` says what current and voltage the model
+    needs for it; a demand above its limit is no error, the verdict shows what comes of it.
+
     Raises
     ------
     PlanError
@@ -178,13 +206,34 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     programmed = programmed_path(job, machine, feed=options.feed)
     check_budget(job, machine, options.feed)
     limited = derate(machine, options.limit_share)
-    path = plan_path(
-        programmed,
-        limited,
-        interpolation=options.interpolation,
-        tolerance_m=options.tolerance_m,
-    )
+    if options.feed_forward_s is not None and options.interpolation == DEFAULT_INTERPOLATION:
+        path = on_time_path(programmed, limited)
+    else:
+        path = plan_path(
+            programmed,
+            limited,
+            interpolation=options.interpolation,
+            tolerance_m=options.tolerance_m,
+        )
     planned = trajectory = plan_trajectory(path, limited)
+    if options.feed_forward_s is not None:
+        if options.shaper is not None:
+            raise OptionError(
+                "a shaper and feed-forward exclude each other: the inverse leaves nothing to shape",
+                remedy="Leave one of them out.",
+            )
+        ahead = feed_forward_commands(planned, machine, job, options.feed_forward_s)
+        return Plan(
+            job=job,
+            machine=machine,
+            programmed=programmed,
+            path=replace(path, historical=False),
+            trajectory=ahead.trajectory,
+            commands=ahead.commands,
+            unshaped=ahead.timed,
+            feed_forward=ahead.demands,
+            options=describe(job, machine, options),
+        )
     if options.shaper is not None:
         shaper = parse_shaper(options.shaper)
         trajectory = shape_trajectory(planned, shaper, machine, centroid_shift=True)
@@ -238,6 +287,11 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
         **({} if options.shaper is None else {"shaper": options.shaper}),
+        **(
+            {}
+            if options.feed_forward_s is None
+            else {"feed-forward": f"{options.feed_forward_s!r} s"}
+        ),
     }
 
 
@@ -257,6 +311,9 @@ def options_from(description: dict[str, str]) -> Options:
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),
             shaper=description.get("shaper"),
+            feed_forward_s=None
+            if "feed-forward" not in description
+            else parse_width_s(description["feed-forward"]),
         )
     except KeyError as error:
         raise OptionError(
@@ -279,11 +336,20 @@ def prove(
     return prove_plan(plan, spec, progress, repeats)
 
 
-def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None, repeats: int = 1) -> Proof:
+def prove_plan(
+    plan: Plan,
+    spec: Spec,
+    progress: Progress | None = None,
+    repeats: int = 1,
+    actual: Machine | None = None,
+) -> Proof:
     """Simulate and judge a plan.
 
     Parameters
     ----------
+    actual
+        The machine that runs it, where it isn't the one that the plan was made for: with other
+        masses or stiffnesses than feed-forward believes in, for instance.
     repeats
         Runs in all. Beyond the first, which is the machine as its file says, the encoders' phase
         is drawn anew, friction within +-30 % and supply within +-5 %, from a fixed seed: the
@@ -292,12 +358,11 @@ def prove_plan(plan: Plan, spec: Spec, progress: Progress | None = None, repeats
     if not isinstance(plan.commands, TickTable):
         raise PlanError(f"{plan.job.name}: only tick tables can be simulated on axes")
     random = np.random.default_rng(REPEAT_SEED)
-    first = replace(simulate(plan.commands, plan.machine), origin=dict(plan.options))
+    machine = plan.machine if actual is None else actual
+    first = replace(simulate(plan.commands, machine), origin=dict(plan.options))
     recordings = [first if progress is None else _watched(first, plan, progress)]
     for _ in range(repeats - 1):
-        other = vary(
-            plan.machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05)
-        )
+        other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
         phase = random.uniform(0.0, 1.0, len(plan.commands.axes))
         recordings.append(simulate(plan.commands, other, encoder_phase=phase))
     verdict = judge(recordings, plan, spec)
