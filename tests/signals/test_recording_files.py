@@ -431,3 +431,14 @@ def test_samples_are_not_kept_in_memory(tmp_path) -> None:
     tracemalloc.stop()
     assert total == pytest.approx(8192 * sum(range(128)) / 7, rel=1e-12)
     assert peak < 4e6  # the samples are 8.4 MB
+
+
+def test_a_damaged_archive_is_refused_before_a_sample_is_given(tmp_path) -> None:
+    """A byte in the packed samples: the check sum is wrong, and nothing is computed from them."""
+    file = tmp_path / "r.npz"
+    write_recording(recording_of({"X.measured": list(np.sin(np.arange(5000.0)))}), file)
+    whole = file.read_bytes()
+    for at in range(2000, 20_000, 3000):
+        file.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
+        with pytest.raises(RecordingError, match=r"r\.npz: the file is damaged"):
+            read_recording(file)

@@ -19,6 +19,7 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.outputs import check_outputs
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import Proof, parse_feed
@@ -59,6 +60,7 @@ def compare(
     Example: threadline compare examples/x-180.prg -m lathe-winder
     --interpolation linear,b-spline,b-spline-pulled --feed "10 count/tick,80 count/tick"
     """
+    check_outputs(folder=report)
     chosen = machine_from(machine, par)
     names = _listed(interpolation, "--interpolation")
     feeds = [None] if feed is None else [parse_feed(text) for text in _listed(feed, "--feed")]

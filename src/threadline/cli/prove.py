@@ -28,6 +28,7 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import note, print_json, print_table, progress_bar
+from threadline.cli.outputs import appearing, check_outputs
 from threadline.errors import OptionError
 from threadline.pipeline import Proof, SwitchProof, prove_switching
 from threadline.pipeline import prove as prove_job
@@ -69,6 +70,7 @@ def prove(
     """
     chosen = machine_from(machine, par)
     keep_inputs(recording, job, chosen.file, par, spec)
+    check_outputs(file=recording, folder=report)
     options = options_of(interpolation, feed, tolerance, limits, shaper)
     asked = load_spec(spec, chosen)
     if chosen.cylinders and repeats > 1:
@@ -89,13 +91,14 @@ def prove(
             proof = prove_switching(job, chosen, asked, options)
         else:
             proof = prove_job(job, chosen, asked, options, progress, repeats)
-        if recording is not None:
-            write_recording(proof.recording, recording)
-        written = None
-        if report is not None and isinstance(proof, SwitchProof):
-            written = write_switching(proof, report)
-        elif report is not None and isinstance(proof, Proof):
-            written = write_report(proof, report)
+        with appearing(recording) as temporary:
+            if temporary is not None:
+                write_recording(proof.recording, temporary)
+            written = None
+            if report is not None and isinstance(proof, SwitchProof):
+                written = write_switching(proof, report)
+            elif report is not None and isinstance(proof, Proof):
+                written = write_report(proof, report)
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:

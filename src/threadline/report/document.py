@@ -61,15 +61,15 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
     """Write the document into ``folder`` and return the path of its HTML page.
 
     Everything is made in a temporary folder beside ``folder`` first and moved file by file once
-    it is complete, so that a failure leaves nothing half-written.
+    it is complete, so that a failure leaves nothing half-written, and no new folder either.
 
     Raises
     ------
     OSError
         If the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as made:
+    beside = next(parent for parent in folder.absolute().parents if parent.exists())
+    with tempfile.TemporaryDirectory(dir=beside, prefix=f".{folder.name[:80]}.") as made:
         temporary = Path(made)
         svgs = {}
         for name, figure in document.figures.items():
@@ -82,6 +82,7 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         page = temporary / f"{stem}.html"
         page.write_text(_html(document, svgs), encoding="utf-8")
         _pdf(document, temporary / f"{stem}.pdf")
+        folder.mkdir(parents=True, exist_ok=True)
         for file in sorted(temporary.iterdir()):
             shutil.move(file, folder / file.name)
     return folder / f"{stem}.html"

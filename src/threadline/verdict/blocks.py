@@ -24,6 +24,7 @@ _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
 }
 # The value of largest magnitude since the sample before: a second channel of the same kind.
 _PEAK_NAME = "{axis}.current_peak"
+_MOST = 1e15  # SI: a sample beyond it is no measurement
 _ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may differ by a rounding
 
 
@@ -143,6 +144,7 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
         count = len(block.samples[master.name])
         if not count:
             continue
+        _refuse_absurd(block)
         first = block.first_tick[master.clock.name]
         time_s = master.clock.times_s(first, count, master.stride)
         nothing = np.full(count, np.nan)
@@ -158,6 +160,17 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
             reached = int(operation[-1])
             whole["operation"] = operation
         yield _Held(time_s, columns, whole)
+
+
+def _refuse_absurd(block: RecordingBlock) -> None:
+    """Refuse samples whose squares could overflow; what is not a number is not measured."""
+    for name, samples in block.samples.items():
+        if (np.abs(samples) > _MOST).any():
+            worst = float(np.nanmax(np.abs(samples)))
+            raise RecordingError(
+                f"channel {name!r} has a sample of {worst:.3g}, beyond {_MOST:g}",
+                remedy="No machine can have measured it; record it again.",
+            )
 
 
 def judged_blocks(

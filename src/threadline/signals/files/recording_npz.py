@@ -92,6 +92,7 @@ def read_recording_npz(path: Path) -> Recording:
             meta, Stream(lambda: _blocks(path, recording.channels, event_names)), path
         )
         _open(archive, recording.channels, event_names, path)
+        archive.verify()
     return recording
 
 

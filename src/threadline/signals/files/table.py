@@ -121,6 +121,7 @@ def read_table_npz(path: Path) -> TickTable:
         table = table_from(meta, Stream(lambda: _npz_blocks(path, names, len(table.axes))), path)
         # Open every column once, so that a wrong one is found now and not half-way.
         _open_npz(archive, names, len(table.axes), path)
+        archive.verify()
     return table
 
 

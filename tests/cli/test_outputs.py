@@ -1,0 +1,72 @@
+"""What a command writes is refused before the work, or written whole, or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from threadline.cli import prove
+from threadline.cli.main import main
+
+JOB = Path(__file__).resolve().parents[2] / "examples" / "x-180.prg"
+
+
+def stopped(
+    capsys: pytest.CaptureFixture[str], *arguments: str | Path
+) -> tuple[int | str | None, str]:
+    """Prove the reversal test in this process; returns exit status and errors."""
+    words = ["prove", JOB, "-m", "lathe-winder", "--interpolation", "linear", *arguments]
+    with pytest.raises(SystemExit) as caught:
+        main([str(word) for word in words])
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    return caught.value.code, captured.err
+
+
+def never(*_: object) -> None:
+    raise AssertionError("the work was begun")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--report", "FILE"], "is not a folder"),
+        (["--report", "FILE/deep/report"], "is not a folder"),
+        (["--recording", "none/r.npz"], "does not exist"),
+        (["--recording", "FOLDER"], "it is a folder"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_the_work(
+    options: list[str],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "FILE").write_text("mine")
+    (tmp_path / "FOLDER").mkdir()
+    monkeypatch.setattr(prove, "prove_job", never)
+    code, err = stopped(capsys, options[0], tmp_path / options[1])
+    assert (code, err.count("\n")) == (2, 1)
+    assert words in err
+    assert (tmp_path / "FILE").read_text() == "mine"
+
+
+def test_a_report_that_fails_takes_the_recording_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An old recording stays, a new one does not appear, and no file is left between."""
+
+    def fails(*_: object) -> None:
+        raise OSError(28, "No space left on device", "report.html")
+
+    monkeypatch.setattr(prove, "write_report", fails)
+    old = tmp_path / "old.npz"
+    old.write_text("old")
+    for file in (old, tmp_path / "new.csv"):
+        code, err = stopped(capsys, "--recording", file, "--report", tmp_path / "report")
+        assert (code, err.count("\n")) == (2, 1)
+        assert "No space left" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["old.npz"]
+    assert old.read_text() == "old"
