@@ -126,7 +126,7 @@ def ours_per_tick(case: str) -> float:
     commands = table_of(machine, rows_of(case, 100_000))
 
     def run() -> None:
-        for _ in simulate(commands, machine, settle_s=0.0, record_every=20, specialised=True):
+        for _ in simulate(commands, machine, settle_s=0.0, record_every=20):
             pass
 
     run()

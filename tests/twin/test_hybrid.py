@@ -390,17 +390,6 @@ def test_batch_is_the_scalar_twin(belt_axis, table):
     assert np.ptp(batch.end) > 1e-5
 
 
-def test_specialised_kernel_is_the_same(belt_axis, table):
-    """Compiled for one shape or for all: the same samples to the bit."""
-    machine = belt_axis(bodies_head='friction = "4 N exact, assumed"')
-    commands = table(machine, {"X": ROWS}, 50)
-    one, other = (simulate(commands, machine, specialised=s) for s in (False, True))
-    for channel in one.channels:
-        first, second = one.samples(channel.name)[1], other.samples(channel.name)[1]
-        np.testing.assert_array_equal(first, second)
-    assert np.ptp(one.samples("X.load")[1]) > 1e-3
-
-
 def test_wide_batch_is_the_scalar_twin(belt_axis, table):
     """Sixteen variants side by side give what each gives alone, to 1e-9 counts."""
     machine = belt_axis(
@@ -443,10 +432,13 @@ def test_batch_measures(belt_axis, table):
 
 
 def test_what_cannot_be_honoured_is_refused(belt_axis, table):
-    """A dead time without a practical common grid; a part too fast for the ticks."""
-    awkward = belt_axis(drives_m='delay = "1.0000001 ms exact, assumed"')
-    with pytest.raises(MachineError, match="coarser common grid"):
+    """Clocks that hardly ever meet; a part too fast for the ticks."""
+    odd = 'clock = "odd"\nreference_clock = "servo"'
+    awkward = belt_axis(clocks='odd = "1.0000001 ms exact, assumed"', controllers_c=odd)
+    with pytest.raises(MachineError, match="common multiple"):
         simulate(table(awkward, {"X": ROWS}), awkward)
-    stiff = belt_axis(links_belt='stiffness = "1e22 N/m exact, assumed"')
+    stiff = belt_axis(
+        links_belt='stiffness = "1e22 N/m exact, assumed"\npreload = "1 N exact, assumed"'
+    )
     with pytest.raises(MachineError, match="too fast"):
         simulate(table(stiff, {"X": ROWS}), stiff)

@@ -17,16 +17,15 @@ from threadline.machine import Machine
 from threadline.plant.network import piecewise_linear
 from threadline.plant.values import Values
 from threadline.signals import TickTable
-from threadline.twin import shape as k
-from threadline.twin.events import ENDLESS, EVENTS, SLOW
-from threadline.twin.prepare import Prepared, State, common_guards, new_state, prepare
+from threadline.twin.lanes import EVENTS, SLOW
+from threadline.twin.prepare import Prepared, State, new_state, prepare
+from threadline.twin.shape import AXIS_ROWS, Layout
 from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases
 
 _CACHE_BYTES = 40_000
 """What a block of variants may take: it should stay in the fastest memory."""
-_FEW = 64
-"""Fewer variants aren't worth a kernel of their own: they run one by one."""
-_SLOTS = 16
+_WIDTH = 8
+_WORST, _LOWEST, _HIGHEST, _LAST, _ = range(len(AXIS_ROWS))
 _NEVER = 1 << 62
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 14
@@ -187,9 +186,7 @@ class _Batch:
         )
         wanted = self._columns(pieces)
         owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
-        guards = common_guards(pieces)
         peak = self.watch_current or any(".current" in c for c in self.channels)
-        fixed = values.count >= _FEW
         states = []
         for piece in pieces:
             at = [owner.get(c) for c in piece.piece.group.controllers]
@@ -199,9 +196,8 @@ class _Batch:
             )
             states.append(
                 new_state(
-                    machine, piece, phase, _lanes(piece, guards) if fixed else 1, guards,
-                    peak=peak,
-                    quantised=self.quantised, slots=_SLOTS, fixed=fixed,
+                    machine, piece, phase, *_lanes(piece, values.count, peak, self.quantised),
+                    peak=peak, quantised=self.quantised,
                 )
             )  # fmt: skip
         tick_s = float(machine.tick_clock.period_s)
@@ -227,7 +223,7 @@ class _Batch:
         samples = -(-(tick + len(position)) // self.every) - -(-tick // self.every)
         for state, columns in zip(states, wanted, strict=True):
             prepared, blocks = state.prepared, len(state.work)
-            references = np.zeros((len(position), state.shape.controllers))
+            references = np.zeros((len(position), len(state.shape.controllers)))
             names = self.machine.axis_names
             for axis, controller in zip(
                 prepared.piece.group.axes, prepared.axis_controller, strict=True
@@ -300,12 +296,12 @@ class _Batch:
         kept: dict[str, list[FloatArray]],
     ) -> BatchResult:
         names = self.machine.axis_names
-        table = np.zeros((count, len(names), 5))
+        table = np.zeros((count, len(names), len(AXIS_ROWS)))
         peak = np.zeros((count, len(names)))
         for state in states:
             group = state.prepared.piece.group
             measures, peaks = state.measures()[:count], state.peaks()[:count]
-            if state.counts[:, ENDLESS].any() or not np.isfinite(measures[:, :, k.WORST]).all():
+            if state.failure() or not np.isfinite(measures[:, :, _WORST]).all():
                 raise MachineError(
                     f"axes {', '.join(group.axes)}: a variant has no answer: its motion grows "
                     "without bound, or its modes change without end",
@@ -315,15 +311,15 @@ class _Batch:
                 at = names.index(name)
                 start = self.commands.start_counts[at] / self.commands.counts_per_unit[at]
                 table[:, at] = measures[:, index]
-                table[:, at, [k.LOWEST, k.HIGHEST, k.LAST]] += start
+                table[:, at, [_LOWEST, _HIGHEST, _LAST]] += start
                 drive = int(state.prepared.control.drive[state.prepared.axis_controller[index]])
                 peak[:, at] = peaks[:, drive]
         return BatchResult(
             axes=names,
-            worst_error=table[:, :, k.WORST],
-            end=table[:, :, k.LAST],
-            lowest=None if self.window_s is None else table[:, :, k.LOWEST],
-            highest=None if self.window_s is None else table[:, :, k.HIGHEST],
+            worst_error=table[:, :, _WORST],
+            end=table[:, :, _LAST],
+            lowest=None if self.window_s is None else table[:, :, _LOWEST],
+            highest=None if self.window_s is None else table[:, :, _HIGHEST],
             current_peak=peak if self.watch_current and not self.channels else None,
             ticks=ticks,
             slow_ticks=sum(int(s.counts[:, SLOW].sum()) for s in states),
@@ -332,14 +328,13 @@ class _Batch:
         )
 
 
-def _lanes(prepared: Prepared, guards: int) -> int:
-    """Return how many variants side by side: what still fits the fastest memory, 8 to 64.
-
-    With guards no more than 16: one variant with an event sends its whole block to look for it.
-    """
-    rows = prepared.shape(1, guards, peak=True, quantised=True).layout()["rows"]
-    sizes = (16,) if guards else (64, 32, 16)
-    return next((lanes for lanes in sizes if 8 * rows * lanes <= _CACHE_BYTES), 8)
+def _lanes(prepared: Prepared, variants: int, peak: bool, quantised: bool) -> tuple[int, int]:
+    """Return how many variants in a block, what fits the fastest memory, and in a vector."""
+    if variants < _WIDTH:
+        return 1, 1
+    rows = Layout(prepared.shape(1, 1, peak=peak, quantised=quantised)).rows
+    fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
+    return next(fitting, _WIDTH), _WIDTH
 
 
 def _joined(parts: list[BatchResult]) -> BatchResult:

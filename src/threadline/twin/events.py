@@ -1,194 +1,288 @@
-"""Kernel: an advance in which modes change, every change located.
+"""Kernel code: an advance in which modes change, every change located.
 
 A guard is watched over an advance through the four Bezier points of its cubic Hermite
-interpolant; only an advance with all of them inside is taken. Otherwise shorter ones are tried,
-and within a single cell the guards are polynomials (12 terms of the Taylor series, remainder
-below 1e-16 of the state) whose first exit is found to rounding. A guard that is left and entered
-again within one watched interval h escapes only when it goes beyond its bound by less than the
-error of the interpolant, ``h^4 max|g''''| / 384``; h times the fastest rate is at most 1.
+interpolant; only an advance with all of them inside is taken at once. Otherwise it is made cell
+by cell: within a cell the guards are polynomials, Taylor's series with a remainder below 1e-17
+of the state, whose first exit is found to rounding. A guard that is left and entered again
+within a watched interval h escapes only when it goes beyond its bound by less than the error of
+the interpolant, ``h^4 max|g''''| / 384``; h times the fastest rate is at most 1, within a cell
+1/4.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from typing import Any
 
-from threadline.twin.compiled import stays_apart
-from threadline.twin.modes import (
-    AT_HOLD,
-    AT_LOW,
-    AT_RATE,
-    AT_STEP,
-    COLUMNS,
-    GUARDS,
-    N_STATES,
-    WATCHED,
-)
+from llvmlite import ir
 
-TERMS = 12
-_MOST_EVENTS = 2000
-_SECTIONS = 4
+from threadline.twin.code import DOUBLE, INTEGER, POINTER, Code, Value
+from threadline.twin.lanes import ENDLESS, EVENTS, SLOW, UNMET, Context, Lanes
+from threadline.twin.shape import Layout
 
-MODE, DONE, EVENTS, ENDLESS, SLOW = 0, 1, 2, 3, 4
-"""Entries of ``where``: the mode, cells done, events so far, endless changes, slow advances."""
+_MOST_EVENTS = 2000.0
+_MOST_STEPS = 60
 
 
-@njit
-def _first_exit(q, low, high, until):  # type: ignore[no-untyped-def]
-    """Return the first s in (0, until] at which a polynomial leaves its bounds, and the side.
+def write_change(module: ir.Module, layout: Layout) -> Any:
+    """Write the function that changes the mode of one lane: block, lane, variant, event."""
+    lanes, W = layout.shape.lanes, len(layout.shape.guards)
+    code = Code(module, "change", (POINTER, INTEGER, INTEGER, INTEGER, POINTER, POINTER), 1, True)
+    block, lane, variant, event, counts, array = code.arguments
+    context = Context(code, array)
+    modes, tables = context.pointer("mode"), context.pointer("tables")
+    side = code.choose(event > 0, code.integer(1), code.integer(0))
+    guard = code.choose(event > 0, event, code.integer(0) - event) - 1
+    which = guard * 2 + side
+    mode = code.read(modes, variant, INTEGER)
+    plan = code.read(context.pointer("plans"), mode, POINTER)
+    size = layout.of_mode + 2 * W
+    switch = code.read(plan, guard, INTEGER)
+    with code.when(switch >= 0):
+        at = (switch + layout.row.get(("tripped", 0), 0)) * lanes + lane
+        code.write(block, at, Value(code, ir.Constant(DOUBLE, 1.0)))
+    held = code.read(plan, which + 3 * W, INTEGER)
+    with code.when(held >= 0):
+        old = code.read(tables, mode, POINTER)
+        value = code.read(old, variant * size + which + layout.of_mode)
+        code.write(block, held * lanes + lane, value)
+    to = code.read(plan, which + W, INTEGER)
+    code.write(counts, EVENTS, code.read(counts, EVENTS, INTEGER) + 1, INTEGER)
+    table = code.variable(POINTER, code.read(tables, to, POINTER))
+    with code.when_seldom(_is_null(code, table.get())):
+        code.run_address(context.integer("meet"), to)
+        table.set(code.read(tables, to, POINTER))
+    code.write(modes, variant, to, INTEGER)
+    unmet = _is_null(code, table.get())
+    with code.when_seldom(unmet):
+        code.write(counts, UNMET, code.integer(1), INTEGER)
+    with code.when(~unmet):
+        source = code.place(table.get(), variant * size)
+        target = code.place(block, lane + layout.fixed * lanes)
+        with code.count(0, layout.of_mode) as row:
+            code.write(target, row * lanes, code.read(source, row))
+    code.finish()
+    return code.function
 
-    The side is 0 when it stays. The sections of the interval are looked at in order, then
-    Newton's method, kept within a bracket, finds the crossing.
+
+def _is_null(code: Code, pointer: Value) -> Value:
+    return Value(code, code.at.ptrtoint(pointer.ir, INTEGER)).equals(0)
+
+
+def write_first_exit(module: ir.Module, layout: Layout) -> Any:
+    """Write the function that finds where a polynomial of (0, until] leaves its bounds first.
+
+    Arguments: coefficients, [low, high, until, side], mask of lanes; ``until`` and ``side``
+    (+1 above, -1 below, 0 where it stays) are set.
     """
-    stays_apart(False)
-    before = q[0]
-    for section in range(_SECTIONS):
-        a = section / _SECTIONS
-        if a >= until:
-            break
-        b = min((section + 1) / _SECTIONS, until)
-        value = q[TERMS]
-        for k in range(TERMS - 1, -1, -1):
-            value = value * b + q[k]
-        if low <= value <= high:
-            before = value
-            continue
-        side = 1 if value > high else -1
-        bound = high if side > 0 else low
-        left, right = a, b
-        # The secant's crossing, then Newton's; what is left squares itself at every turn.
-        s = a + (b - a) * (bound - before) / (value - before)
-        if not (a <= s <= b):
-            s = 0.5 * (a + b)
-        for _ in range(80):
-            value, slope = q[TERMS], 0.0
-            for k in range(TERMS - 1, -1, -1):
-                slope = slope * s + value
-                value = value * s + q[k]
-            value = (value - bound) * side
-            if value > 0.0:
-                right = s
+    shape = layout.shape
+    code = Code(module, "first_exit", (POINTER, POINTER, INTEGER), shape.width, True)
+    width, terms = shape.width, shape.terms
+    poly, more, bits = code.arguments
+    lanes = code.from_bits(bits)
+    q = [code.read_lanes(poly, k * width) for k in range(terms + 1)]
+    low, high, until = (code.read_lanes(more, k * width) for k in range(3))
+
+    def at(s: Value, order: int) -> list[Value]:
+        found = [q[terms]] + [code.number(0.0)] * order
+        for k in range(terms - 1, -1, -1):
+            for m in range(order, 0, -1):
+                found[m] = code.fma(found[m], s, found[m - 1])
+            found[0] = code.fma(found[0], s, q[k])
+        return found
+
+    def beyond(value: Value) -> Value:
+        return (value > high) | (value < low)
+
+    side = code.variable(code.vector, 0.0)
+    end, fall = at(until, 1)
+    third = until * (1.0 / 3.0)
+    hull = beyond(code.fma(q[1], third, q[0])) | beyond(end - fall * third) | beyond(end)
+    with code.when(code.any(hull & lanes)):
+        open_ = ~hull & hull
+        found = open_
+        left = right = code.number(0.0)
+        before = after = code.number(0.0)
+        a, value_a, slope_a = code.number(0.0), q[0], q[1]
+        for section in range(shape.sections):
+            b = until * ((section + 1) / shape.sections)
+            value_b, slope_b = (end, fall) if section + 1 == shape.sections else at(b, 1)
+            # Where the slope turns within the section: the secant of the slope finds the peak.
+            turns = slope_a * slope_b < 0.0
+            width_ab = b - a
+            middle = code.fma(width_ab, slope_a / (slope_a - slope_b), a)
+            middle = code.choose(turns, middle, b)
+            value_m = at(middle, 0)[0]
+            peak = turns & beyond(value_m)
+            here = (beyond(value_b) | peak) & ~found & lanes
+            left = code.choose(here, a, left)
+            before = code.choose(here, value_a, before)
+            right = code.choose(here, code.choose(peak, middle, b), right)
+            after = code.choose(here, code.choose(peak, value_m, value_b), after)
+            found = found | here
+            a, value_a, slope_a = b, value_b, slope_b
+        with code.when(code.any(found)):
+            above = after > high
+            sign = code.choose(above, code.number(1.0), code.number(-1.0))
+            bound = code.choose(above, high, low)
+            _root(code, at, found, sign, bound, (left, right, before, after), more)
+            side.set(code.choose(found, sign, 0.0))
+    code.write_lanes(more, 3 * width, side.get())
+    code.finish()
+    return code.function
+
+
+def _root(
+    code: Code,
+    at: Any,
+    found: Value,
+    sign: Value,
+    bound: Value,
+    bracket: tuple[Value, Value, Value, Value],
+    more: Value,
+) -> None:
+    """Write Halley's method, kept within a bracket; each lane stops by itself."""
+    left_now, right_now, before, after = bracket
+    guess = code.fma(right_now - left_now, (bound - before) / (after - before), left_now)
+    fits = (guess >= left_now) & (guess <= right_now)
+    guess = code.choose(fits, guess, (left_now + right_now) * 0.5)
+    s = code.variable(code.vector, guess)
+    left, right = code.variable(code.vector, left_now), code.variable(code.vector, right_now)
+    open_ = code.variable(INTEGER, code.bits(found))
+    turn = code.variable(INTEGER, 0)
+    with code.loop() as leave:
+        leave(open_.get().equals(0))
+        leave(turn.get() >= _MOST_STEPS)
+        turn.set(turn.get() + 1)
+        now = s.get()
+        value, slope, half_bend = at(now, 2)
+        off = value - bound
+        too_far = off * sign > 0.0
+        lanes = code.from_bits(open_.get())
+        right.set(code.choose(too_far & lanes, now, right.get()))
+        left.set(code.choose(~too_far & lanes, now, left.get()))
+        below = code.fma(slope, slope, off * half_bend * -1.0)
+        better = now - off * slope / below
+        inside = (better >= left.get()) & (better <= right.get())
+        better = code.choose(inside, better, (left.get() + right.get()) * 0.5)
+        moved = code.call("fabs", better - now)
+        done = (moved < 1e-6) & inside | (right.get() - left.get() < 1e-15)
+        s.set(code.choose(lanes, better, now))
+        open_.set(code.bits(lanes & ~done))
+    until = code.read_lanes(more, 2 * code.width)
+    code.write_lanes(more, 2 * code.width, code.choose(found, s.get(), until))
+
+
+def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any) -> Any:
+    """Write the function that advances ``width`` lanes with events.
+
+    Arguments: block, its first lane here, that lane's variant, length, mask, whole advance or
+    none (only modes that don't hold are left), counts, context.
+    """
+    shape = layout.shape
+    n, width, K = shape.states, shape.width, shape.terms
+    arguments = (POINTER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, POINTER, POINTER)
+    code = Code(module, "events", arguments, width, True)
+    block, lane, variant, length, bits, whole, counts, array = code.arguments
+    context = Context(code, array)
+    live = code.from_bits(bits)
+    rows = Lanes(code, layout, code.place(block, lane), length)
+    poly, more, kept = code.space((K + 1) * width), code.space(4 * width), code.space(width)
+    cells, fraction = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)
+    changes, event = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)
+    span = code.read(context.pointer("cell s"), length)
+    with code.when(whole > 0):
+        for i in range(n):
+            rows["z", i] = code.choose(live, rows["old", i], rows["z", i])
+        code.write(counts, SLOW, code.read(counts, SLOW, INTEGER) + code.ones(bits), INTEGER)
+        many = code.read(context.pointer("cells"), length)
+        cells.set(code.choose(live, Value(code, code.lift(many, code.vector)), 0.0))
+        fraction.set(code.choose(live, code.number(1.0), 0.0))
+
+    def turn() -> None:
+        """Change the modes of the lanes with an event."""
+        code.write_lanes(kept, 0, event.get())
+        changes.set(changes.get() + code.choose(_is_event(event), code.number(1.0), 0.0))
+        with code.count(0, width) as u:
+            one = code.read(kept, u)
+            which = Value(code, code.at.fptosi(one.ir, INTEGER))
+            with code.when(~which.equals(0)):
+                code.run(change, block, lane + u, variant + u, which, counts, array)
+
+    def _is_event(variable: Any) -> Value:
+        return code.call("fabs", variable.get()) > 0.0
+
+    with code.loop() as leave:
+        endless = code.any(changes.get() > _MOST_EVENTS)
+        with code.when_seldom(endless):
+            code.write(counts, ENDLESS, code.integer(1), INTEGER)
+        leave(endless)
+        rows.forget()
+        now = code.number(0.0)
+        for w in range(len(shape.guards) - 1, -1, -1):
+            value = rows.product(("guard", w), shape.guards[w].row)
+            now = code.choose(value > rows["high", w], code.number(w + 1.0), now)
+            now = code.choose(value < rows["low", w], code.number(-w - 1.0), now)
+        event.set(code.choose(live, now, 0.0))
+        stay = ~code.any(_is_event(event))
+        moving = cells.get() > 0.0
+        leave(stay & ~code.any(moving))
+        with code.when(stay):
+            _cell(code, rows, (cells, fraction, event), moving, span, (poly, more), first_exit)
+        with code.when(code.any(_is_event(event))):
+            turn()
+    code.finish()
+    return code.function
+
+
+def _cell(
+    code: Code,
+    rows: Lanes,
+    variables: Any,
+    moving: Value,
+    span: Value,
+    spaces: tuple[Value, Value],
+    first_exit: Any,
+) -> None:
+    """Write an advance to the end of the cell or to the first event in it."""
+    shape, (cells, fraction, event), (poly, more) = rows.shape, variables, spaces
+    n, width, K = shape.states, shape.width, shape.terms
+    time = code.choose(moving, fraction.get() * span, 0.0)
+    columns = [rows.column(j) for j in range(shape.columns)]
+    first = [
+        rows.product(("matrix", i), pattern, columns) * time
+        for i, pattern in enumerate(shape.matrix)
+    ]
+    series = [columns[:n], first]
+    for k in range(2, K + 1):
+        step = time * (1.0 / k)
+        series.append(
+            [
+                code.total([(rows["matrix", i, j], series[-1][j]) for j in pattern if j < n]) * step
+                for i, pattern in enumerate(shape.matrix)
+            ]
+        )
+    code.write_lanes(more, 2 * width, 1.0)
+    for w, guard in enumerate(shape.guards):
+        inner = [j for j in guard.row if j < n]
+        for k in range(K + 1):
+            if k == 0:
+                value = rows.product(("guard", w), guard.row)
             else:
-                left = s
-            better = s - value / (slope * side) if slope != 0.0 else 0.5 * (left + right)
-            if not (left <= better <= right):
-                better = 0.5 * (left + right)
-            done = abs(better - s) < 1e-9 or right - left < 1e-15
-            s = better
-            if done:
-                break
-        return s, side
-    return until, 0
-
-
-@njit
-def advance_watched(t, v, where, z, y, D, q, cells, tripped):  # type: ignore[no-untyped-def]  # noqa: PLR0915
-    """Advance z by ``cells`` cells; return False when a mode has to be met first.
-
-    Called again after that, it goes on where it was: ``where[DONE]`` cells and, of the next, the
-    fraction ``1 - q[-1]``. ``cells`` = 0 only leaves modes that don't hold at z.
-    """
-    stays_apart(False)
-    f, sizes = t.values, t.sizes
-    n, size, guards = sizes[N_STATES], sizes[COLUMNS], sizes[GUARDS]
-    guard, rate, low, hold = n * size, sizes[AT_RATE], sizes[AT_LOW], sizes[AT_HOLD]
-    high = low + guards
-    changes = 0
-    while True:
-        row = t.slot_of[v, where[MODE]]
-        if row < 0:
-            return False
-        event = 0
-        for w in range(guards):
-            value = 0.0
-            for j in range(size):
-                value += f[row, guard + w * size + j] * z[j]
-            if value > f[row, high + w]:
-                event = w + 1
-            elif value < f[row, low + w]:
-                event = -w - 1
-            if event != 0:
-                break
-        if event == 0:
-            if where[DONE] >= cells:
-                return True
-            level = sizes[WATCHED] - 1 if q[-1] == 1.0 else -1
-            while level >= 0:
-                inside = where[DONE] + (1 << level) <= cells
-                if inside:
-                    third = t.cell_s[0] * (1 << level) / 3.0
-                    for i in range(n):
-                        total = 0.0
-                        for j in range(size):
-                            total += f[row, sizes[AT_STEP] + (level * n + i) * size + j] * z[j]
-                        y[i] = total
-                    for j in range(n, size):
-                        y[j] = z[j]
-                    for w in range(guards):
-                        start, end, last = 0.0, 0.0, 0.0
-                        for j in range(size):
-                            bend = f[row, rate + w * size + j] * third
-                            start += (f[row, guard + w * size + j] + bend) * z[j]
-                            end += (f[row, guard + w * size + j] - bend) * y[j]
-                            last += f[row, guard + w * size + j] * y[j]
-                        most = max(start, end, last)
-                        least = min(start, end, last)
-                        inside = inside and most <= f[row, high + w] and least >= f[row, low + w]
-                if inside:
-                    break
-                level -= 1
-            if level >= 0:
-                for i in range(n):
-                    z[i] = y[i]
-                where[DONE] += 1 << level
-                continue
-            # Within one cell: the state as a polynomial of the fraction of what is left of it.
-            span = t.cell_s[0] * q[-1]
-            for i in range(n):
-                D[0, i] = z[i]
-                total = 0.0
-                for j in range(size):
-                    total += f[row, i * size + j] * z[j]
-                D[1, i] = total * span
-            for k in range(2, TERMS + 1):
-                for i in range(n):
-                    total = 0.0
-                    for j in range(n):
-                        total += f[row, i * size + j] * D[k - 1, j]
-                    D[k, i] = total * span / k
-            until = 1.0
-            for w in range(guards):
-                if f[row, low + w] == -np.inf and f[row, high + w] == np.inf:
-                    continue
-                for k in range(TERMS + 1):
-                    total = 0.0
-                    for i in range(n):
-                        total += f[row, guard + w * size + i] * D[k, i]
-                    q[k] = total
-                for j in range(n, size):
-                    q[0] += f[row, guard + w * size + j] * z[j]
-                s, side = _first_exit(q, f[row, low + w], f[row, high + w], until)
-                if side != 0:
-                    until, event = s, side * (w + 1)
-            for i in range(n):
-                value = D[TERMS, i]
-                for k in range(TERMS - 1, -1, -1):
-                    value = value * until + D[k, i]
-                z[i] = value
-            q[-1] *= 1.0 - until
-            if q[-1] <= 1e-14:
-                q[-1] = 1.0
-                where[DONE] += 1
-        if event != 0:
-            w = abs(event) - 1
-            side = 1 if event > 0 else 0
-            if t.plan[row, 1 + w] >= 0:
-                tripped[t.plan[row, 1 + w]] = 1
-            if t.plan[row, 1 + 3 * guards + 2 * w + side] >= 0:
-                z[t.plan[row, 1 + 3 * guards + 2 * w + side]] = f[row, hold + 2 * w + side]
-            where[MODE] = t.plan[row, 1 + guards + 2 * w + side]
-            where[EVENTS] += 1
-            changes += 1
-            if changes > _MOST_EVENTS:
-                where[ENDLESS] += 1
-                return True
+                value = code.total([(rows["guard", w, j], series[k][j]) for j in inner])
+            code.write_lanes(poly, k * width, value)
+        code.write_lanes(more, 0, rows["low", w])
+        code.write_lanes(more, width, rows["high", w])
+        code.run(first_exit, poly, more, code.bits(moving))
+        side = code.read_lanes(more, 3 * width)
+        left = code.call("fabs", side) > 0.0
+        event.set(code.choose(left, side * (w + 1.0), event.get()))
+    until = code.read_lanes(more, 2 * width)
+    for i in range(n):
+        value = series[K][i]
+        for k in range(K - 1, -1, -1):
+            value = code.fma(value, until, series[k][i])
+        rows["z", i] = code.choose(moving, value, columns[i])
+    left = fraction.get() - fraction.get() * until
+    finished = ~(code.call("fabs", event.get()) > 0.0) | (left <= 1e-14)
+    cells.set(code.choose(moving & finished, cells.get() - 1.0, cells.get()))
+    fraction.set(code.choose(finished, code.number(1.0), left))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -12,22 +13,44 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
-from threadline.twin import shape as k
-from threadline.twin.lanes import lanes_kernel
-from threadline.twin.modes import Modes, Plant, new_modes, pack_plant
-from threadline.twin.schedule import Schedule, make_schedule
-from threadline.twin.tables import (
-    ControlTables,
-    PlantTables,
-    control_tables,
-    plant_tables,
-)
+from threadline.twin.kernel import ADVANCE, HEADS, kernel
+from threadline.twin.lanes import CONTEXT, COUNTS, ENDLESS, UNMET
+from threadline.twin.modes import Modes
+from threadline.twin.patterns import shape_of
+from threadline.twin.schedule import TICK, Schedule, make_schedule
+from threadline.twin.shape import AXIS_ROWS, Layout, Shape
+from threadline.twin.tables import ControlTables, PlantTables, control_tables, plant_tables
 
-_CELL_PER_RATE = 0.25
 _WATCH_PER_RATE = 1.0
-_MOST_SLOTS = 64
-_MOST_CELLS = 1 << 20
+_CELL_PER_RATE = 0.5
+_MOST_RATE = float(1 << 20)
+_MOST_PIECES = 1 << 12
 _MOST_MODES = 1 << 20
+_MOST_KINDS = 12
+_LINE = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Steps:
+    """One hyperperiod as a kernel sees it.
+
+    Parameters
+    ----------
+    kinds
+        Distinct lists of actions; an advance is the last of one. Those with a tick come first.
+    kind, length
+        (steps,) which of the kinds, and which of the lengths its advance has.
+    lengths_s
+        Distinct advances.
+    cells
+        (lengths,) pieces of each in which the state is a short Taylor series.
+    """
+
+    kinds: tuple[tuple[tuple[int, int], ...], ...]
+    kind: IntArray
+    length: IntArray
+    lengths_s: tuple[float, ...]
+    cells: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,28 +61,24 @@ class Prepared:
     ----------
     piece, schedule, plant, control
         Equations, instants and tables; every array has the variants first.
+    steps
+        The schedule cut so that guards can be watched.
+    axis_controller
+        (axes,) of the piece.
     shared
         Whether at every tick each controller, one for each axis in order, reads its axis' load.
-    cell_s
-        The shortest advance that is tabulated; a power of two of them make a grid period.
-    halvings
-        That power.
-    intervals
-        Pieces of an advance in which guards are watched.
-    watched
-        Powers of two of a cell that a slow advance may use.
+    rate
+        The fastest rate, 1/s.
     """
 
     piece: PiecewiseLinear
     schedule: Schedule
     plant: PlantTables
     control: ControlTables
+    steps: Steps
     axis_controller: IntArray
     shared: bool
-    cell_s: float
-    halvings: int
-    intervals: int
-    watched: int
+    rate: float
 
     @property
     def columns(self) -> int:
@@ -68,27 +87,24 @@ class Prepared:
         pairs = len(group.controllers) + len(group.axes) + len(group.drives)
         return 2 * pairs + len(group.inputs)
 
-    def shape(self, lanes: int, guards: int, *, peak: bool, quantised: bool) -> k.Shape:
+    def shape(self, lanes: int, width: int, *, peak: bool, quantised: bool) -> Shape:
         """Return the shape of the kernel that runs this piece."""
-        return k.Shape(
-            states=len(self.piece.states),
-            drives=len(self.piece.group.drives),
-            controllers=len(self.piece.group.controllers),
-            axes=len(self.piece.group.axes),
-            guards=guards,
-            checks=1 + 3 * self.intervals,
-            lengths=len(self.schedule.lengths),
+        return shape_of(
+            self.piece,
+            self.plant,
+            self.control,
+            self.axis_controller,
             lanes=lanes,
-            feedback=bool(self.control.denominator[:, :, 0].any()),
-            second=bool(
-                self.control.numerator[:, :, 2].any() or self.control.denominator[:, :, 1].any()
+            width=width,
+            kinds=self.steps.kinds,
+            lengths=len(self.steps.lengths_s),
+            cell=max(
+                self.rate * s / c
+                for s, c in zip(self.steps.lengths_s, self.steps.cells, strict=True)
             ),
             peak=peak,
             quantised=quantised,
             delayed=self.schedule.delayed,
-            limited=bool(np.isfinite(self.control.limit).any()),
-            bodies=len(self.piece.group.bodies),
-            reversal=bool(self.control.zero_on_reversal.all()),
             shared=self.shared,
         )
 
@@ -102,44 +118,60 @@ def prepare(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prepare
         If its clocks do not fit together, it has a rate too fast for its ticks, or too many modes.
     """
     schedule = make_schedule(machine, piece.group)
-    grid_s, longest = float(schedule.grid_s), int(schedule.lengths.max())
-    if longest > _MOST_CELLS:
-        raise MachineError(
-            f"clocks and dead times meet only on a grid of {grid_s:.4g} s, {longest} of which make "
-            f"a tick, limit {_MOST_CELLS}",
-            remedy="Choose clock periods and dead times with a coarser common grid.",
-        )
+    longest_s = float(schedule.grid_s * int(schedule.lengths.max()))
     rate = _fastest_rate(piece)
-    halvings = max(0, int(np.ceil(np.log2(max(grid_s * rate / _CELL_PER_RATE, 1.0)))))
-    if longest << halvings > _MOST_CELLS:
+    plant = plant_tables(piece)
+    guarded = bool(plant.guards.sum())
+    if rate * longest_s > (_MOST_PIECES if guarded else _MOST_RATE):
         raise MachineError(
             f"a part of the machine responds at {rate:.4g} 1/s, too fast for ticks of "
-            f"{grid_s * longest:.4g} s",
+            f"{longest_s:.4g} s",
             remedy="Join bodies whose link is that stiff, or correct parts that are too light.",
         )
-    plant = plant_tables(piece)
     if np.prod(plant.modes, dtype=np.float64) > _MOST_MODES:
         raise MachineError(
             f"limits, belts, play and friction combine to {np.prod(plant.modes)} modes, "
             f"limit {_MOST_MODES}",
             remedy="Leave out those that do not matter.",
         )
-    cell_s = grid_s / 2**halvings
     group, axes = piece.group, machine.axes
     return Prepared(
         piece=piece,
         schedule=schedule,
         plant=plant,
         control=control_tables(machine, piece, values),
+        steps=_steps(schedule, rate if guarded else 0.0),
         axis_controller=np.array(
             [group.controllers.index(axes[a].controller) for a in group.axes],
             dtype=np.int64,
         ),
         shared=_shared(machine, piece),
-        cell_s=cell_s,
-        halvings=halvings,
-        intervals=max(1, int(np.ceil(grid_s * longest * rate / _WATCH_PER_RATE))),
-        watched=1 + max(0, int(np.floor(np.log2(max(_WATCH_PER_RATE / (rate * cell_s), 1.0))))),
+        rate=rate,
+    )
+
+
+def _steps(schedule: Schedule, rate: float) -> Steps:
+    """Cut every advance into equal pieces of at most one period of the fastest rate."""
+    whole = [float(schedule.grid_s * int(x)) for x in schedule.lengths]
+    pieces = [max(1, ceil(rate * s / _WATCH_PER_RATE)) for s in whole]
+    lengths_s = tuple(s / p for s, p in zip(whole, pieces, strict=True))
+    cells = [float(max(1, ceil(rate * s / _CELL_PER_RATE))) for s in lengths_s]
+    bounds = schedule.first_action.tolist()
+    actions = [tuple(a) for a in schedule.actions.tolist()]
+    advance = (ADVANCE, 0)
+    steps: list[tuple[tuple[tuple[int, int], ...], int]] = []
+    for first, last, x in zip(bounds, bounds[1:], schedule.length.tolist(), strict=False):
+        steps.append(((*actions[first:last], advance), x))
+        steps += [((advance,), x)] * (pieces[x] - 1)
+    if len({actions for actions, _ in steps}) > _MOST_KINDS:
+        steps = [((action,), x) for actions, x in steps for action in actions]
+    kinds = sorted({a for a, _ in steps}, key=lambda a: (TICK not in [w for w, _ in a], a))
+    return Steps(
+        kinds=tuple(kinds),
+        kind=np.array([kinds.index(a) for a, _ in steps], dtype=np.int64),
+        length=np.array([x for _, x in steps], dtype=np.int64),
+        lengths_s=lengths_s,
+        cells=np.array(cells),
     )
 
 
@@ -172,159 +204,174 @@ def _fastest_rate(piece: PiecewiseLinear) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class State:
-    """Everything that a kernel changes, for all variants; V is padded to whole blocks of lanes."""
+    """Everything that a kernel changes, for all variants; V is padded to whole blocks of lanes.
 
-    shape: k.Shape
+    Parameters
+    ----------
+    work
+        (blocks, rows, lanes), see ``shape.Layout``.
+    ring
+        (blocks, controllers, K, lanes) levels in the dead times.
+    mode
+        (V,) of each variant.
+    clock
+        (blocks, 3 + 2 controllers), see ``kernel``.
+    counts
+        (blocks, 4), see ``lanes``.
+    """
+
+    shape: Shape
+    layout: Layout
     prepared: Prepared
-    plant: Plant
-    frame: FloatArray
-    kernel: Callable[..., None]
-    numbers: IntArray
+    kernel: Callable[[int, int, int], None]
     modes: Modes
     work: FloatArray
     ring: FloatArray
     mode: IntArray
     clock: IntArray
-    tripped: IntArray
     counts: IntArray
+    frozen: tuple[IntArray, ...]
 
     def run(
         self, begin: int, end: int, references: FloatArray, every: int, window: int,
         records: FloatArray,
     ) -> None:  # fmt: skip
-        """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references."""
-        schedule = self.prepared.schedule
-        self.kernel(
-            begin, end, self.numbers, self.work, self.ring, self.mode, self.clock,
-            schedule.first_action, schedule.actions, schedule.length, references, every, window,
-            self.plant, self.modes, self.frame, self.prepared.control.drive,
-            self.prepared.axis_controller, records, self.tripped, self.counts,
-        )  # fmt: skip
+        """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references.
 
-    def specialised(self) -> State:
-        """Return the same state under a kernel that is compiled for its very shape."""
-        return replace(self, kernel=lanes_kernel(self.shape, fixed=True))
+        Parameters
+        ----------
+        references
+            (ticks, controllers) counts, contiguous.
+        every
+            Ticks from sample to sample, 0 for none.
+        window
+            First tick of which the least and the greatest load are kept.
+        records
+            (blocks, samples, columns, lanes), filled.
+        """
+        kind, length = self.frozen
+        steps, modes = self.prepared.steps, self.modes
+        spans = np.array(steps.lengths_s) / steps.cells
+        known = {
+            "work": self.work, "clock": self.clock, "mode": self.mode, "counts": self.counts,
+            "tables": modes.tables, "plans": modes.plans, "cells": steps.cells, "cell s": spans,
+            "kinds": kind, "lengths": length, "references": references, "records": records,
+            "ring": self.ring,
+        }  # fmt: skip
+        numbers = {
+            "meet": modes.address, "steps": len(kind), "rows": len(references), "every": every,
+            "window": window, "samples": records.shape[1], "ring length": self.ring.shape[2],
+        }  # fmt: skip
+        context = np.array(
+            [known[n].ctypes.data if n in known else numbers[n] for n in CONTEXT], dtype=np.int64
+        )
+        self.kernel(begin, end, context.ctypes.data)
+
+    def failure(self) -> str:
+        """Return why the simulation has no answer, empty when it has one.
+
+        Raises
+        ------
+        MachineError
+            If its modes take too much memory.
+        """
+        if self.counts[:, UNMET].any() and self.modes.failure is not None:
+            raise self.modes.failure
+        if self.counts[:, ENDLESS].any():
+            return "modes change without end"
+        if not np.isfinite(self.work[:, : self.shape.states]).all():
+            return "the motion grows without bound"
+        return ""
 
     def measures(self) -> FloatArray:
-        """Return (V, axes, 5): see the rows of an axis in ``lanes``."""
-        at, lanes = self.shape.layout()["measure"], self.shape.lanes
-        part = self.work.reshape(len(self.work), -1, lanes)[:, at : at + 5 * self.shape.axes]
-        parted = part.reshape(len(self.work), self.shape.axes, 5, lanes)
-        table = np.ascontiguousarray(parted.transpose(0, 3, 1, 2).reshape(-1, self.shape.axes, 5))
+        """Return (V, axes, 5): worst error, least, greatest and last load, and the scale."""
+        rows = [[self.layout[name, x] for name in AXIS_ROWS] for x in range(len(self.shape.axes))]
+        part = self.work[:, rows]
+        table = part.transpose(0, 3, 1, 2).reshape(-1, len(rows), len(AXIS_ROWS)).copy()
         if self.shape.shared:
-            table[:, :, k.WORST] *= table[:, :, k.SCALE]
+            table[:, :, 0] *= table[:, :, AXIS_ROWS.index("scale")]
         return table
 
     def peaks(self) -> FloatArray:
         """Return (V, drives): the current of largest magnitude."""
-        at, lanes = self.shape.layout()["peak"], self.shape.lanes
-        part = self.work.reshape(len(self.work), -1, lanes)[:, at : at + self.shape.drives]
-        return np.ascontiguousarray(part.transpose(0, 2, 1).reshape(-1, self.shape.drives))
+        rows = [self.layout["peak", d] for d in range(len(self.shape.drives))]
+        return self.work[:, rows].transpose(0, 2, 1).reshape(-1, len(rows)).copy()
 
 
-def common_guards(pieces: tuple[Prepared, ...]) -> int:
-    """Return how many guards the kernels of all pieces have: pieces of one size share a kernel."""
-    most = max(int(piece.plant.guards.sum()) for piece in pieces)
-    return most if most < 2 else 2 * -(-most // 2)
+def aligned(shape: tuple[int, ...]) -> FloatArray:
+    """Return zeros that begin at a cache line: a vector that straddles two costs twice."""
+    count = int(np.prod(shape))
+    room = np.zeros(8 * count + _LINE, dtype=np.uint8)
+    first = -room.ctypes.data % _LINE
+    return room[first : first + 8 * count].view(np.float64).reshape(shape)
 
 
 def new_state(
-    machine: Machine,
-    prepared: Prepared,
-    phases: FloatArray,
-    lanes: int,
-    guards: int,
-    *,
-    peak: bool = True,
-    quantised: bool = True,
-    fixed: bool = False,
-    slots: int = _MOST_SLOTS,
-) -> State:
+    machine: Machine, prepared: Prepared, phases: FloatArray, lanes: int, width: int, *,
+    peak: bool = True, quantised: bool = True,
+) -> State:  # fmt: skip
     """Return the state at the start: at rest, nothing commanded.
 
     Parameters
     ----------
     phases
         (variants, controllers) of the encoders, in [0, 1).
-    lanes
-        Variants side by side in one block.
-    guards
-        Guards that the kernel has room for, see ``common_guards``.
-    fixed
-        Whether to compile for this very shape.
-    slots
-        Modes remembered per variant.
+    lanes, width
+        Variants in one block, and in one vector.
     """
-    shape = prepared.shape(lanes, guards, peak=peak, quantised=quantised)
-    variants = prepared.piece.variants
+    shape = prepared.shape(lanes, width, peak=peak, quantised=quantised)
+    layout = Layout(shape)
+    variants, steps = prepared.piece.variants, prepared.steps
     blocks = -(-variants // lanes)
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
-    schedule = prepared.schedule
-    modes = new_modes(
-        prepared.plant,
-        len(which),
-        slots=min(slots, int(np.prod(prepared.plant.modes))),
-        guards=guards,
-        lengths=schedule.lengths << prepared.halvings,
-        parts=prepared.intervals,
-        watched=prepared.watched,
-        cell_s=prepared.cell_s,
-    )
-    layout = shape.layout()
-    work = np.zeros((blocks, layout["rows"], lanes))
+    modes = Modes(prepared.plant, which, layout, steps.lengths_s, prepared.rate)
+    work = aligned((blocks, layout.rows, lanes))
 
-    def put(row: int, values: FloatArray) -> None:
-        work[:, row] = np.broadcast_to(values, (variants,))[which].reshape(blocks, lanes)
+    def put(name: tuple[object, ...], values: FloatArray) -> None:
+        full = np.broadcast_to(values, (variants,))[which]
+        work[:, layout[name]] = full.reshape(blocks, lanes)
 
-    put(layout["z"] + prepared.plant.base.shape[2] - 1, np.ones(1))
     control = prepared.control
-    for c in range(shape.controllers):
-        o = layout["control"] + 18 * c
+    for c in range(len(shape.controllers)):
         for row, values in (
-            (k.B0, control.numerator[:, c, 0]),
-            (k.B1, control.numerator[:, c, 1]),
-            (k.B2, control.numerator[:, c, 2]),
-            (k.A1, control.denominator[:, c, 0]),
-            (k.A2, control.denominator[:, c, 1]),
-            (k.LOW, control.level_low[:, c]),
-            (k.HIGH, control.level_high[:, c]),
-            (k.VOLT, control.volt_per_level[:, c]),
-            (k.GAIN, control.volt_per_level[:, c] * control.gain[:, c]),
-            (k.LIMIT, control.limit[:, c]),
-            (k.PHASE, phases[:, c]),
-            (k.ZERO, np.full(1, float(control.zero_on_reversal[c]))),
+            ("b0", control.numerator[:, c, 0]),
+            ("b1", control.numerator[:, c, 1]),
+            ("b2", control.numerator[:, c, 2]),
+            ("a1", control.denominator[:, c, 0]),
+            ("a2", control.denominator[:, c, 1]),
+            ("level low", control.level_low[:, c]),
+            ("level high", control.level_high[:, c]),
+            ("volt", control.volt_per_level[:, c]),
+            ("gain", control.volt_per_level[:, c] * control.gain[:, c]),
+            ("limit", control.limit[:, c]),
+            ("phase", phases[:, c]),
         ):
-            put(o + row, values)
-        for i in range(shape.bodies):
-            put(layout["sensor"] + c * shape.bodies + i, control.sensor_row[:, c, i])
+            put((row, c), values)
+        for j in shape.controllers[c].sensor:
+            put(("sensor", c, j), control.sensor_row[:, c, j])
     for x, axis in enumerate(prepared.piece.group.axes):
-        o = layout["measure"] + 5 * x
-        put(o + k.LOWEST, np.full(1, np.inf))
-        put(o + k.HIGHEST, np.full(1, -np.inf))
-        put(o + k.SCALE, np.full(1, 1.0 / machine.axes[axis].counts.si))
-        for i in range(shape.bodies):
-            put(layout["load"] + x * shape.bodies + i, prepared.piece.load_rows[:, x, i])
-    clock = np.zeros((blocks, k.HEADS + 2 * shape.controllers), dtype=np.int64)
-    clock[:, k.HEADS :: 2] = schedule.in_flight
+        put(("lowest", x), np.full(1, np.inf))
+        put(("highest", x), np.full(1, -np.inf))
+        put(("scale", x), np.full(1, 1.0 / machine.axes[axis].counts.si))
+        for j in shape.axes[x].load:
+            put(("load", x, j), prepared.piece.load_rows[:, x, j])
+        for j in shape.axes[x].frame:
+            put(("frame", x, j), prepared.piece.frame_rows[:, x, j])
+    first = modes.meet(0)[:, : layout.of_mode]
+    work[:, layout.fixed :] = first.reshape(blocks, lanes, -1).transpose(0, 2, 1)
+    clock = np.zeros((blocks, HEADS + 2 * len(shape.controllers)), dtype=np.int64)
+    clock[:, HEADS::2] = prepared.schedule.in_flight
+    longest = int(prepared.schedule.in_flight.max(initial=0)) + 2
     return State(
         shape=shape,
+        layout=layout,
         prepared=prepared,
-        plant=pack_plant(prepared.plant, which),
-        frame=np.ascontiguousarray(prepared.piece.frame_rows[which]),
-        kernel=lanes_kernel(shape, fixed=fixed),
-        numbers=np.array(shape.numbers()),
+        kernel=kernel(shape),
         modes=modes,
-        work=work.reshape(blocks, -1),
-        ring=np.zeros(
-            (
-                blocks,
-                shape.controllers,
-                int(schedule.in_flight.max(initial=0)) + 2,
-                lanes,
-            )
-        ),
-        mode=np.full((blocks, lanes), -1, dtype=np.int64),
+        work=work,
+        ring=aligned((blocks, len(shape.controllers), longest, lanes)),
+        mode=np.zeros(blocks * lanes, dtype=np.int64),
         clock=clock,
-        tripped=np.zeros((len(which), len(prepared.piece.group.inputs)), dtype=np.int64),
-        counts=np.zeros((blocks, 5), dtype=np.int64),
+        counts=np.zeros((blocks, COUNTS), dtype=np.int64),
+        frozen=(np.ascontiguousarray(steps.kind), np.ascontiguousarray(steps.length)),
     )

@@ -1,103 +1,168 @@
-"""What a kernel is compiled for, and where each number lies in its workspace."""
+"""What a kernel is written for, and where each number lies in its workspace.
+
+The workspace of a block of variants ("lanes") is rows of ``lanes`` numbers, so that one vector
+instruction serves several variants. Only entries of matrices that can differ from zero (and,
+on the diagonal of a propagator, from one) have rows.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+Pattern = tuple[int, ...]
+"""Columns of a row that may differ from zero."""
+
+
+class ControllerShape(NamedTuple):
+    """What of a controller is fixed when its kernel is written."""
+
+    drive: int
+    sensor: Pattern
+    feedback: bool  # it uses its earlier outputs
+    second: bool  # it looks two ticks back
+    reversal: bool  # a zero tick where its level changes sign
+    limited: bool  # its drive's input has a limit of its own
+
+
+class AxisShape(NamedTuple):
+    """What of an axis is fixed."""
+
+    controller: int
+    load: Pattern
+    frame: Pattern
+
+
+class GuardShape(NamedTuple):
+    """What of a guard is fixed."""
+
+    row: Pattern
+    bounded_below: bool
+    bounded_above: bool
+
 
 class Shape(NamedTuple):
-    """What a kernel is compiled for."""
+    """Everything that a kernel is written for; columns are states, drives' inputs and 1."""
 
-    states: int
-    drives: int
-    controllers: int
-    axes: int
-    guards: int
-    checks: int  # rows per guard
-    lengths: int
     lanes: int
-    feedback: bool  # controllers use their earlier outputs
-    second: bool  # controllers look two ticks back
+    width: int
+    matrix: tuple[Pattern, ...]  # of the derivative, one for each state, of all modes together
+    drives: tuple[Pattern, ...]  # of their currents
+    controllers: tuple[ControllerShape, ...]
+    axes: tuple[AxisShape, ...]
+    guards: tuple[GuardShape, ...]
+    inputs: int  # limit switches
+    lengths: int  # distinct advances
+    terms: int  # of Taylor's series over a cell
+    sections: int  # of a cell in which guards are looked at one after the other
     peak: bool  # currents are watched
     quantised: bool
     delayed: bool  # some command is under way longer than no time
-    limited: bool  # some drive's input has a limit of its own
-    bodies: int  # the first states are their coordinates: all that sensors and loads look at
-    reversal: bool  # every controller puts a zero tick where its level changes sign
     shared: bool  # every tick each controller reads just what is its axis' load
+    kinds: tuple[tuple[tuple[int, int], ...], ...]  # the actions of each kind of step
 
-    def layout(self) -> dict[str, int]:
-        """Return where each part of the workspace begins, in rows of ``lanes`` floats."""
-        n, size = self.states, self.states + self.drives + 1
-        k, a, d = self.controllers, self.axes, self.drives
-        parts = {
-            "z": size,
-            "next": n,
-            "control": 18 * k,
-            "sensor": self.bodies * k,
-            "measure": 5 * a,
-            "load": self.bodies * a,
-            "peak": d,
-            "current": d * size,
-            "low": self.guards,
-            "high": self.guards,
-            "matrix": self.lengths * n * size,
-            "watch": self.lengths * self.guards * self.checks * size,
-        }
-        offsets, at = {}, 0
-        for name, rows in parts.items():
-            offsets[name] = at
-            at += rows
-        offsets["rows"] = at
-        return offsets
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.matrix)
 
-    def numbers(self) -> tuple[int, ...]:
-        """Return all that a kernel has to know, as integers: sizes, switches, places."""
-        at = self.layout()
-        names = ("next", "control", "sensor", "measure", "load", "peak", "current", "low", "high")
-        return (
-            self.states,
-            self.drives,
-            self.controllers,
-            self.axes,
-            self.guards,
-            self.checks,
-            self.lengths,
-            int(self.feedback),
-            int(self.second),
-            int(self.peak),
-            int(self.quantised),
-            int(self.delayed),
-            int(self.limited),
-            self.bodies,
-            int(self.reversal),
-            int(self.shared),
-            *(at[name] for name in (*names, "matrix", "watch")),
-        )
+    @property
+    def columns(self) -> int:
+        """States, inputs and the constant."""
+        return self.states + len(self.drives) + 1
+
+    def reach(self) -> tuple[tuple[Pattern, ...], tuple[bool, ...]]:
+        """Return the pattern of a propagator's rows, and which have 1 on the diagonal exactly.
+
+        Entry (i, j) of ``exp(A t)`` differs from zero only where a chain of entries of A leads
+        from i to j; entry (i, i) is 1 where no chain leads back.
+        """
+        found = [set(row) for row in self.matrix]
+        for k in range(self.states):
+            found = [row | found[k] if k in row else row for row in found]
+        unit = tuple(i not in row for i, row in enumerate(found))
+        return tuple(tuple(sorted(row)) for row in found), unit
+
+    def points(self) -> tuple[Pattern, ...]:
+        """Return the patterns of the guards' inner Bezier points."""
+        found = []
+        for guard in self.guards:
+            rates = (self.matrix[j] for j in guard.row if j < self.states)
+            found.append(tuple(sorted(set(guard.row).union(*rates))))
+        return tuple(found)
 
 
-# Rows of a controller in the workspace.
-(
-    E1,
-    E2,
-    O1,
-    O2,
-    LEVEL,
-    B0,
-    B1,
-    B2,
-    A1,
-    A2,
-    LOW,
-    HIGH,
-    VOLT,
-    GAIN,
-    LIMIT,
-    PHASE,
-    ZERO,
-    HELD,
-) = range(18)
-# Rows of an axis: largest |commanded - load|, least and greatest load of the window, last, scale.
-WORST, LOWEST, HIGHEST, LAST, SCALE = range(5)
-# Entries of ``clock``, before the heads of the dead times (written, read).
-STEP, UNTIL_SAMPLE, TICK, HEADS = 0, 1, 2, 3
+CONTROLLER_ROWS = (
+    "e1", "e2", "o1", "o2", "level", "held",
+    "b0", "b1", "b2", "a1", "a2", "level low", "level high", "volt", "gain", "limit", "phase",
+)  # fmt: skip
+"""Errors and outputs one and two ticks ago, level, level that has arrived; then its numbers."""
+AXIS_ROWS = ("worst", "lowest", "highest", "last", "scale")
+"""Largest |commanded - load|, least and greatest load of the window, last load, units per count."""
+
+
+class Layout:
+    """Rows of the workspace by name; the rows of a mode come last, one run of numbers."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.row: dict[tuple[object, ...], int] = {}
+        self.shape = shape
+        n, size = shape.states, shape.columns
+        for i in range(size - 1):
+            self._add("z", i)
+        if shape.guards:
+            for i in range(n):
+                self._add("old", i)
+        for c, controller in enumerate(shape.controllers):
+            for name in CONTROLLER_ROWS:
+                self._add(name, c)
+            for j in controller.sensor:
+                self._add("sensor", c, j)
+        for x, axis in enumerate(shape.axes):
+            for name in AXIS_ROWS:
+                self._add(name, x)
+            for j in axis.load:
+                self._add("load", x, j)
+            for j in axis.frame:
+                self._add("frame", x, j)
+        for d in range(len(shape.drives)):
+            self._add("peak", d)
+        for s in range(shape.inputs):
+            self._add("tripped", s)
+        self.fixed = len(self.row)
+        reach, _ = shape.reach()
+        for w in range(len(shape.guards)):
+            self._add("low", w)
+            self._add("high", w)
+        for w, guard in enumerate(shape.guards):
+            for j in guard.row:
+                self._add("guard", w, j)
+        for d, pattern in enumerate(shape.drives):
+            for j in pattern:
+                self._add("current", d, j)
+        self.first_length = len(self.row)
+        for i, pattern in enumerate(reach):
+            for j in pattern:
+                self._add("step", i, j)
+        for w, point in enumerate(shape.points()):
+            for j in point:
+                self._add("leaving", w, j)
+                self._add("arriving", w, j)
+        self.per_length = len(self.row) - self.first_length
+        self.later_lengths = self.first_length + shape.lengths * self.per_length
+        self.rows = self.later_lengths
+        if shape.guards:
+            for i, pattern in enumerate(shape.matrix):
+                for j in pattern:
+                    self.row["matrix", i, j] = self.rows
+                    self.rows += 1
+
+    def _add(self, *name: object) -> None:
+        self.row[name] = len(self.row)
+
+    def __getitem__(self, name: tuple[object, ...]) -> int:
+        return self.row[name]
+
+    @property
+    def of_mode(self) -> int:
+        """Rows that change with the mode."""
+        return self.rows - self.fixed

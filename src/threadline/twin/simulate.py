@@ -21,13 +21,10 @@ from threadline.signals import (
     Stream,
     TickTable,
 )
-from threadline.twin.events import ENDLESS
-from threadline.twin.prepare import Prepared, State, common_guards, new_state, prepare
+from threadline.twin.prepare import Prepared, State, new_state, prepare
 
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
-_LONG_TICKS = 20_000_000
-"""After so many a kernel of the machine's own shape is worth its compilation."""
 
 
 def simulate(
@@ -38,7 +35,6 @@ def simulate(
     record_every: int = 1,
     settle_s: float = DEFAULT_SETTLE_S,
     quantised: bool = True,
-    specialised: bool | None = None,
 ) -> Recording:
     """Simulate ``machine`` under ``commands``; nothing runs until the recording is read.
 
@@ -63,9 +59,6 @@ def simulate(
         How long to go on after the last row.
     quantised
         False leaves out the rounding of encoders and DACs (not their limits): for comparisons.
-    specialised
-        Whether to compile the kernel for a machine of this very shape: it takes some seconds and
-        is about three times as fast. None does so when a run has become long.
 
     Raises
     ------
@@ -81,7 +74,7 @@ def simulate(
     pieces = tuple(
         prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
     )
-    run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised, specialised)
+    run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised)
     return Recording(
         channels=run.channels(),
         blocks=Stream(run.blocks),
@@ -125,9 +118,7 @@ class _Run:
         every: int,
         settle_s: float,
         quantised: bool,
-        specialised: bool | None,
     ) -> None:
-        self.specialised = specialised
         self.commands, self.machine, self.pieces = commands, machine, pieces
         self.phases = dict(zip(machine.axis_names, phases, strict=True))
         self.every, self.quantised = every, quantised
@@ -165,17 +156,12 @@ class _Run:
         return tuple(found)
 
     def blocks(self) -> Iterator[RecordingBlock]:
-        guards = common_guards(self.pieces)
         states = [
-            new_state(self.machine, p, self._phases(p), 1, guards, quantised=self.quantised)
+            new_state(self.machine, p, self._phases(p), 1, 1, quantised=self.quantised)
             for p in self.pieces
         ]
         start = self.commands.start_counts
-        long = False
         for tick, position, operation, events in self._rows():
-            if not long and (tick > _LONG_TICKS if self.specialised is None else self.specialised):
-                long = True
-                states = [state.specialised() for state in states]
             columns = []
             first = -(-tick // self.every)
             count = -(-(tick + len(position)) // self.every) - first
@@ -227,9 +213,8 @@ class _Run:
             references[:, controller] = travelled[:, names.index(axis)]
         records = np.zeros((1, count, state.prepared.columns, 1))
         state.run(0, 1, references, self.every, 0, records)
-        endless = bool(state.counts[:, ENDLESS].any())
-        if endless or not np.isfinite(state.work[0, : state.shape.states]).all():
-            why = "modes change without end" if endless else "the motion grows without bound"
+        why = state.failure()
+        if why:
             raise MachineError(
                 f"axes {', '.join(group.axes)}: the simulation has no answer, {why}",
                 remedy="Check stiffness, friction and gains in the machine file.",

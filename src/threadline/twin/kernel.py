@@ -1,0 +1,209 @@
+"""The kernel: one connected piece under its controllers, tick by tick, many variants side by side.
+
+It is written for the shape of the piece and compiled at once, in a few hundredths of a second:
+sizes, the pattern of every matrix and the actions of every kind of step are known to the compiler,
+the numbers are not. With one lane it is the kernel of a single machine: scalar and batch run the
+same operations in the same order, so that they agree to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import CFUNCTYPE, c_int64, c_void_p
+from functools import cache, partial
+from threading import Lock
+from typing import Any
+
+from llvmlite import ir
+
+from threadline.twin.code import INTEGER, POINTER, Code, Compiler, Value
+from threadline.twin.events import write_change, write_events, write_first_exit
+from threadline.twin.lanes import COUNTS, Context, Lanes
+from threadline.twin.schedule import ARRIVE, CONTROL, TICK
+from threadline.twin.shape import Layout, Shape
+from threadline.twin.tick import (
+    write_actions,
+    write_advance,
+    write_loads,
+    write_sample,
+    write_worst,
+)
+
+STEP, UNTIL_SAMPLE, NOW, HEADS = 0, 1, 2, 3
+"""Entries of ``clock``, before the heads of the dead times (written, read)."""
+
+_lock = Lock()
+
+
+@cache
+def _compiler() -> Compiler:
+    return Compiler()
+
+
+def kernel(shape: Shape) -> Any:
+    """Return the kernel for a shape: a function of first and last block, and the context."""
+    with _lock:
+        return _kernel(shape)
+
+
+@cache
+def _kernel(shape: Shape) -> Any:
+    module = ir.Module("kernel")
+    layout = Layout(shape)
+    events = None
+    if shape.guards:
+        change = write_change(module, layout)
+        events = write_events(module, layout, change, write_first_exit(module, layout))
+    _write_run(module, layout, events)
+    address = _compiler().address(module, "run")
+    return CFUNCTYPE(None, c_int64, c_int64, c_void_p)(address)
+
+
+class _Run:
+    """What the pieces of the outermost function share while it is written."""
+
+    def __init__(self, code: Code, layout: Layout, events: Any, array: Value) -> None:
+        self.code, self.layout, self.shape, self.events = code, layout, layout.shape, events
+        self.array, self.context = array, Context(code, array)
+        self.references = self.context.pointer("references")
+        self.rows = self.context.integer("rows")
+        self.every = self.context.integer("every")
+        self.window = self.context.integer("window")
+
+    def block(self, b: Value) -> None:
+        """Set what belongs to block b."""
+        code, shape, context = self.code, self.shape, self.context
+        K, lanes = len(shape.controllers), shape.lanes
+        self.b = b
+        self.work = code.place(context.pointer("work"), b * (self.layout.rows * lanes))
+        self.clock = code.place(context.pointer("clock"), b * (HEADS + 2 * K), INTEGER)
+        self.counts = code.place(context.pointer("counts"), b * COUNTS, INTEGER)
+        self.row = code.variable(INTEGER, 0)
+        self.taken = code.variable(INTEGER, 0)
+
+    def over_lanes(self, write: Callable[[Value, Lanes], None], length: Value | None) -> None:
+        """Write a loop over the lanes of the block."""
+        shape = self.shape
+        if shape.lanes == shape.width:
+            lane = self.code.integer(0)
+            write(lane, Lanes(self.code, self.layout, self.work, length))
+            return
+        with self.code.count(0, shape.lanes, shape.width) as lane:
+            base = self.code.place(self.work, lane)
+            write(lane, Lanes(self.code, self.layout, base, length))
+
+    def tick(self) -> None:
+        """Write what comes before the actions of a tick: loads, sample, the next row."""
+        code, shape, row = self.code, self.shape, self.row
+        now = code.read(self.clock, NOW, INTEGER)
+        in_window = now >= self.window
+        with code.when_seldom(in_window | (row.get() + 1 >= self.rows)):
+            self.over_lanes(lambda _, rows: write_loads(rows, in_window), None)
+        code.write(self.clock, NOW, now + 1, INTEGER)
+        row.set(row.get() + 1)
+        with code.when_seldom(self.every > 0):
+            until = code.variable(INTEGER, code.read(self.clock, UNTIL_SAMPLE, INTEGER))
+            with code.when(until.get().equals(0)):
+                columns = 2 * (len(shape.controllers) + len(shape.axes) + len(shape.drives))
+                size = (columns + shape.inputs) * shape.lanes
+                index = self.b * self.context.integer("samples") + self.taken.get()
+                out = code.place(self.context.pointer("records"), index * size)
+                self.over_lanes(lambda at, rows: write_sample(rows, code.place(out, at)), None)
+                self.taken.set(self.taken.get() + 1)
+                until.set(self.every)
+            code.write(self.clock, UNTIL_SAMPLE, until.get() - 1, INTEGER)
+
+    def sent(self, actions: tuple[tuple[int, int], ...]) -> dict[tuple[int, int], Value]:
+        """Return the places in the dead times that these actions use, and move on there."""
+        code, shape = self.code, self.shape
+        found: dict[tuple[int, int], Value] = {}
+        if not shape.delayed:
+            return found
+        ring, size = self.context.pointer("ring"), self.context.integer("ring length")
+        for what, c in actions:
+            if what not in (CONTROL, ARRIVE):
+                continue
+            at = HEADS + 2 * c + (what == ARRIVE)
+            head = code.read(self.clock, at, INTEGER)
+            place = ((self.b * len(shape.controllers) + c) * size + head) * shape.lanes
+            found[what, c] = code.place(ring, place)
+            after = head + 1
+            wrapped = code.choose(after >= size, code.integer(0), after)
+            code.write(self.clock, at, wrapped, INTEGER)
+        return found
+
+    def step(self, actions: tuple[tuple[int, int], ...], length: Value) -> None:
+        """Write a step of one kind; a length below zero is no advance."""
+        code, shape = self.code, self.shape
+        ticks = any(what == TICK for what, _ in actions)
+        advances = (ADVANCE, 0) in actions
+        if ticks:
+            self.tick()
+        K = len(shape.controllers)
+        at = (self.row.get() - 1) * K
+        used = {c for what, c in actions if what == CONTROL}
+        if ticks and not shape.shared:
+            used |= {axis.controller for axis in shape.axes}
+        scalars = {c: code.read(self.references, at + c) for c in sorted(used)}
+        sent = self.sent(actions)
+
+        def write(lane: Value, rows: Lanes) -> None:
+            references = [
+                Value(code, code.lift(scalars[c], code.vector)) if c in scalars else lane
+                for c in range(K)
+            ]
+            if ticks and not shape.shared:
+                write_worst(rows, references)
+            places = {key: code.place(base, lane) for key, base in sent.items()}
+            write_actions(rows, actions, references, places)
+            if advances:
+                variant = self.b * shape.lanes + lane
+                call = [self.work, lane, variant, length, self.counts, self.array]
+                write_advance(rows, self.events, call)
+
+        self.over_lanes(write, length)
+
+
+ADVANCE = 3
+"""Beside the actions of ``schedule``: the advance to the next instant."""
+
+
+def _write_run(module: ir.Module, layout: Layout, events: Any) -> None:
+    shape = layout.shape
+    code = Code(module, "run", (INTEGER, INTEGER, POINTER), shape.width, False)
+    begin, end, array = code.arguments
+    run = _Run(code, layout, events, array)
+    kinds, lengths = run.context.pointer("kinds"), run.context.pointer("lengths")
+    steps = run.context.integer("steps")
+    with code.count(begin, end) as b:
+        run.block(b)
+        step = code.variable(INTEGER, code.read(run.clock, STEP, INTEGER))
+        with code.loop() as leave:
+            kind = code.read(kinds, step.get(), INTEGER)
+            starts = [i for i, k in enumerate(shape.kinds) if any(w == TICK for w, _ in k)]
+            over = run.row.get() >= run.rows
+            is_tick = kind < len(starts)
+            assert starts == list(range(len(starts)))
+            leave(over & is_tick)
+            length = code.read(lengths, step.get(), INTEGER)
+            _switch(code, kind, [partial(run.step, k, length) for k in shape.kinds])
+            after = step.get() + 1
+            step.set(code.choose(after >= steps, code.integer(0), after))
+        code.write(run.clock, STEP, step.get(), INTEGER)
+    code.finish()
+
+
+def _switch(code: Code, which: Value, cases: list[Callable[[], None]]) -> None:
+    if len(cases) == 1:
+        cases[0]()
+        return
+    blocks = [code.at.append_basic_block(f"kind{i}") for i in range(len(cases))]
+    after = code.at.append_basic_block("after")
+    choice = code.at.switch(which.ir, blocks[0])
+    for i, (block, case) in enumerate(zip(blocks, cases, strict=True)):
+        if i:
+            choice.add_case(ir.Constant(INTEGER, i), block)
+        code.at.position_at_end(block)
+        case()
+        code.at.branch(after)
+    code.at.position_at_end(after)
