@@ -10,6 +10,9 @@ names it. With ``e`` the error at this tick and ``e'`` the one before:
 ``pid``   ``u = u' + kp (e - e') + ki e + kd (e - 2 e' + e'')``
 ``lead``  ``u = K (e - A e') - B u'``, the motion chip's filter ``K (z - A) / (z + B)``
 ========  =======================================================================
+
+``proportional-velocity`` is another mode of that chip: ``u = K (r - r' - (y - y'))``, the gain
+alone on the speed in counts per tick; the same as ``K (e - e')``.
 """
 
 from __future__ import annotations
@@ -98,8 +101,21 @@ class LeadController:
         return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class VelocityController:
+    """The motion chip's proportional velocity control: the gain alone, on counts per tick."""
+
+    kind: Literal["proportional-velocity"]
+    clock: str
+    sensor: str
+    drive: str
+    gain: Gain
+    dac: Dac
+    reference_clock: str | None = None
+
+
 Controller = Annotated[
-    PController | PiController | PdController | PidController | LeadController,
+    PController | PiController | PdController | PidController | LeadController | VelocityController,
     Field(discriminator="kind"),
 ]
 Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]

@@ -55,11 +55,26 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Eccentric:
+    """A gear off its shaft's centre: the play is ``play + width cos(angle)``.
+
+    ``angle`` weighs coordinates into the gear's angle in rad, ``phase`` is that angle where the
+    machine starts; ``width`` is the amplitude by which the full width varies.
+    """
+
+    angle: dict[str, Annotated[Quantity, Units(("", "rad/m"))]] = Field(min_length=1)
+    width: Annotated[Quantity, Units(("m", "rad"), positive=True)]
+    phase: Annotated[Quantity, Units(("rad",))]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Link:
     """A spring and damper whose stretch is ``sum(coefficient * coordinate)``.
 
-    With ``preload`` the link is a belt: each of its two runs carries half the stiffness and
-    falls slack once its tension is gone. ``play`` is the full width of a dead band.
+    With ``preload`` the link is a belt: each of its two runs carries its share of the stiffness
+    and falls slack once its tension is gone; ``first_run`` is the share of the run that a positive
+    stretch tightens, a half when left out. ``play`` is the full width of a dead band, and
+    ``eccentric`` lets it vary with the angle of a gear.
     """
 
     stretch: dict[str, Coefficient] = Field(min_length=1)
@@ -67,16 +82,33 @@ class Link:
     damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
     preload: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
     play: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
+    first_run: Annotated[Quantity, Units(("",), positive=True)] | None = None
+    eccentric: Eccentric | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Link:
+        if self.first_run is not None and not (self.preload and self.first_run.si < 1.0):
+            raise ValueError("first_run is a share between 0 and 1, of a belt with a preload")
+        if self.eccentric is not None and (
+            self.play is None or self.eccentric.width.si > self.play.si
+        ):
+            raise ValueError("an eccentric gear needs a play at least as wide as it varies")
+        return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Amplifier:
-    """Turns the controller's volts into motor volts (mode voltage) or amperes (mode current)."""
+    """Turns the controller's volts into motor volts (mode voltage) or amperes (mode current).
+
+    ``limits`` says what the current limit holds of a motor with inductance: the current itself
+    (``state``), or what is taken from an integrator that runs on beyond it (``output``).
+    """
 
     mode: Literal["voltage", "current"]
     gain: Annotated[Quantity, Units(("", "A/V"), positive=True)]
     voltage_limit: Annotated[Quantity, Units(("V",), positive=True)] | None = None
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
+    limits: Literal["state", "output"] = "state"
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:

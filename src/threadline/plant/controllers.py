@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, read_only
 from threadline.machine import Machine
-from threadline.machine.controllers import LeadController, PController, PiController
+from threadline.machine.controllers import (
+    LeadController,
+    PController,
+    PiController,
+    VelocityController,
+)
 from threadline.machine.parts import PdController
 from threadline.plant.values import Values
 
@@ -85,6 +90,10 @@ def difference_equation(
         numerator[:, 0] = gain
         numerator[:, 1] = -np.asarray(gain) * values.at(f"{path}.zero", controller.zero)
         denominator[:, 0] = values.at(f"{path}.pole", controller.pole)
+        return numerator, denominator
+    if isinstance(controller, VelocityController):
+        numerator[:, 0] = values.at(f"{path}.gain", controller.gain)
+        numerator[:, 1] = -numerator[:, 0]
         return numerator, denominator
     kp = np.asarray(values.at(f"{path}.kp", controller.kp))
     if isinstance(controller, PController):

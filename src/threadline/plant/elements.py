@@ -141,23 +141,27 @@ def belt(
     direction: FloatArray,
     spring: FloatArray,
     preload: FloatArray,
+    first: FloatArray,
 ) -> Element:
-    """Return a preloaded belt of two equal runs, each of which pulls only while it is tight.
+    """Return a preloaded belt of two runs, each of which pulls only while it is tight.
 
-    The force is ``max(0, P + s/2) - max(0, P - s/2)`` with ``s`` the force of the linear spring
-    and damper: continuous, and with half the stiffness once a run is slack.
+    The force is ``max(0, P + a s) - max(0, P - (1 - a) s)`` with ``s`` the force of the linear
+    spring and damper: continuous, and with the stiffness of one run once the other is slack.
+    The stitcher thesis, appendix C, has ``k1`` (the short run) and ``k2`` (the long way round).
 
     Parameters
     ----------
     spring
-        (variants, N): the linear law ``k stretch + c stretch'``.
+        (variants, N): the linear law ``k stretch + c stretch'`` of both runs together.
     preload
         (variants,) tension of each run at rest, N.
+    first
+        (variants,) share ``a`` of the run that a positive stretch tightens.
     """
-    half = 0.5 * spring
-    upper, lower = half.copy(), half.copy()
+    upper, lower = first[:, None] * spring, (1.0 - first)[:, None] * spring
     upper[:, -1] += preload
     lower[:, -1] -= preload
+    slack, tight = -preload / first, preload / (1.0 - first)
     return Element(
         name=name,
         direction=direction,
@@ -165,10 +169,10 @@ def belt(
             Mode(
                 name="tight",
                 law=spring,
-                guards=(Guard(row=half, low=-preload, high=preload, low_to=2, high_to=1),),
+                guards=(Guard(row=spring, low=slack, high=tight, low_to=2, high_to=1),),
             ),
-            Mode(name="stretched", law=upper, guards=(Guard(row=half, low=preload, low_to=0),)),
-            Mode(name="slackened", law=lower, guards=(Guard(row=half, high=-preload, high_to=0),)),
+            Mode(name="stretched", law=upper, guards=(Guard(row=spring, low=tight, low_to=0),)),
+            Mode(name="slackened", law=lower, guards=(Guard(row=spring, high=slack, high_to=0),)),
         ),
     )
 
@@ -261,7 +265,8 @@ def motor(
         Of a current amplifier with a supply limit: the current at the upper and at the lower
         limit of the supply, each with its sign (+1, -1); empty otherwise.
     state
-        Index of the current in the state, -1 when the motor has no inductance.
+        Index of the current in the state, -1 when the motor has no inductance or its current
+        is limited behind the state, which then runs on.
     net_scale
         (variants,) turns the derivative of that state into volts.
     switches

@@ -15,8 +15,10 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import MachineError, Place
 from threadline.machine import Machine
+from threadline.machine.parts import Eccentric
 from threadline.machine.quantity import Quantity
 from threadline.plant import elements as el
+from threadline.plant.eccentric import Band, eccentric_play, pieces_needed
 from threadline.plant.linear import StateSpace
 from threadline.plant.parts import Group, connected_groups
 from threadline.plant.values import Values
@@ -226,15 +228,37 @@ class _Builder:
             )
         if link.preload is not None:
             preload = self._value(f"{path}.preload", link.preload)
-            self.elements.append(el.belt(path, direction, spring, preload))
+            first = self._value(f"{path}.first_run", link.first_run)
+            if link.first_run is None:
+                first = np.full(self.count, 0.5)
+            self.elements.append(el.belt(path, direction, spring, preload, first))
         elif link.play is not None:
             width = self._value(f"{path}.play", link.play)
-            damped = bool((damping > 0).any())
-            self.elements.append(
-                el.play(path, direction, stretch, spring, stiffness, width, damped)
-            )
+            band = None if link.eccentric is None else self._band(name, link.eccentric)
+            if band is None:
+                damped = bool((damping > 0).any())
+                made = el.play(path, direction, stretch, spring, stiffness, width, damped)
+            else:
+                made = eccentric_play(
+                    path, direction, stretch, spring, stiffness, damping, width, band
+                )
+            self.elements.append(made)
         else:
             self._apply(direction, spring)
+
+    def _band(self, link: str, eccentric: Eccentric) -> Band:
+        path = f"links.{link}.eccentric"
+        phase = self._value(f"{path}.phase", eccentric.phase)
+        angle = dict(eccentric.angle)
+        first, last = pieces_needed(self.machine, link, eccentric, self.start, phase)
+        return Band(
+            angle=self._weights(angle, self.position, f"{path}.angle"),
+            angle_rate=self._weights(angle, self.velocity, f"{path}.angle"),
+            width=self._value(f"{path}.width", eccentric.width),
+            phase=phase,
+            first=first,
+            last=last,
+        )
 
     def _add_drive(self, name: str) -> tuple[FloatArray, FloatArray]:
         drive, path = self.machine.drives[name], f"drives.{name}"
@@ -278,6 +302,13 @@ class _Builder:
                 free = coil
             else:
                 inductance, free = np.ones(self.count), law
+        if amplifier.limits == "output":
+            if state < 0 or amps is None:
+                raise self._refuse(
+                    f'{path}: limits = "output" without an inductance and a current limit',
+                    "Add them, or leave limits out.",
+                )
+            state = -1
         scale = inductance if state >= 0 else np.ones(self.count)
         self.elements.append(
             el.motor(
