@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import comb, inf
+from math import inf
 from typing import Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import LimitError
 from threadline.machine import Machine
+from threadline.trajectory.extremes import derivatives, farthest
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 Quantity = Literal["travel", "velocity", "acceleration", "jerk"]
@@ -64,6 +65,7 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     before: tuple[FloatArray, FloatArray] | None = None
     last: TrajectoryBlock | None = None
     for block in trajectory:
+        polys = [derivatives(block, j, len(_ORDER) - 1) for j in range(len(trajectory.axes))]
         for j, axis in enumerate(trajectory.axes):
             for order, quantity in enumerate(_ORDER):
                 if quantity == "travel":
@@ -72,8 +74,9 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
                     centre, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
                 else:
                     centre, half = 0.0, float(limits[quantity][j])
-                _search(found, block, j, axis, order, quantity, float(centre), float(half))
-        before = _joints(found, block, before, trajectory.axes, limits)
+                key = (j, quantity)
+                _search(found, key, polys[j][order], block, axis, float(centre), float(half))
+        before = _joints(found, block, polys, before, trajectory.axes, limits)
         last = block
     if last is not None:
         _end(found, last, trajectory.axes, limits)
@@ -115,41 +118,24 @@ def check_limits(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
 
 def _search(
     found: dict[tuple[int, Quantity], Peak],
+    key: tuple[int, Quantity],
+    poly: FloatArray,
     block: TrajectoryBlock,
-    j: int,
     axis: str,
-    order: int,
-    quantity: Quantity,
     centre: float,
     half: float,
 ) -> None:
     """Take the largest |derivative - centre| of one axis in one block into ``found``."""
-    poly = _derivative(block.coefficients[:, :, j], order)
-    poly = poly / block.duration_s[:, None] ** order
-    poly[:, 0] -= centre
-    size = np.abs(_bernstein(poly)).max(axis=1)
-    key = (j, quantity)
-    peak = found[key].ratio * half if key in found and half < inf else -1.0
-    if key in found and half == inf:
-        peak = abs(found[key].value_si)
-    ends = np.maximum(np.abs(poly[:, 0]), np.abs(poly.sum(axis=1)))
-    first = int(np.argmax(ends))
-    threshold = max(peak, float(ends[first]))
-    best: tuple[float, int, float] | None = None
-    if ends[first] > peak:
-        at_end = abs(poly[first].sum()) >= abs(poly[first, 0])
-        best = (float(ends[first]), first, 1.0 if at_end else 0.0)
-    candidates = np.flatnonzero(size > threshold * (1.0 + 1e-9))
-    for i in candidates[np.argsort(-size[candidates])]:
-        if size[i] <= threshold:
-            break
-        u, value = _inner_extreme(poly[i])
-        if value > threshold:
-            threshold, best = value, (value, int(i), u)
+    poly = np.concatenate([poly[:1] - centre, poly[1:]])
+    peak, known = -1.0, found.get(key)
+    if known is not None:
+        peak = known.ratio * half if half < inf else abs(known.value_si)
+    best = farthest(poly, peak)
     if best is None:
         return
     _, i, u = best
-    value = float(np.polyval(poly[i][::-1], u))
+    value = float(np.polyval(poly[::-1, i], u))
+    quantity = key[1]
     limit = centre + half if (quantity != "travel" or value > 0) else centre - half
     found[key] = Peak(
         axis=axis,
@@ -162,52 +148,17 @@ def _search(
     )
 
 
-def _derivative(poly: FloatArray, order: int) -> FloatArray:
-    out = np.array(poly)
-    for _ in range(order):
-        out = out[:, 1:] * np.arange(1, out.shape[1]) if out.shape[1] > 1 else np.zeros_like(out)
-    return out
-
-
-def _bernstein(poly: FloatArray) -> FloatArray:
-    """Return the (n, order) Bernstein coefficients, whose hull holds the polynomial."""
-    degree = poly.shape[1] - 1
-    change = np.array(
-        [
-            [comb(i, k) / comb(degree, k) if k <= i else 0.0 for k in range(degree + 1)]
-            for i in range(degree + 1)
-        ]
-    )
-    return np.asarray(poly @ change.T)
-
-
-def _inner_extreme(poly: FloatArray) -> tuple[float, float]:
-    """Return where in [0, 1] the absolute value is largest, and the value."""
-    slope = (poly[1:] * np.arange(1, len(poly)))[::-1]
-    # Leading coefficients that are nothing beside the others would only spoil the roots.
-    slope = slope[np.argmax(np.abs(slope) > 1e-14 * np.abs(slope).max()) :]
-    roots = np.roots(slope) if np.any(slope) else np.zeros(0)
-    # Any place may be tried: the real part of a pair that rounding drove apart is near the root.
-    where = [0.0, 1.0] + [float(r.real) for r in np.atleast_1d(roots) if 0.0 < r.real < 1.0]
-    values = [abs(float(np.polyval(poly[::-1], u))) for u in where]
-    at = int(np.argmax(values))
-    return where[at], values[at]
-
-
 def _joints(
     found: dict[tuple[int, Quantity], Peak],
     block: TrajectoryBlock,
+    polys: Sequence[Sequence[FloatArray]],
     before: tuple[FloatArray, FloatArray] | None,
     axes: tuple[str, ...],
     limits: dict[str, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Take steps of velocity and acceleration at the starts of the pieces into ``found``."""
-    begin, end = [], []
-    for order in (1, 2):
-        scale = block.duration_s[:, None] ** order
-        columns = [_derivative(block.coefficients[:, :, j], order) for j in range(len(axes))]
-        begin.append(np.stack([c[:, 0] for c in columns], axis=1) / scale)
-        end.append(np.stack([c.sum(axis=1) for c in columns], axis=1) / scale)
+    begin = [np.stack([poly[order][0] for poly in polys], axis=1) for order in (1, 2)]
+    end = [np.stack([poly[order].sum(axis=0) for poly in polys], axis=1) for order in (1, 2)]
     rest = np.zeros((1, len(axes)))
     for k, (name, broken) in enumerate(
         (("velocity", ("acceleration", "jerk")), ("acceleration", ("jerk",)))

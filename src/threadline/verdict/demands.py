@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.plan import Plan
+from threadline.trajectory.extremes import derivatives, farthest, highest
 from threadline.trajectory.types import TrajectoryBlock
-from threadline.verdict.extremes import highest, time_derivative
 from threadline.verdict.measure import Finding
 
 SLACK = 1.001  # limits hold between samples too, to a thousandth
@@ -27,28 +29,27 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
     axes = plan.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
     demands = {
-        name: [_Demand(axis, column, order, tick_s) for column, axis in enumerate(axes)]
-        for name, order in _ORDERS.items()
+        name: [_Demand(axis, order, tick_s) for axis in axes] for name, order in _ORDERS.items()
     }
     limits = plan.machine.travel
     rows = [plan.machine.axis_names.index(axis) for axis in axes]
-    reach = [
-        _Reach(axis, column, limits[row])
+    reach = {
+        column: _Reach(axis, limits[row])
         for column, (axis, row) in enumerate(zip(axes, rows, strict=True))
         if np.isfinite(limits[row]).all()
-    ]
+    }
     for block in plan.trajectory:
-        if len(block):
+        for column in range(len(axes)) if len(block) else ():
+            polys = derivatives(block, column, max(_ORDERS.values()))
             for row in demands.values():
-                for demand in row:
-                    demand.take(block)
-            for axis_reach in reach:
-                axis_reach.take(block)
+                row[column].take(block, polys)
+            if column in reach:
+                reach[column].take(block, polys[0])
     for row in demands.values():
         for demand in row:
             demand.stop()
     found = {name: [demand.worst for demand in row] for name, row in demands.items()}
-    found["travel"] = [axis_reach.worst for axis_reach in reach]
+    found["travel"] = [axis_reach.worst for axis_reach in reach.values()]
     return found
 
 
@@ -63,26 +64,22 @@ def _place(
 class _Demand:
     """The largest absolute value of one derivative of one axis."""
 
-    def __init__(self, axis: str, column: int, order: int, tick_s: float) -> None:
-        self._axis, self._column, self._order, self._tick_s = axis, column, order, tick_s
+    def __init__(self, axis: str, order: int, tick_s: float) -> None:
+        self._axis, self._order, self._tick_s = axis, order, tick_s
         # What the derivatives below were before the next piece; at rest before the start.
         self._below: dict[int, float] = dict.fromkeys(range(1, order), 0.0)
         self._end: tuple[float, int, tuple[float, ...]] = (0.0, 0, ())
         self._value = 0.0
         self.worst = Finding(value=0.0, axis=axis)
 
-    def take(self, block: TrajectoryBlock) -> None:
+    def take(self, block: TrajectoryBlock, polys: Sequence[FloatArray]) -> None:
         """Compare the pieces of a block, and the steps at their starts."""
-        mine = block.coefficients[:, :, self._column : self._column + 1]
-        values = time_derivative(mine, block.duration_s, self._order)[:, :, 0]
-        for sign in (1.0, -1.0):
-            found = highest(sign * values, self._value)
-            if found is not None:
-                self._set(found[0], _place(block, found[1], found[2]), "")
+        found = farthest(polys[self._order], self._value)
+        if found is not None:
+            self._set(found[0], _place(block, found[1], found[2]), "")
         # A step of position is a velocity without bound; what it is above that says no more.
         for below in range(min(1, self._order - 1), self._order):
-            values = time_derivative(mine, block.duration_s, below)[:, :, 0]
-            starts, ends = values[:, 0], values.sum(axis=1)
+            starts, ends = polys[below][0], polys[below].sum(axis=0)
             before = self._below.get(below, starts[0])
             steps = np.abs(starts - np.concatenate([[before], ends[:-1]]))
             piece = int(np.argmax(steps))
@@ -115,17 +112,17 @@ class _Demand:
 class _Reach:
     """How far one axis goes beyond its travel, on either side."""
 
-    def __init__(self, axis: str, column: int, limits: FloatArray) -> None:
-        self._axis, self._column = axis, column
+    def __init__(self, axis: str, limits: FloatArray) -> None:
+        self._axis = axis
         self._low, self._high = float(limits[0]), float(limits[1])
         self._value = -np.inf
         self.worst = Finding(value=None, axis=axis, note="the trajectory is empty")
 
-    def take(self, block: TrajectoryBlock) -> None:
-        """Widen the reach by a block."""
+    def take(self, block: TrajectoryBlock, poly: FloatArray) -> None:
+        """Widen the reach by a block, of whose positions ``poly`` are the polynomials."""
         for sign, limit in ((1.0, self._high), (-1.0, -self._low)):
-            beyond = sign * block.coefficients[:, :, self._column]
-            beyond[:, 0] -= limit
+            beyond = sign * poly
+            beyond[0] -= limit
             found = highest(beyond, self._value)
             if found is None:
                 continue

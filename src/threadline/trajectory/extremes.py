@@ -1,0 +1,81 @@
+"""Exact extremes of many polynomial pieces, of which only the promising are solved.
+
+The planner checks its limits with it and the judge measures with it: it is mathematics of the
+pieces and knows neither limit nor criterion. Tests hold both against dense sampling.
+
+Polynomials are (order, n) arrays, one row per power of u in [0, 1]: long rows, which numpy goes
+through several times as fast as through many short ones.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.trajectory.types import TrajectoryBlock
+
+_NOTHING = 1e-14  # leading coefficients that are nothing beside the others would spoil the roots
+
+
+def derivatives(block: TrajectoryBlock, column: int, highest: int) -> list[FloatArray]:
+    """Return the (order, n) polynomials of one axis' time derivatives 0 to ``highest``."""
+    found = [np.ascontiguousarray(block.coefficients[:, :, column].T)]
+    rate = 1.0 / block.duration_s
+    for _ in range(highest):
+        last = found[-1]
+        powers = np.arange(1.0, len(last))[:, None]
+        found.append(last[1:] * powers * rate if len(last) > 1 else np.zeros_like(last))
+    return found
+
+
+@cache
+def _bernstein(order: int) -> FloatArray:
+    """Return the (order, order) change to Bernstein's basis, whose hull holds the polynomial."""
+    return np.array([[comb(i, k) / comb(order - 1, k) for k in range(order)] for i in range(order)])
+
+
+def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
+    """Return the highest value of (order, n) polynomials on [0, 1], its piece and its place.
+
+    None where no piece rises above ``above``. Pieces are solved in the order of their bounds,
+    until no bound is above the highest value found.
+    """
+    ends = np.maximum(poly[0], poly.sum(axis=0))
+    first = int(np.argmax(ends))
+    best: tuple[float, int, float] | None = None
+    if ends[first] > above:
+        above = float(ends[first])
+        best = (above, first, 0.0 if poly[0, first] >= above else 1.0)
+    bounds = (_bernstein(len(poly)) @ poly).max(axis=0)
+    candidates = np.flatnonzero(bounds > above)
+    for piece in candidates[np.argsort(-bounds[candidates], kind="stable")].tolist():
+        if bounds[piece] <= above:
+            break
+        value, where = _highest_of(poly[:, piece])
+        if value > above:
+            above, best = value, (value, piece, where)
+    return best
+
+
+def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
+    """Return the largest absolute value of polynomials, as ``highest`` does the highest."""
+    up = highest(poly, above)
+    down = highest(-poly, above if up is None else up[0])
+    return up if down is None else down
+
+
+def _highest_of(poly: FloatArray) -> tuple[float, float]:
+    slope = poly[1:] * np.arange(1, len(poly))
+    places = [0.0, 1.0]
+    if slope.any():
+        kept = np.flatnonzero(np.abs(slope) > _NOTHING * np.abs(slope).max())[-1]
+        for root in np.atleast_1d(np.roots(slope[kept::-1])):
+            # Any place may be tried: the real part of a pair that rounding drove apart is near.
+            if 0.0 < root.real < 1.0:
+                places.append(float(root.real))
+    values = np.polynomial.polynomial.polyval(np.array(places), poly)
+    at = int(np.argmax(values))
+    return float(values[at]), places[at]
