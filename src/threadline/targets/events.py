@@ -12,6 +12,7 @@ from threadline.jobs.operations import (
     Dwell,
     Job,
     Move,
+    MoveRun,
     Operation,
     SetOutput,
     Stop,
@@ -112,16 +113,18 @@ class EventPlacer:
 
 def _groups(job: Job) -> Iterator[_Group]:
     kept: list[Operation] = []
-    first = 0
-    for index, operation in enumerate(job):
-        if isinstance(operation, Move):
+    first = index = 0
+    for item in job.runs():
+        if isinstance(item, Move | MoveRun):
             if kept:
                 yield _Group(first, tuple(kept))
                 kept = []
+            index += len(item) if isinstance(item, MoveRun) else 1
             continue
         if not kept:
             first = index
-        kept.append(operation)
+        kept.append(item)
+        index += 1
     if kept:
         yield _Group(first, tuple(kept))
 

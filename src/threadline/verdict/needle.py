@@ -56,7 +56,7 @@ class Stitches:
 
 def has_stitches(job: Job) -> bool:
     """Say whether the moves of a job carry the tags of stitches; reads up to the first."""
-    return any(isinstance(o, Move) and "stitch" in o.tags for o in job)
+    return any(isinstance(o, Move) and "stitch" in o.tags for o in job.runs())
 
 
 def planned_stitches(plan: Plan) -> Iterator[Stitches]:
