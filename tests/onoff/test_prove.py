@@ -18,8 +18,7 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.pipeline import Options, SwitchProof, plan_switching, prove_switching
 from threadline.plant.pneumatic import step_ringing
-from threadline.report.onoff import until
-from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.signals import Recording, RecordingBlock, Stream, SwitchSchedule
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 from threadline.verdict import Status, judge, load_spec
 
@@ -45,6 +44,19 @@ def altered(recording: Recording, change: Any) -> Recording:
             yield RecordingBlock(first_tick=block.first_tick, samples=samples, events=block.events)
 
     return replace(recording, blocks=Stream(blocks))
+
+
+def until(commands: SwitchSchedule, tick: int) -> SwitchSchedule:
+    """Return the beginning of a schedule."""
+    count = int(np.searchsorted(commands.ticks, tick))
+    return replace(
+        commands,
+        ticks=commands.ticks[:count],
+        levels=commands.levels[:count],
+        operation=commands.operation[:count],
+        duration_ticks=tick,
+        events=tuple(e for e in commands.events if e.tick < tick),
+    )
 
 
 def run(*words: str) -> tuple[int, str]:

@@ -53,20 +53,25 @@ def read(text: str) -> dict[str, Unit]:
     assert result.exception is None, result.exception
     units: dict[str, Unit] = {}
     for child in result.tree.children:
-        kind = {
-            "function_block_type_declaration": "FUNCTION_BLOCK",
-            "program_declaration": "PROGRAM",
-        }[child.data]
-        unit = Unit(kind, "")
-        for part in child.children:
-            if isinstance(part, Token) and part.type == "IDENTIFIER":
-                unit.name = str(part).lower()
-            elif isinstance(part, Tree) and part.data == "derived_function_block_name":
-                unit.name = name_of(part)
-            elif isinstance(part, Tree):
-                read_part(part, unit)
+        unit = unit_of(child)
         units[unit.name] = unit
     return units
+
+
+def unit_of(child: Tree[Any]) -> Unit:
+    kind = {
+        "function_block_type_declaration": "FUNCTION_BLOCK",
+        "program_declaration": "PROGRAM",
+    }[child.data]
+    unit = Unit(kind, "")
+    for part in child.children:
+        if isinstance(part, Token) and part.type == "IDENTIFIER":
+            unit.name = str(part).lower()
+        elif isinstance(part, Tree) and part.data == "derived_function_block_name":
+            unit.name = name_of(part)
+        elif isinstance(part, Tree):
+            read_part(part, unit)
+    return unit
 
 
 SECTIONS = {
@@ -208,6 +213,7 @@ class Code:
     run: Callable[[dict[str, Any], int], None]
     used: set[str]
     assigned: list[str]
+    lines: list[str]
 
 
 def code_of(unit: Unit) -> Code:
@@ -217,7 +223,7 @@ def code_of(unit: Unit) -> Code:
     lines = ["def run(v, now):", *statements(unit.body, used, assigned, 1)]
     scope: dict[str, Any] = {}
     exec("\n".join(lines), scope)
-    return Code(scope["run"], used, assigned)
+    return Code(scope["run"], used, assigned, lines)
 
 
 IDENTIFIER = re.compile(r"[a-z](_?[a-z0-9])*")

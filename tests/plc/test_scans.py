@@ -14,7 +14,7 @@ READY = {
     "light_grid": True, "enable": True, "x_is_left": True, "x_is_right": True, "z_is_up": True,
     "z_is_down": True, "letter_held": True,
 }  # fmt: skip
-SCAN_OF = {"letter-placer": 10_000, "letter-placer+timed": 1_000}
+SCAN_OF = {"letter-placer": 10_000, "letter-placer+quick": 5_000, "letter-placer+timed": 1_000}
 
 
 def on(outputs: dict[str, bool]) -> set[str]:
@@ -127,7 +127,12 @@ def test_a_button_that_is_held_at_power_up_is_no_start() -> None:
 
 
 @pytest.mark.parametrize(
-    ("machine", "limit"), [("letter-placer", 25_000), ("letter-placer+timed", 3_000)]
+    ("machine", "limit"),
+    [
+        ("letter-placer", 25_000),
+        ("letter-placer+quick", 13_000),
+        ("letter-placer+timed", 3_000),
+    ],
 )
 def test_watchdog_stops_a_late_scan_and_no_other(machine: str, limit: int) -> None:
     period = SCAN_OF[machine]

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from tests.plc.reading import IDENTIFIER, Unit, code_of
+from tests.plc.reading import IDENTIFIER, Unit, code_of, read
 from tests.plc.texts import emitted, text_of, units_of
 
 # Keywords and standard names of the standard's annex C that a sequence might be tempted by.
@@ -35,6 +35,20 @@ def pin_type(unit: Unit, used: str, units: dict[str, Unit]) -> str:
     block = units[kind.lower()]
     assert block.declared[pin].section in {"VAR_INPUT", "VAR_OUTPUT"}, used
     return block.declared[pin].type
+
+
+def test_reading_in_parts_is_reading_the_whole() -> None:
+    """Every other test reads a text in parts; blark takes this one in one piece."""
+    whole, parts = read(text_of("letter-placer", "zv")), units_of("letter-placer", "zv")
+    assert list(whole) == list(parts)
+    for name, unit in whole.items():
+        other = parts[name]
+        assert (unit.kind, unit.declared, unit.twice, unit.mixed_blocks) == (
+            other.kind, other.declared, other.twice, other.mixed_blocks,
+        )  # fmt: skip
+        code, again = code_of(unit), code_of(other)
+        assert len(code.lines) > 10
+        assert (code.lines, code.used, code.assigned) == (again.lines, again.used, again.assigned)
 
 
 @EVERY_SHAPER

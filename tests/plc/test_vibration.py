@@ -13,6 +13,7 @@ import pytest
 from scipy.linalg import expm
 
 from tests.plc.machine import Plc
+from tests.plc.test_scans import SCAN_OF
 from tests.plc.texts import controller
 
 TABLE, HEAD, K1, B1, B2 = 74.54, 6.0, 2.7e4, 24.0, 1.5
@@ -31,10 +32,24 @@ def equations(speed: float) -> np.ndarray:
     return a
 
 
+class Propagator:
+    """Advances a state by whole microseconds: matrix exponentials of 1, 2, 4 ... of them."""
+
+    def __init__(self, matrix: np.ndarray) -> None:
+        self.matrix = matrix
+        self.powers = [expm(matrix * 1e-6 * 2**k) for k in range(24)]
+
+    def __call__(self, x: np.ndarray, span_us: int) -> np.ndarray:
+        for k, power in enumerate(self.powers):
+            if span_us >> k & 1:
+                x = power @ x
+        return x
+
+
 def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed: int) -> float:
     """Return the amplitude, um, with which the table rings after the stroke to the right."""
     random_ = random.Random(seed)
-    a, x = equations(0.43), np.zeros(7)
+    ahead, x = Propagator(equations(0.43)), np.zeros(7)
     ready = dict.fromkeys(plc.inputs, True)
     pending: list[tuple[int, float]] = []
     now = 0
@@ -44,9 +59,9 @@ def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed
         then = k * period + round(random_.uniform(-jitter, jitter) * period)
         while pending and pending[0][0] <= then:
             at, value = pending.pop(0)
-            x = expm(a * (at - now) * 1e-6) @ x
+            x = ahead(x, at - now)
             now, x[6] = at, value
-        x = expm(a * (then - now) * 1e-6) @ x if moved else x
+        x = ahead(x, then - now) if moved else x
         now = then
         outputs = plc.scan(ready | {"start_button": k == 1}, now)
         wanted = outputs["x_right"] * (
@@ -60,12 +75,11 @@ def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed
     assert moved
     assert x[2] - x[0] == pytest.approx(0.2, abs=0.01)
     times = np.arange(0.0, 0.7, 0.01)
-    step = expm(a * 0.01)
     table = []
     for _ in times:
         table.append(x[0])
-        x = step @ x
-    pole = min((p for p in np.linalg.eigvals(a) if p.imag > 1.0), key=abs)
+        x = ahead(x, 10_000)
+    pole = min((p for p in np.linalg.eigvals(ahead.matrix) if p.imag > 1.0), key=abs)
     decay = np.exp(pole.real * times)
     columns = [decay * np.cos(pole.imag * times), decay * np.sin(pole.imag * times)]
     columns += [np.exp(-times / LAG_S), np.ones_like(times)]
@@ -74,11 +88,16 @@ def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed
 
 
 def test_a_scan_with_jitter_costs_little_of_what_shaping_gains() -> None:
-    """The paper's ZV leaves 24 % on this machine whatever the scan; 10 ms and jitter add 3 %."""
+    """The paper's ZV leaves 25 % on this machine whatever the scan.
+
+    Scans of 1, 5 and 10 ms with 20 % jitter move that by at most 0.7 % of the unshaped ringing;
+    the bound is twice that.
+    """
     unshaped = drive(controller("letter-placer", "none"), 10_000, 0.0, (0.63, 0.37), 1)
     exact = drive(controller("letter-placer+timed", "zv"), 1_000, 0.0, (0.63, 0.37), 1)
     assert unshaped > 1000.0
     assert 0.1 * unshaped < exact < 0.35 * unshaped
-    for seed in range(3):
-        coarse = drive(controller("letter-placer", "zv"), 10_000, 0.2, (0.63, 0.37), seed)
-        assert abs(coarse - exact) < 0.06 * unshaped
+    for machine, period in SCAN_OF.items():
+        for seed in range(2):
+            coarse = drive(controller(machine, "zv"), period, 0.2, (0.63, 0.37), seed)
+            assert abs(coarse - exact) < 0.014 * unshaped

@@ -9,7 +9,8 @@ from tempfile import TemporaryDirectory
 from typer.testing import CliRunner
 
 from tests.plc.machine import Plc
-from tests.plc.reading import Unit, read
+from tests.plc.parts import read_in_parts
+from tests.plc.reading import Unit
 from threadline.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,8 +35,8 @@ def text_of(machine: str, shaper: str) -> str:
 
 @cache
 def units_of(machine: str, shaper: str) -> dict[str, Unit]:
-    """Return the units; blark takes seconds for each text."""
-    return read(text_of(machine, shaper))
+    """Return the units, read by blark."""
+    return read_in_parts(text_of(machine, shaper))
 
 
 @cache

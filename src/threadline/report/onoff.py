@@ -1,28 +1,19 @@
-"""What the shapers of an on/off machine do, in numbers and pictures.
-
-``python -m threadline.report.onoff FOLDER`` prints the tables and writes the figures.
-"""
+"""Why shapers of an on/off machine are of unit magnitude: a broken beam; and the Petri net."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.jobs import Job, read_job
-from threadline.machine import Machine, load_machine
+from threadline.machine import Machine
 from threadline.plant.pneumatic import StepRinging, flow_mode, step_ringing
-from threadline.report.style import figure_style
 from threadline.shaping import FlexibleMode, Shaper, convolve, design
 from threadline.shaping.types import UNSHAPED
-from threadline.signals import SwitchSchedule
 from threadline.targets.plc_net import petri_net
-from threadline.targets.schedule import Scheduled, ScheduledMove, compile_schedule
-from threadline.targets.schedule_options import shaping_of
+from threadline.targets.schedule import Scheduled, ScheduledMove
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 
 if TYPE_CHECKING:
@@ -207,111 +198,3 @@ def petri_figure(scheduled: Scheduled) -> Figure:
         "the token to place 0, everything off"
     )
     return figure
-
-
-def step_ends(commands: SwitchSchedule) -> list[tuple[str, int]]:
-    """Return every step of the cycle with the tick at which it ends."""
-    events = [e for e in commands.events if e.kind == "tool"]
-    ends = [*(e.tick for e in events[1:]), commands.duration_ticks]
-    return [(e.name, end) for e, end in zip(events, ends, strict=True)]
-
-
-def until(commands: SwitchSchedule, tick: int) -> SwitchSchedule:
-    """Return the beginning of a schedule, up to ``tick``."""
-    count = int(np.searchsorted(commands.ticks, tick))
-    return replace(
-        commands,
-        ticks=commands.ticks[:count],
-        levels=commands.levels[:count],
-        operation=commands.operation[:count],
-        duration_ticks=tick,
-        events=tuple(e for e in commands.events if e.tick < tick),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class StepVibration:
-    """Ringing at the end of a step of the cycle, m."""
-
-    step: str
-    x_m: float
-    z_m: float
-
-
-def cycle_ringing(scheduled: Scheduled, settle_s: float = 1.0) -> list[StepVibration]:
-    """Return the ringing that each step of the cycle leaves, with all that went before it.
-
-    The twin plays the cycle up to the end of the step and then stands still for ``settle_s``.
-    """
-    rows = []
-    machine = scheduled.machine
-    for step, end in step_ends(scheduled.commands):
-        part = until(scheduled.commands, end)
-        recording = simulate_switching(part, machine, SwitchOptions(after_s=settle_s + 1.0))
-        times, _ = recording.samples("operation")
-        begin = float(times[-1]) - 0.8
-        x, z = (
-            ringing_m(recording, axis, begin, step_ringing(machine, axis).pole)
-            for axis in ("X", "Z")
-        )
-        rows.append(StepVibration(step, x, z))
-    return rows
-
-
-def scheduled_cycle(job: Job, machine: Machine, shaper: str, paper: bool) -> Scheduled:
-    """Return the cycle with ``shaper`` made for the paper's mode, or for the machine's own."""
-    mode, damping = ("3.04 Hz", 0.17) if paper else (None, None)
-    shaping = shaping_of(machine, shaper, mode=mode, damping_ratio=damping)
-    return compile_schedule(job, machine, shaping)
-
-
-CASES = (
-    ("own", "letter-placer+whole-scans+own-damping", False),
-    ("own, 50 % hysteresis", "letter-placer+whole-scans+own-damping+hysteresis", False),
-    ("paper's shaper, own damping", "letter-placer+whole-scans", True),
-    ("paper's shaper, damping 0.17", "letter-placer+whole-scans+paper-damping", True),
-)
-
-
-def print_tables(job_file: Path) -> None:
-    """Print both tables."""
-    print("break, um: worst and mean over the instants, over the level")
-    sweeps = break_sweeps(load_machine("letter-placer"))
-    for sweep in sweeps:
-        worst, mean = sweep.ringing_m.max() * MICRO, sweep.ringing_m.mean() * MICRO
-        end = sweep.ringing_m[-1] * MICRO
-        print(
-            f"{sweep.name:12s} worst {worst:7.1f} mean {mean:7.1f} unbroken {end:7.1f} "
-            f"over {sweep.over_level:.2f}"
-        )
-    for title, reference, paper in CASES:
-        machine = load_machine(reference)
-        job = read_job(job_file, machine)
-        for shaper in ("none", "zv"):
-            rows = cycle_ringing(scheduled_cycle(job, machine, shaper, paper))
-            cells = " ".join(f"{r.step} {r.x_m * MICRO:.0f}/{r.z_m * MICRO:.0f}" for r in rows)
-            print(f"{title}; {shaper}: {cells} (um, X/Z)", flush=True)
-
-
-def write_figures(job_file: Path, folder: Path) -> list[Path]:
-    """Write the figures and return their files."""
-    machine = load_machine("letter-placer")
-    scheduled = scheduled_cycle(read_job(job_file, machine), machine, "zv", True)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    with figure_style():
-        for name, figure in (
-            ("broken-beam", break_figure(break_sweeps(machine))),
-            ("petri-net", petri_figure(scheduled)),
-        ):
-            for suffix in ("png", "svg"):
-                files.append(folder / f"{name}.{suffix}")
-                figure.savefig(files[-1])
-    return files
-
-
-if __name__ == "__main__":
-    JOB = Path("examples/letter-cycle.toml")
-    for file in write_figures(JOB, Path(sys.argv[1])):
-        print(file)
-    print_tables(JOB)
