@@ -329,11 +329,12 @@ def prove(
     options: Options,
     progress: Progress | None = None,
     repeats: int = 1,
+    actual: Machine | None = None,
 ) -> Proof:
     """Plan, simulate and judge a job: the whole question, answered once."""
     check_loops(machine)
     plan = plan_job(read_job(job_file, machine), machine, options)
-    return prove_plan(plan, spec, progress, repeats)
+    return prove_plan(plan, spec, progress, repeats, actual)
 
 
 def prove_plan(

@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.feed_forward import feed_forward_warnings
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
+    FeedForwardOption,
     FeedOption,
     InterpolationOption,
     JobArgument,
@@ -18,17 +20,20 @@ from threadline.cli.options import (
     LimitsOption,
     MachineOption,
     ParOption,
+    SmoothingOption,
     ToleranceOption,
     keep_inputs,
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json
+from threadline.cli.output import note, print_json
+from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import plan_job
 from threadline.targets import write
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of
+from threadline.targets.write import TABLES
 from threadline.trajectory import check_limits
 
 
@@ -41,6 +46,8 @@ def compile_(
     feed: FeedOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    feed_forward: FeedForwardOption = False,
+    smoothing: SmoothingOption = None,
     par: ParOption = None,
     shaper: Annotated[
         str, typer.Option(help="Of an on/off machine: zv, um-2ei, zv*um-2ei ... or none.")
@@ -70,9 +77,22 @@ def compile_(
         for warning in files[0].warnings:
             typer.echo(f"warning: {warning}", err=True)
     else:
-        plan = plan_job(
-            read_job(job, chosen), chosen, options_of(interpolation, feed, tolerance, limits)
+        options = options_of(
+            interpolation,
+            feed,
+            tolerance,
+            limits,
+            feed_forward=feed_forward,
+            smoothing=smoothing,
         )
+        if feed_forward and target not in TABLES:
+            raise OptionError(
+                f"feed-forward gives a reference for every tick, which target {target!r} has not",
+                remedy=f"Use {' or '.join(TABLES)}.",
+            )
+        plan = plan_job(read_job(job, chosen), chosen, options)
+        for warning in feed_forward_warnings(plan.feed_forward):
+            note(f"warning: {warning}")
         check_limits(plan.trajectory, chosen)
         files = write(plan, target, out)
     if json:

@@ -10,11 +10,14 @@ import typer
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
+    ActualOption,
+    FeedForwardOption,
     InterpolationOption,
     JobArgument,
     JsonOption,
     MachineOption,
     ParOption,
+    SmoothingOption,
     SpecOption,
     ToleranceOption,
     machine_from,
@@ -37,7 +40,10 @@ def fastest(
     spec: SpecOption = None,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    feed_forward: FeedForwardOption = False,
+    smoothing: SmoothingOption = None,
     par: ParOption = None,
+    actual: ActualOption = None,
     low: Annotated[
         str | None, typer.Option(help='Lowest feed to try; of a seam "5 stitch/s".')
     ] = None,
@@ -58,10 +64,21 @@ def fastest(
             job,
             chosen,
             load_spec(spec, chosen),
-            options_of(interpolation, None, tolerance),
-            _needle_hz(low),
-            _needle_hz(high),
+            options_of(
+                interpolation,
+                None,
+                tolerance,
+                feed_forward=feed_forward,
+                smoothing=smoothing,
+            ),
+            None if actual is None else machine_from(actual, par),
+            (_needle_hz(low), _needle_hz(high)),
             json,
+        )
+    if feed_forward or actual is not None:
+        raise OptionError(
+            "--feed-forward and --actual search the needle speed of a seam",
+            remedy="Leave them out; threadline prove takes them for any job.",
         )
     read = read_job(job, chosen)
     with progress_bar(not json) as progress:
@@ -139,13 +156,22 @@ def _fastest_seam(
     machine: Machine,
     spec: Spec,
     options: Options,
-    low: float | None,
-    high: float | None,
+    actual: Machine | None,
+    span: tuple[float | None, float | None],
     json: bool,
 ) -> NoReturn:
     """Search the needle speed of a seam, say what was found, and leave."""
     with progress_bar(not json) as progress:
-        found = fastest_needle(job, machine, spec, options, low=low, high=high, progress=progress)
+        found = fastest_needle(
+            job,
+            machine,
+            spec,
+            options,
+            low=span[0],
+            high=span[1],
+            progress=progress,
+            actual=actual,
+        )
     if json:
         print_json(
             {

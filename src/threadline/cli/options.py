@@ -17,7 +17,11 @@ from threadline.pipeline import (
     parse_feed,
     parse_share,
     parse_tolerance_m,
+    parse_width_s,
 )
+
+FEED_FORWARD = "40 ms"
+"""Over which feed-forward smooths the motion unless told otherwise."""
 
 JobArgument = Annotated[
     Path, typer.Argument(help="Part program, seam, embroidery design or move list.")
@@ -69,6 +73,25 @@ ShaperOption = Annotated[
         '"X=..., Y=..." gives axes their own.'
     ),
 ]
+FeedForwardOption = Annotated[
+    bool,
+    typer.Option(
+        "--feed-forward",
+        help="Command what the exact inverses of the axes say, so that the loads follow.",
+    ),
+]
+SmoothingOption = Annotated[
+    str | None,
+    typer.Option(
+        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}".'
+    ),
+]
+ActualOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Machine that runs what was planned for --machine: a file or name, as there."
+    ),
+]
 DEFAULT_INTERPOLATION_TEXT = DEFAULT_INTERPOLATION
 DEFAULT_LIMITS_TEXT = "100 %"
 DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
@@ -105,12 +128,25 @@ def options_of(
     tolerance: str,
     limits: str = DEFAULT_LIMITS_TEXT,
     shaper: str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
 ) -> Options:
-    """Return the planning options, read from their text."""
+    """Return the planning options, read from their text.
+
+    Raises
+    ------
+    OptionError
+        If one is unreadable, or a smoothing is given without feed-forward.
+    """
+    if smoothing is not None and not feed_forward:
+        raise OptionError(
+            f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
+        )
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,
+        feed_forward_s=parse_width_s(smoothing or FEED_FORWARD) if feed_forward else None,
     )

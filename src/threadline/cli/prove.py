@@ -7,10 +7,13 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.feed_forward import feed_forward_lines, feed_forward_warnings
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
+    ActualOption,
+    FeedForwardOption,
     FeedOption,
     InterpolationOption,
     JobArgument,
@@ -21,6 +24,7 @@ from threadline.cli.options import (
     RecordingOption,
     ReportOption,
     ShaperOption,
+    SmoothingOption,
     SpecOption,
     ToleranceOption,
     keep_inputs,
@@ -48,7 +52,10 @@ def prove(
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     shaper: ShaperOption = None,
+    feed_forward: FeedForwardOption = False,
+    smoothing: SmoothingOption = None,
     par: ParOption = None,
+    actual: ActualOption = None,
     report: ReportOption = None,
     recording: RecordingOption = None,
     repeats: Annotated[
@@ -65,14 +72,19 @@ def prove(
 
     Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
 
+    With the loads' own inverse: threadline prove examples/stitcher-test-path.seam.toml
+    -m stitcher --feed-forward
+
     Of an on/off machine: threadline prove examples/letter-cycle.toml
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
     chosen = machine_from(machine, par)
     keep_inputs(recording, job, chosen.file, par, spec)
     check_outputs(file=recording, folder=report)
-    options = options_of(interpolation, feed, tolerance, limits, shaper)
+    options = options_of(interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing)
     asked = load_spec(spec, chosen)
+    if chosen.cylinders and actual is not None:
+        raise OptionError(f"--actual is of machines with loops, which {chosen.name} does not have")
     if chosen.cylinders and repeats > 1:
         raise OptionError(
             f"--repeats varies loops and encoders, which {chosen.name} does not have",
@@ -80,17 +92,18 @@ def prove(
         )
     if (
         not chosen.cylinders
-        and shaper is not None
+        and (shaper is not None or feed_forward)
         and all(c.name != "shaping_deviation" for c in asked.criteria)
     ):
-        # What the shaper does to the path is always said, with or without a limit.
+        # What the shaper or the smoothing does to the path is always said, with or without a limit.
         asked = replace(asked, criteria=(*asked.criteria, Criterion(name="shaping_deviation")))
     with progress_bar(not json) as progress:
         proof: Proof | SwitchProof
         if chosen.cylinders:
             proof = prove_switching(job, chosen, asked, options)
         else:
-            proof = prove_job(job, chosen, asked, options, progress, repeats)
+            other = None if actual is None else machine_from(actual, par)
+            proof = prove_job(job, chosen, asked, options, progress, repeats, other)
         with appearing(recording) as temporary:
             if temporary is not None:
                 write_recording(proof.recording, temporary)
@@ -117,11 +130,12 @@ def prove(
 def show_proof(proof: Proof) -> None:
     """Print the verdict of a proof for people."""
     plan = proof.plan
-    for warning in [*suspicions(plan.machine), *plan.job.warnings]:
+    beyond = feed_forward_warnings(plan.feed_forward)
+    for warning in [*suspicions(plan.machine), *plan.job.warnings, *beyond]:
         note(f"warning: {warning}")
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
-    for line in calculate(plan).lines():
+    for line in [*feed_forward_lines(plan.feed_forward), *calculate(plan).lines()]:
         typer.echo(line)
     typer.echo("IN SPEC" if proof.verdict.passed else "OUT OF SPEC")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from threadline.errors import OptionError
+from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.pipeline import Options, plan_job, prove_plan
 from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
-from threadline.verdict import Spec, Verdict
+from threadline.verdict import Result, Spec, Status, Verdict
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
 
@@ -45,11 +45,17 @@ def fastest_needle(
     high: float | None = None,
     points: int = SCAN_POINTS,
     progress: Callable[[str, float], None] | None = None,
+    actual: Machine | None = None,
 ) -> Fastest:
     """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
 
     The seam is read anew at each speed, so that its stitches are placed for it; every contour is
-    sewn at the same speed.
+    sewn at the same speed. A speed at which the plan breaks a limit of the machine is out of spec.
+
+    Parameters
+    ----------
+    actual
+        The machine that sews, where it isn't the one that plans are made for.
 
     Raises
     ------
@@ -63,6 +69,24 @@ def fastest_needle(
 
     def judged(speed_hz: float) -> Verdict:
         job = read_job(seam, machine, needle_speed=f"{speed_hz!r} stitch/s")
-        return prove_plan(plan_job(job, machine, options), spec).verdict
+        try:
+            plan = plan_job(job, machine, options)
+        except LimitError as error:
+            return _beyond(error)
+        return prove_plan(plan, spec, actual=actual).verdict
 
     return find_fastest(judged, begin, end, points=points, progress=progress)
+
+
+def _beyond(error: LimitError) -> Verdict:
+    """Return the verdict on a plan that was refused."""
+    failed = Result(
+        name=error.quantity,
+        axis=error.axis,
+        measured=error.value_si,
+        limit=error.limit_si,
+        unit="",
+        status=Status.FAILED,
+        note="the plan is refused",
+    )
+    return Verdict(results=(failed,), simulated=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.jobs.operations import FeedMode, Job, Move
+from threadline.jobs.operations import FeedMode, Job, Move, ToolEvent
 from threadline.plan import Plan
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
@@ -55,8 +55,15 @@ class Stitches:
 
 
 def has_stitches(job: Job) -> bool:
-    """Say whether the moves of a job carry the tags of stitches; reads up to the first."""
-    return any(isinstance(o, Move) and "stitch" in o.tags for o in job.runs())
+    """Say whether the moves of a job carry the tags of stitches; reads up to the first.
+
+    Runs of moves leave the tags behind, but the sewing head is told before the first stitch.
+    """
+    return any(
+        (isinstance(o, ToolEvent) and o.name == "sew")
+        or (isinstance(o, Move) and "stitch" in o.tags)
+        for o in job.runs()
+    )
 
 
 def planned_stitches(plan: Plan) -> Iterator[Stitches]:

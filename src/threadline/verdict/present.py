@@ -44,6 +44,27 @@ def verdict_json(verdict: Verdict, plan: Plan | SwitchPlan) -> dict[str, Any]:
         "threadline": __version__,
         "simulated": verdict.simulated,
         "options": dict(plan.options),
+        **_feed_forward_json(plan),
+    }
+
+
+def _feed_forward_json(plan: Plan | SwitchPlan) -> dict[str, Any]:
+    if isinstance(plan, SwitchPlan) or not plan.feed_forward:
+        return {}
+    return {
+        "feed_forward": [
+            {
+                "axis": demand.axis,
+                "current_a": demand.current_a,
+                "current_limit_a": _finite(demand.current_limit_a),
+                "current_at_s": demand.current_at_s,
+                "volts": demand.volts,
+                "volt_limit": demand.volt_limit,
+                "bound_by": demand.bound_by,
+                "share": demand.share,
+            }
+            for demand in plan.feed_forward
+        ]
     }
 
 
