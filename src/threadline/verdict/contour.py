@@ -12,6 +12,8 @@ from threadline.verdict.nearest import path_to_chords, vertices_to_path
 from threadline.verdict.window import PathWindow
 
 _UNREACHED = "the recording ends before this point"
+_NOTHING_M = 1e-9
+"""A move that is no longer than this has no sample of its own, and no piece of a planned path."""
 
 
 class Contour:
@@ -134,9 +136,13 @@ class Contour:
 def _from_rest(chord: int, path: PathWindow) -> int:
     """Return the first of the chords without length before ``chord``.
 
-    A job may begin with a move to where the machine is: it takes no time and has no sample.
+    A job may begin with a move to where the machine is, but for a rounding of a drawing: it takes
+    no time and has no sample.
     """
-    while chord > 1 and (path.vertices[chord - 2] == path.vertices[chord - 1]).all():
+    while (
+        chord > 1
+        and np.abs(path.vertices[chord - 2] - path.vertices[chord - 1]).max() <= _NOTHING_M
+    ):
         chord -= 1
     return chord
 

@@ -19,6 +19,7 @@ from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS
 from threadline.verdict.types import Criterion, Spec
 from threadline.wording import toml_fault
 
+_MOST_BASES = 20
 _MAX_BYTES = 1_000_000
 _TOP = ("name", "lag", "criteria")
 _COMMON = ("name", "axis", "limit", "required")
@@ -67,25 +68,42 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
 
 def _default(machine: Machine) -> tuple[str, str]:
+    """Return the default specification: a machine based on another is asked for the same."""
     name = machine.name.split("+")[0]
-    own = Path(machine.reference.split("+")[0])
-    if own.suffix == ".toml":
-        for beside in (own.with_suffix(".spec.toml"), own.with_name("spec.toml")):
-            if beside.is_file():
-                return _read(beside), str(beside)
+    reference, _ = _without_overlays(machine.reference)
+    own = Path(reference)
     library = resources.files("threadline.machine") / "library"
-    base = name
-    while re.fullmatch(r"[A-Za-z0-9_-]+", base):
-        entry, machine_file = library / f"{base}.spec.toml", library / f"{base}.toml"
-        if entry.is_file():
+    file, base = (own if own.suffix == ".toml" else None), name
+    for _ in range(_MOST_BASES):
+        if file is not None:
+            for beside in (file.with_suffix(".spec.toml"), file.with_name("spec.toml")):
+                if beside.is_file():
+                    return _read(beside), str(beside)
+        known = re.fullmatch(r"[A-Za-z0-9_-]+", base) is not None
+        if known and (entry := library / f"{base}.spec.toml").is_file():
             return entry.read_text(encoding="utf-8"), f"{base}.spec.toml"
-        # A machine that is based on another is asked for the same; bases make no circle there.
-        content = machine_file.read_text(encoding="utf-8") if machine_file.is_file() else ""
-        base = str(tomllib.loads(content).get("base", "")).split("+")[0]
+        if file is not None:
+            content = _read(file)
+        elif known and (entry := library / f"{base}.toml").is_file():
+            content = entry.read_text(encoding="utf-8")
+        else:
+            break
+        base, _ = _without_overlays(str(tomllib.loads(content).get("base", "")))
+        here = Path() if file is None else file.parent
+        file = here / base if base.endswith(".toml") else None
     raise SpecError(
         f"machine {name!r} has no default specification",
         remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",
     )
+
+
+def _without_overlays(reference: str) -> tuple[str, str]:
+    """Return the machine of a reference and its overlays; paths may hold plus signs."""
+    end = reference.rfind(".toml") + len(".toml")
+    if end < len(".toml") or reference[end : end + 1] not in {"", "+"}:
+        end = 0
+    name, _, overlays = reference[end:].partition("+")
+    return reference[:end] + name, overlays
 
 
 def _read(path: Path) -> str:

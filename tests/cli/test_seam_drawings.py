@@ -1,0 +1,79 @@
+"""Drawings as CAD and vector programs write them, from the command line to the verdict."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import ezdxf
+import pytest
+
+from threadline.cli.main import main
+
+STITCHING = '[stitching]\nstitch_length = "2 mm"\nneedle_speed = "10 stitch/s"\n'
+
+
+def drawn(folder: Path) -> Path:
+    """Return a DXF of a spline, of a block that is scaled and turned, and of a text."""
+    drawing = ezdxf.new("R2010")
+    drawing.units = ezdxf.units.MM
+    space = drawing.modelspace()
+    space.add_spline([(0, 0), (20, 10), (40, 0), (60, -10)], dxfattribs={"layer": "SPLINE"})
+    block = drawing.blocks.new("EAR")
+    block.add_line((0, 0), (20, 0), dxfattribs={"layer": "BLOCK"})
+    block.add_arc((20, 10), 10, -90, 90, dxfattribs={"layer": "BLOCK"})
+    turned = {"xscale": 2, "yscale": 2, "rotation": 30}
+    space.add_blockref("EAR", (10, 10), dxfattribs=turned)
+    space.add_text("HELLO", dxfattribs={"layer": "TEXT"})
+    drawing.saveas(folder / "drawing.dxf")
+    return folder / "drawing.dxf"
+
+
+def prove(
+    capsys: pytest.CaptureFixture[str], job: str, machine: str, *more: str
+) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(["prove", job, "-m", machine, *more])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, " ".join(captured.err.split())
+
+
+def seam(folder: Path, layer: str) -> str:
+    file = folder / f"{layer.lower()}.seam.toml"
+    file.write_text(
+        f'[drawing]\nfile = "drawing.dxf"\n{STITCHING}[[seam]]\nname = "a"\nlayer = "{layer}"\n'
+    )
+    return str(file)
+
+
+@pytest.mark.parametrize("layer", ["SPLINE", "BLOCK"])
+def test_splines_and_blocks_are_sewn(
+    layer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Finite errors for each: a spline begins a rounding away from where its program says."""
+    drawn(tmp_path)
+    code, out, err = prove(capsys, seam(tmp_path, layer), "stitcher", "--json")
+    assert code in {0, 1}, err
+    contour = next(c for c in json.loads(out)["criteria"] if c["name"] == "contour_error")
+    assert contour["measured"] is not None and 1e-5 < contour["measured"] < 1e-3
+
+
+def test_text_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drawn(tmp_path)
+    code, _, err = prove(capsys, seam(tmp_path, "TEXT"), "stitcher")
+    assert code == 2
+    assert "text 'HELLO' cannot be sewn" in err
+
+
+def test_unstable_machine_is_named_before_planning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A machine of one's own, based on one of the library, is judged by what that one is."""
+    drawn(tmp_path)
+    machine = tmp_path / "mine.toml"
+    machine.write_text(
+        'base = "stitcher"\nname = "mine"\n[controllers.x]\ngain = "2.5 dac/count exact, assumed"\n'
+    )
+    code, _, err = prove(capsys, seam(tmp_path, "SPLINE"), str(machine))
+    assert code == 2
+    assert "axis X: the loop is UNSTABLE" in err and "0.845 times the gain" in err
