@@ -390,27 +390,33 @@ def test_batch_is_the_scalar_twin(belt_axis, table):
     assert np.ptp(batch.end) > 1e-5
 
 
-def test_wide_batch_is_the_scalar_twin(belt_axis, table):
-    """Sixteen variants side by side give what each gives alone, to 1e-9 counts."""
-    machine = belt_axis(
-        drives_m='amplifier = { mode = "voltage", gain = "1 exact, assumed", '
+@pytest.mark.parametrize("quantised", [False, True])
+def test_wide_batch_is_the_scalar_twin(belt_axis, table, quantised):
+    """Variants side by side give what each gives alone, to the bit: with a limit and friction."""
+    limit = (
+        'amplifier = { mode = "voltage", gain = "1 exact, assumed", '
         'current_limit = "1.5 A exact, assumed" }'
     )
     inertia = np.linspace(1.0, 2.0, 70)
+    machine = belt_axis(drives_m=limit, bodies_head='friction = "3 N exact, assumed"')
     commands = table(machine, {"X": ROWS})
     batch = simulate_batch(
-        commands, machine, {"bodies.head.inertia": inertia}, channels=("X.load",), quantised=False
+        commands,
+        machine,
+        {"bodies.head.inertia": inertia},
+        channels=("X.load", "X.voltage", "X.current_peak"),
+        quantised=quantised,
     )
     assert batch.events > 500
     for index in (0, 7, 33, 69):
         alone = belt_axis(
-            drives_m='amplifier = { mode = "voltage", gain = "1 exact, assumed", '
-            'current_limit = "1.5 A exact, assumed" }',
-            bodies_head=f'inertia = "{float(inertia[index])!r} kg exact, assumed"',
+            drives_m=limit,
+            bodies_head=f'inertia = "{float(inertia[index])!r} kg exact, assumed"\n'
+            'friction = "3 N exact, assumed"',
         )
-        recording = simulate(commands, alone, quantised=False)
-        _, load = recording.samples("X.load")
-        np.testing.assert_allclose(batch.samples["X.load"][:, index], load, atol=1e-9 / 4e4)
+        recording = simulate(commands, alone, quantised=quantised)
+        for channel, values in batch.samples.items():
+            np.testing.assert_array_equal(values[:, index], recording.samples(channel)[1])
 
 
 def test_batch_measures(belt_axis, table):

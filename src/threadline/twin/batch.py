@@ -222,7 +222,7 @@ class _Batch:
     ) -> int:
         samples = -(-(tick + len(position)) // self.every) - -(-tick // self.every)
         for state, columns in zip(states, wanted, strict=True):
-            prepared, blocks = state.prepared, len(state.work)
+            prepared, blocks = state.prepared, len(state.clock)
             references = np.zeros((len(position), len(state.shape.controllers)))
             names = self.machine.axis_names
             for axis, controller in zip(

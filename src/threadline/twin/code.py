@@ -37,6 +37,9 @@ class Value:
     def __sub__(self, other: Number) -> Value:
         return self.code.binary("sub", self, other)
 
+    def __rsub__(self, other: float) -> Value:
+        return Value(self.code, self.code.lift(other, self.ir.type)) - self
+
     def __mul__(self, other: Number) -> Value:
         return self.code.binary("mul", self, other)
 
@@ -152,19 +155,37 @@ class Code:
         """Return a constant integer."""
         return Value(self, ir.Constant(INTEGER, value))
 
-    def call(self, name: str, *operands: Value) -> Value:
+    def call(self, name: str, *operands: Value, flags: tuple[str, ...] = ()) -> Value:
         """Return what an intrinsic such as ``floor`` makes of its operands, all of one type."""
         kind = operands[0].ir.type
         suffix = f"v{self.width}f64" if isinstance(kind, ir.VectorType) else "f64"
         return Value(self, self.at.call(
             _declared(self.at.module, f"llvm.{name}.{suffix}", kind, [kind] * len(operands)),
             [o.ir for o in operands],
+            fastmath=flags,
         ))  # fmt: skip
 
     def ones(self, bits: Value) -> Value:
         """Return how many bits of an integer are set."""
         count = _declared(self.at.module, "llvm.ctpop.i64", INTEGER, [INTEGER])
         return Value(self, self.at.call(count, [bits.ir]))
+
+    def first_bit(self, bits: Value) -> Value:
+        """Return the place of the lowest bit that is set."""
+        count = _declared(self.at.module, "llvm.cttz.i64", INTEGER, [INTEGER, BIT])
+        return Value(self, self.at.call(count, [bits.ir, ir.Constant(BIT, 1)]))
+
+    def to_integer(self, value: Value) -> Value:
+        """Return a number without its fraction as an integer."""
+        return Value(self, self.at.fptosi(value.ir, INTEGER))
+
+    def to_number(self, value: Value) -> Value:
+        """Return a vector of an integer."""
+        return self.splat(Value(self, self.at.sitofp(value.ir, DOUBLE)))
+
+    def splat(self, number: Value) -> Value:
+        """Return a vector of one number."""
+        return Value(self, self.lift(number, self.vector))
 
     def fma(self, a: Value, b: Number, c: Number) -> Value:
         """Return ``a b + c``, rounded once."""
@@ -180,12 +201,12 @@ class Code:
         return Value(self, self.at.select(which.ir, self.lift(a, like), self.lift(b, like)))
 
     def larger(self, a: Value, b: Value) -> Value:
-        """Return the larger; b where either isn't a number."""
-        return self.choose(a > b, a, b)
+        """Return the larger of two numbers."""
+        return self.call("maxnum", a, b, flags=("nnan",))
 
     def smaller(self, a: Value, b: Value) -> Value:
-        """Return the smaller; b where either isn't a number."""
-        return self.choose(a < b, a, b)
+        """Return the smaller of two numbers."""
+        return self.call("minnum", a, b, flags=("nnan",))
 
     def total(self, terms: list[tuple[Value, Value]], start: Value | None = None) -> Value:
         """Return ``start`` and the products of the terms, summed in their order."""
@@ -193,6 +214,15 @@ class Code:
         for a, b in terms:
             total = a * b if total is None else self.fma(a, b, total)
         return self.number(0.0) if total is None else total
+
+    def any_negative(self, values: list[Value]) -> Value:
+        """Return where one of the values has its sign set."""
+        kind = INTEGER if self.width == 1 else ir.VectorType(INTEGER, self.width)
+        signs = self.at.bitcast(values[0].ir, kind)
+        for value in values[1:]:
+            signs = self.at.or_(signs, self.at.bitcast(value.ir, kind))
+        zero = ir.Constant(kind, 0 if self.width == 1 else [0] * self.width)
+        return Value(self, self.at.icmp_signed("<", signs, zero))
 
     # --- truth -----------------------------------------------------------------------------
 

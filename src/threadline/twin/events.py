@@ -15,7 +15,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from threadline.twin.code import DOUBLE, INTEGER, POINTER, Code, Value
+from threadline.twin.code import INTEGER, POINTER, Code, Value
 from threadline.twin.lanes import ENDLESS, EVENTS, SLOW, UNMET, Context, Lanes
 from threadline.twin.shape import Layout
 
@@ -24,42 +24,64 @@ _MOST_STEPS = 60
 
 
 def write_change(module: ir.Module, layout: Layout) -> Any:
-    """Write the function that changes the mode of one lane: block, lane, variant, event."""
-    lanes, W = layout.shape.lanes, len(layout.shape.guards)
-    code = Code(module, "change", (POINTER, INTEGER, INTEGER, INTEGER, POINTER, POINTER), 1, True)
-    block, lane, variant, event, counts, array = code.arguments
+    """Write the function that changes the modes of some lanes.
+
+    Arguments: their rows, their number among all such groups, their events (w + 1 above guard w,
+    -w - 1 below, 0 for none), counts, context. Lanes that leave the same mode in the same way go
+    together.
+    """
+    W, width = len(layout.shape.guards), layout.shape.width
+    arguments = (POINTER, INTEGER, POINTER, POINTER, POINTER)
+    code = Code(module, "change", arguments, width, True)
+    base, number, given, counts, array = code.arguments
     context = Context(code, array)
-    modes, tables = context.pointer("mode"), context.pointer("tables")
-    side = code.choose(event > 0, code.integer(1), code.integer(0))
-    guard = code.choose(event > 0, event, code.integer(0) - event) - 1
-    which = guard * 2 + side
-    mode = code.read(modes, variant, INTEGER)
-    plan = code.read(context.pointer("plans"), mode, POINTER)
-    size = layout.of_mode + 2 * W
-    switch = code.read(plan, guard, INTEGER)
-    with code.when(switch >= 0):
-        at = (switch + layout.row.get(("tripped", 0), 0)) * lanes + lane
-        code.write(block, at, Value(code, ir.Constant(DOUBLE, 1.0)))
-    held = code.read(plan, which + 3 * W, INTEGER)
-    with code.when(held >= 0):
-        old = code.read(tables, mode, POINTER)
-        value = code.read(old, variant * size + which + layout.of_mode)
-        code.write(block, held * lanes + lane, value)
-    to = code.read(plan, which + W, INTEGER)
-    code.write(counts, EVENTS, code.read(counts, EVENTS, INTEGER) + 1, INTEGER)
-    table = code.variable(POINTER, code.read(tables, to, POINTER))
-    with code.when_seldom(_is_null(code, table.get())):
-        code.run_address(context.integer("meet"), to)
-        table.set(code.read(tables, to, POINTER))
-    code.write(modes, variant, to, INTEGER)
-    unmet = _is_null(code, table.get())
-    with code.when_seldom(unmet):
-        code.write(counts, UNMET, code.integer(1), INTEGER)
-    with code.when(~unmet):
-        source = code.place(table.get(), variant * size)
-        target = code.place(block, lane + layout.fixed * lanes)
-        with code.count(0, layout.of_mode) as row:
-            code.write(target, row * lanes, code.read(source, row))
+    rows = Lanes(code, layout, base, None)
+    tables, events = context.pointer("tables"), code.read_lanes(given, 0)
+    offset = number * ((layout.of_mode + 2 * W) * width)
+    left = code.variable(INTEGER, code.bits(code.call("fabs", events) > 0.0))
+    with code.loop() as leave:
+        leave(left.get().equals(0))
+        rows.forget()
+        first = code.first_bit(left.get())
+        event = code.to_integer(code.read(given, first))
+        place = code.place(rows.base, layout["mode",] * width)
+        mode = code.to_integer(code.read(place, first))
+        now = code.from_bits(left.get())
+        now = (
+            now & rows["mode",].equals(code.to_number(mode)) & events.equals(code.to_number(event))
+        )
+        left.set(left.get() - code.bits(now))
+        side = code.choose(event > 0, code.integer(1), code.integer(0))
+        guard = code.choose(event > 0, event, code.integer(0) - event) - 1
+        which = guard * 2 + side
+        plan = code.read(context.pointer("plans"), mode, POINTER)
+
+        def blend(row: Value, value: Value | float, now: Value = now) -> None:
+            at = row * width
+            code.write_lanes(rows.base, at, code.choose(now, value, code.read_lanes(rows.base, at)))
+
+        switch = code.read(plan, guard, INTEGER)
+        with code.when(switch >= 0):
+            blend(switch + layout.row.get(("tripped", 0), 0), 1.0)
+        held = code.read(plan, which + 3 * W, INTEGER)
+        with code.when(held >= 0):
+            old = code.place(code.read(tables, mode, POINTER), offset)
+            blend(held, code.read_lanes(old, (which + layout.of_mode) * width))
+        to = code.read(plan, which + W, INTEGER)
+        done = code.read(counts, EVENTS, INTEGER) + code.ones(code.bits(now))
+        code.write(counts, EVENTS, done, INTEGER)
+        blend(code.integer(layout["mode",]), code.to_number(to))
+        table = code.variable(POINTER, code.read(tables, to, POINTER))
+        with code.when_seldom(_is_null(code, table.get())):
+            code.run_address(context.integer("meet"), to)
+            table.set(code.read(tables, to, POINTER))
+        unmet = _is_null(code, table.get())
+        with code.when_seldom(unmet):
+            code.write(counts, UNMET, code.integer(1), INTEGER)
+        with code.when(~unmet):
+            source = code.place(table.get(), offset)
+            with code.count(0, layout.of_mode) as row:
+                blend(row + layout.fixed, code.read_lanes(source, row * width))
     code.finish()
     return code.function
 
@@ -101,7 +123,7 @@ def write_first_exit(module: ir.Module, layout: Layout) -> Any:
         open_ = ~hull & hull
         found = open_
         left = right = code.number(0.0)
-        before = after = code.number(0.0)
+        before = after = falls = rises = code.number(0.0)
         a, value_a, slope_a = code.number(0.0), q[0], q[1]
         for section in range(shape.sections):
             b = until * ((section + 1) / shape.sections)
@@ -111,20 +133,22 @@ def write_first_exit(module: ir.Module, layout: Layout) -> Any:
             width_ab = b - a
             middle = code.fma(width_ab, slope_a / (slope_a - slope_b), a)
             middle = code.choose(turns, middle, b)
-            value_m = at(middle, 0)[0]
+            value_m, slope_m = at(middle, 1)
             peak = turns & beyond(value_m)
             here = (beyond(value_b) | peak) & ~found & lanes
             left = code.choose(here, a, left)
             before = code.choose(here, value_a, before)
             right = code.choose(here, code.choose(peak, middle, b), right)
             after = code.choose(here, code.choose(peak, value_m, value_b), after)
+            falls = code.choose(here, slope_a, falls)
+            rises = code.choose(here, code.choose(peak, slope_m, slope_b), rises)
             found = found | here
             a, value_a, slope_a = b, value_b, slope_b
         with code.when(code.any(found)):
             above = after > high
             sign = code.choose(above, code.number(1.0), code.number(-1.0))
             bound = code.choose(above, high, low)
-            _root(code, at, found, sign, bound, (left, right, before, after), more)
+            _root(code, at, found, sign, bound, (left, right, before, after, falls, rises), more)
             side.set(code.choose(found, sign, 0.0))
     code.write_lanes(more, 3 * width, side.get())
     code.finish()
@@ -137,14 +161,20 @@ def _root(
     found: Value,
     sign: Value,
     bound: Value,
-    bracket: tuple[Value, Value, Value, Value],
+    bracket: tuple[Value, Value, Value, Value, Value, Value],
     more: Value,
 ) -> None:
     """Write Halley's method, kept within a bracket; each lane stops by itself."""
-    left_now, right_now, before, after = bracket
-    guess = code.fma(right_now - left_now, (bound - before) / (after - before), left_now)
+    left_now, right_now, before, after, slope_left, slope_right = bracket
+    # Inverse cubic Hermite interpolation; the secant where that leaves the bracket.
+    span, rise = right_now - left_now, after - before
+    x = (bound - before) / rise
+    one, other = rise / slope_left, rise / slope_right
+    bend = (one - span) * (1.0 - x) - (other - span) * x
+    secant = code.fma(span, x, left_now)
+    guess = code.fma(x * (1.0 - x), bend, secant)
     fits = (guess >= left_now) & (guess <= right_now)
-    guess = code.choose(fits, guess, (left_now + right_now) * 0.5)
+    guess = code.choose(fits, guess, secant)
     s = code.variable(code.vector, guess)
     left, right = code.variable(code.vector, left_now), code.variable(code.vector, right_now)
     open_ = code.variable(INTEGER, code.bits(found))
@@ -165,7 +195,7 @@ def _root(
         inside = (better >= left.get()) & (better <= right.get())
         better = code.choose(inside, better, (left.get() + right.get()) * 0.5)
         moved = code.call("fabs", better - now)
-        done = (moved < 1e-6) & inside | (right.get() - left.get() < 1e-15)
+        done = (moved < 3e-5) & inside | (right.get() - left.get() < 1e-15)
         s.set(code.choose(lanes, better, now))
         open_.set(code.bits(lanes & ~done))
     until = code.read_lanes(more, 2 * code.width)
@@ -175,17 +205,17 @@ def _root(
 def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any) -> Any:
     """Write the function that advances ``width`` lanes with events.
 
-    Arguments: block, its first lane here, that lane's variant, length, mask, whole advance or
-    none (only modes that don't hold are left), counts, context.
+    Arguments: their rows, their number among all such groups, length, mask, whole advance or none
+    (only modes that don't hold are left), counts, context.
     """
     shape = layout.shape
     n, width, K = shape.states, shape.width, shape.terms
-    arguments = (POINTER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, POINTER, POINTER)
+    arguments = (POINTER, INTEGER, INTEGER, INTEGER, INTEGER, POINTER, POINTER)
     code = Code(module, "events", arguments, width, True)
-    block, lane, variant, length, bits, whole, counts, array = code.arguments
+    base, number, length, bits, whole, counts, array = code.arguments
     context = Context(code, array)
     live = code.from_bits(bits)
-    rows = Lanes(code, layout, code.place(block, lane), length)
+    rows = Lanes(code, layout, base, length)
     poly, more, kept = code.space((K + 1) * width), code.space(4 * width), code.space(width)
     cells, fraction = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)
     changes, event = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)
@@ -202,11 +232,7 @@ def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any
         """Change the modes of the lanes with an event."""
         code.write_lanes(kept, 0, event.get())
         changes.set(changes.get() + code.choose(_is_event(event), code.number(1.0), 0.0))
-        with code.count(0, width) as u:
-            one = code.read(kept, u)
-            which = Value(code, code.at.fptosi(one.ir, INTEGER))
-            with code.when(~which.equals(0)):
-                code.run(change, block, lane + u, variant + u, which, counts, array)
+        code.run(change, base, number, kept, counts, array)
 
     def _is_event(variable: Any) -> Value:
         return code.call("fabs", variable.get()) > 0.0

@@ -73,24 +73,32 @@ class _Run:
     def block(self, b: Value) -> None:
         """Set what belongs to block b."""
         code, shape, context = self.code, self.shape, self.context
-        K, lanes = len(shape.controllers), shape.lanes
-        self.b = b
-        self.work = code.place(context.pointer("work"), b * (self.layout.rows * lanes))
+        K = len(shape.controllers)
+        self.b, self.first = b, b * (shape.lanes // shape.width)
+        size = self.layout.stride * shape.width
+        self.work = code.place(context.pointer("work"), self.first * size)
         self.clock = code.place(context.pointer("clock"), b * (HEADS + 2 * K), INTEGER)
         self.counts = code.place(context.pointer("counts"), b * COUNTS, INTEGER)
         self.row = code.variable(INTEGER, 0)
         self.taken = code.variable(INTEGER, 0)
 
-    def over_lanes(self, write: Callable[[Value, Lanes], None], length: Value | None) -> None:
-        """Write a loop over the lanes of the block."""
-        shape = self.shape
+    def over_lanes(
+        self, write: Callable[[Value, Value, Lanes], None], length: Value | None
+    ) -> None:
+        """Write a loop over the vectors of the block: number among all, first lane, rows."""
+        code, shape, layout = self.code, self.shape, self.layout
         if shape.lanes == shape.width:
-            lane = self.code.integer(0)
-            write(lane, Lanes(self.code, self.layout, self.work, length))
+            write(self.first, code.integer(0), Lanes(code, layout, self.work, length))
             return
-        with self.code.count(0, shape.lanes, shape.width) as lane:
-            base = self.code.place(self.work, lane)
-            write(lane, Lanes(self.code, self.layout, base, length))
+        uniform = {
+            name: code.splat(code.read(self.work, layout[name] * shape.width))
+            for name in shape.uniform
+            if name in layout.row
+        }
+        with code.count(0, shape.lanes // shape.width) as group:
+            base = code.place(self.work, group * (layout.stride * shape.width))
+            rows = Lanes(code, layout, base, length, uniform)
+            write(self.first + group, group * shape.width, rows)
 
     def tick(self) -> None:
         """Write what comes before the actions of a tick: loads, sample, the next row."""
@@ -98,7 +106,7 @@ class _Run:
         now = code.read(self.clock, NOW, INTEGER)
         in_window = now >= self.window
         with code.when_seldom(in_window | (row.get() + 1 >= self.rows)):
-            self.over_lanes(lambda _, rows: write_loads(rows, in_window), None)
+            self.over_lanes(lambda *found: write_loads(found[2], in_window), None)
         code.write(self.clock, NOW, now + 1, INTEGER)
         row.set(row.get() + 1)
         with code.when_seldom(self.every > 0):
@@ -108,7 +116,9 @@ class _Run:
                 size = (columns + shape.inputs) * shape.lanes
                 index = self.b * self.context.integer("samples") + self.taken.get()
                 out = code.place(self.context.pointer("records"), index * size)
-                self.over_lanes(lambda at, rows: write_sample(rows, code.place(out, at)), None)
+                self.over_lanes(
+                    lambda _, lane, rows: write_sample(rows, code.place(out, lane)), None
+                )
                 self.taken.set(self.taken.get() + 1)
                 until.set(self.every)
             code.write(self.clock, UNTIL_SAMPLE, until.get() - 1, INTEGER)
@@ -147,21 +157,26 @@ class _Run:
         scalars = {c: code.read(self.references, at + c) for c in sorted(used)}
         sent = self.sent(actions)
 
-        def write(lane: Value, rows: Lanes) -> None:
+        def write(number: Value, lane: Value, rows: Lanes) -> None:
             references = [
-                Value(code, code.lift(scalars[c], code.vector)) if c in scalars else lane
-                for c in range(K)
+                code.splat(scalars[c]) if c in scalars else code.number(0.0) for c in range(K)
             ]
             if ticks and not shape.shared:
                 write_worst(rows, references)
             places = {key: code.place(base, lane) for key, base in sent.items()}
             write_actions(rows, actions, references, places)
-            if advances:
-                variant = self.b * shape.lanes + lane
-                call = [self.work, lane, variant, length, self.counts, self.array]
-                write_advance(rows, self.events, call)
+            if advances and not shape.guards:
+                advance(number, lane, rows)
 
-        self.over_lanes(write, length)
+        def advance(number: Value, _lane: Value, rows: Lanes) -> None:
+            call = [rows.base, number, length, self.counts, self.array]
+            write_advance(rows, self.events, call)
+
+        if len(actions) > advances:
+            self.over_lanes(write, length)
+        if advances and (shape.guards or len(actions) == 1):
+            # By itself: a processor overlaps short chains of operations better than long ones.
+            self.over_lanes(advance, length)
 
 
 ADVANCE = 3

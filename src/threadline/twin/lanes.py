@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import reduce
+
 from threadline.twin.code import INTEGER, POINTER, Code, Number, Value
 from threadline.twin.shape import Layout, Pattern
 
-_OF_LENGTH = {"step", "leaving", "arriving"}
+_OF_LENGTH = {"step", "third"}
 
 CONTEXT = (
-    "work", "clock", "mode", "counts", "tables", "plans", "cells", "cell s", "meet",
+    "work", "clock", "counts", "tables", "plans", "cells", "cell s", "meet",
     "kinds", "lengths", "steps", "references", "rows", "every", "window", "records", "samples",
     "ring", "ring length",
 )  # fmt: skip
@@ -33,7 +36,7 @@ class Context:
 
 
 class Lanes:
-    """Some lanes of a block: a row's name stands for a vector.
+    """The lanes of one vector: a row's name stands for their numbers.
 
     Parameters
     ----------
@@ -42,35 +45,45 @@ class Lanes:
     layout
         Where rows lie.
     base
-        Address of the first of these lanes in row 0.
+        Address of their rows.
     length
         Which of the distinct advances; None where no row of one is used.
+    uniform
+        Rows that have been read already.
     """
 
-    def __init__(self, code: Code, layout: Layout, base: Value, length: Value | None) -> None:
+    def __init__(
+        self,
+        code: Code,
+        layout: Layout,
+        base: Value,
+        length: Value | None,
+        uniform: Mapping[tuple[object, ...], Value] | None = None,
+    ) -> None:
         self.code, self.layout, self.base = code, layout, base
         self.shape = layout.shape
-        self._known: dict[tuple[object, ...], Value] = {}
+        self._uniform = dict(uniform or {})
+        self._known = self._uniform.copy()
         self._of_length = base
         if length is not None and self.shape.lengths > 1:
-            offset = length * (layout.per_length * self.shape.lanes)
+            offset = length * (layout.per_length * self.shape.width)
             self._of_length = code.place(base, offset)
 
     def __getitem__(self, name: tuple[object, ...]) -> Value:
         if name not in self._known:
             base = self._of_length if name[0] in _OF_LENGTH else self.base
-            at = self.layout[name] * self.shape.lanes
+            at = self.layout[name] * self.shape.width
             self._known[name] = self.code.read_lanes(base, at)
         return self._known[name]
 
     def __setitem__(self, name: tuple[object, ...], value: Number) -> None:
         lifted = Value(self.code, self.code.lift(value, self.code.vector))
-        self.code.write_lanes(self.base, self.layout[name] * self.shape.lanes, lifted)
+        self.code.write_lanes(self.base, self.layout[name] * self.shape.width, lifted)
         self._known[name] = lifted
 
     def forget(self) -> None:
         """Read everything anew from here on: other code may have changed it."""
-        self._known.clear()
+        self._known = self._uniform.copy()
 
     def column(self, j: int) -> Value:
         """Return column j of ``[states, inputs, 1]``."""
@@ -102,22 +115,18 @@ class Lanes:
             after.append(self.code.total(terms, start))
         return after + [self.column(j) for j in range(len(after), self.shape.columns)]
 
-    def outside(self, w: int, values: list[Value]) -> Value:
-        """Return where one of the values lies outside the bounds of guard w."""
-        guard, code, found = self.shape.guards[w], self.code, None
-        for bounded, pick, bound in (
-            (guard.bounded_above, code.larger, "high"),
-            (guard.bounded_below, code.smaller, "low"),
-        ):
-            if not bounded:
-                continue
-            most = values[0]
-            for value in values[1:]:
-                most = pick(most, value)
-            limit = self[bound, w]
-            beyond = most > limit if bound == "high" else most < limit
-            found = beyond if found is None else found | beyond
-        assert found is not None
+    def outside(self, w: int, ends: list[Value], turns: list[Value]) -> list[Value]:
+        """Return numbers that are negative where a value lies outside the bounds of guard w.
+
+        The values are the ends, and each end plus its turn.
+        """
+        guard, code = self.shape.guards[w], self.code
+        values = ends + ([ends[0] + turns[0], ends[1] - turns[1]] if turns else [])
+        found = []
+        if guard.bounded_above:
+            found.append(self["high", w] - reduce(code.larger, values))
+        if guard.bounded_below:
+            found.append(reduce(code.smaller, values) - self["low", w])
         return found
 
     def may_leave(self, after: list[Value]) -> Value:
@@ -126,16 +135,21 @@ class Lanes:
         A cubic on an interval lies within the hull of its four Bezier points; those of a guard's
         Hermite interpolant are its ends and ``g + g' h/3``, ``g - g' h/3``.
         """
-        found = None
-        for w, point in enumerate(self.shape.points()):
-            row = self.shape.guards[w].row
-            values = [
-                self.product(("guard", w), row),
-                self.product(("leaving", w), point),
-                self.product(("arriving", w), point, after),
-                self.product(("guard", w), row, after),
+        found: list[Value] = []
+        for w, (guard, rate) in enumerate(zip(self.shape.guards, self.shape.rates(), strict=True)):
+            ends = [
+                self.product(("guard", w), guard.row),
+                self.product(("guard", w), guard.row, after),
             ]
-            beyond = self.outside(w, values)
-            found = beyond if found is None else found | beyond
-        assert found is not None
-        return found
+            turns: list[Value] = []
+            if rate:
+                turns = [self.product(("third", w), rate), self.product(("third", w), rate, after)]
+            found += self.outside(w, ends, turns)
+        return self.code.any_negative(found)
+
+    def jumped(self) -> Value:
+        """Return where a guard is left already."""
+        found: list[Value] = []
+        for w, guard in enumerate(self.shape.guards):
+            found += self.outside(w, [self.product(("guard", w), guard.row)], [])
+        return self.code.any_negative(found)

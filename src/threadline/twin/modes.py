@@ -16,7 +16,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, ThreadlineError
-from threadline.twin.shape import Layout
+from threadline.twin.shape import Layout, aligned
 from threadline.twin.tables import NET_GUARD, PlantTables
 
 _SERIES = 16
@@ -117,7 +117,7 @@ class Modes:
             self.failure = error
 
     def meet(self, mode: int) -> FloatArray:
-        """Return the (V, rows + 2 W) table of a mode; the last are the values of held states."""
+        """Return the (groups, rows + 2 W, width) table of a mode; held values come last."""
         with self._lock:
             if mode not in self.kept:
                 size = 8 * len(self.which) * (self.layout.of_mode + 2 * self.guards)
@@ -164,7 +164,10 @@ class Modes:
             of_length = self._of_length(generator, guard, time_s)
             self._place(table, of_length, x * self.layout.per_length)
         table[:, self.layout.of_mode :] = held_values.reshape(len(table), -1)
-        return np.ascontiguousarray(table[self.which]), plan
+        groups = table[self.which].reshape(-1, self.layout.shape.width, table.shape[1])
+        found = aligned((len(groups), table.shape[1], groups.shape[1]))
+        found[:] = groups.transpose(0, 2, 1)
+        return found, plan
 
     def _place(
         self, table: FloatArray, rows: dict[tuple[object, ...], FloatArray], offset: int
@@ -207,6 +210,8 @@ class Modes:
                         to[w, side] = mode + (next_mode - m) * radix
                         holds[w, side] = plant.holds[e, next_mode]
                         values[:, w, side] = plant.held_at[:, e, next_mode]
+                bounds[:, w] -= rows[:, w, -1:]
+                rows[:, w, -1] = 0.0
                 w += 1
             radix *= int(plant.modes[e])
         return rows, bounds, values, np.concatenate((switch, to.ravel(), holds.ravel()))
@@ -216,16 +221,13 @@ class Modes:
     ) -> dict[tuple[object, ...], FloatArray]:
         """Return the rows that belong to one advance.
 
-        Per guard: what gives, of the state before, the inner Bezier point after the start and, of
-        the state after, the one before the end.
+        Of a guard, a third of what its rate makes in that time: to its inner Bezier points.
         """
         n = generator.shape[1]
         rows: dict[tuple[object, ...], FloatArray] = {}
         _put(rows, ("step",), propagator(generator, time_s, self.rate))
-        third = time_s / 3.0
         rate = _product(np.ascontiguousarray(guard[:, :, :n]), generator) if self.guards else guard
-        _put(rows, ("leaving",), guard + rate * third)
-        _put(rows, ("arriving",), guard - rate * third)
+        _put(rows, ("third",), rate * (time_s / 3.0))
         return rows
 
 

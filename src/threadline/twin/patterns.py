@@ -76,10 +76,11 @@ def _guards(plant: PlantTables, matrix: NDArray[np.bool_]) -> tuple[GuardShape, 
     found = []
     for e, count in enumerate(plant.guards):
         for g in range(int(count)):
-            row = _somewhere(plant.guard_row[:, e, :, g]).any(axis=0)
+            row = np.array(_somewhere(plant.guard_row[:, e, :, g]).any(axis=0))
             for m in range(int(plant.modes[e])):
                 if plant.guard_kind[e, m, g] == NET_GUARD:
                     row = row | matrix[plant.holds[e, m]]
+            row[-1] = False
             below = bool(np.isfinite(plant.guard_low[:, e, :, g]).any())
             above = bool(np.isfinite(plant.guard_high[:, e, :, g]).any())
             if below or above:

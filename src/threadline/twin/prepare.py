@@ -18,7 +18,7 @@ from threadline.twin.lanes import CONTEXT, COUNTS, ENDLESS, UNMET
 from threadline.twin.modes import Modes
 from threadline.twin.patterns import shape_of
 from threadline.twin.schedule import TICK, Schedule, make_schedule
-from threadline.twin.shape import AXIS_ROWS, Layout, Shape
+from threadline.twin.shape import AXIS_ROWS, Layout, Shape, aligned
 from threadline.twin.tables import ControlTables, PlantTables, control_tables, plant_tables
 
 _WATCH_PER_RATE = 1.0
@@ -27,7 +27,6 @@ _MOST_RATE = float(1 << 20)
 _MOST_PIECES = 1 << 12
 _MOST_MODES = 1 << 20
 _MOST_KINDS = 12
-_LINE = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +86,15 @@ class Prepared:
         pairs = len(group.controllers) + len(group.axes) + len(group.drives)
         return 2 * pairs + len(group.inputs)
 
-    def shape(self, lanes: int, width: int, *, peak: bool, quantised: bool) -> Shape:
+    def shape(
+        self,
+        lanes: int,
+        width: int,
+        *,
+        peak: bool,
+        quantised: bool,
+        uniform: tuple[tuple[object, ...], ...] = (),
+    ) -> Shape:
         """Return the shape of the kernel that runs this piece."""
         return shape_of(
             self.piece,
@@ -106,6 +113,7 @@ class Prepared:
             quantised=quantised,
             delayed=self.schedule.delayed,
             shared=self.shared,
+            uniform=uniform,
         )
 
 
@@ -209,11 +217,9 @@ class State:
     Parameters
     ----------
     work
-        (blocks, rows, lanes), see ``shape.Layout``.
+        (groups, rows, width), see ``shape.Layout``; a block is some groups.
     ring
         (blocks, controllers, K, lanes) levels in the dead times.
-    mode
-        (V,) of each variant.
     clock
         (blocks, 3 + 2 controllers), see ``kernel``.
     counts
@@ -227,7 +233,6 @@ class State:
     modes: Modes
     work: FloatArray
     ring: FloatArray
-    mode: IntArray
     clock: IntArray
     counts: IntArray
     frozen: tuple[IntArray, ...]
@@ -253,7 +258,7 @@ class State:
         steps, modes = self.prepared.steps, self.modes
         spans = np.array(steps.lengths_s) / steps.cells
         known = {
-            "work": self.work, "clock": self.clock, "mode": self.mode, "counts": self.counts,
+            "work": self.work, "clock": self.clock, "counts": self.counts,
             "tables": modes.tables, "plans": modes.plans, "cells": steps.cells, "cell s": spans,
             "kinds": kind, "lengths": length, "references": references, "records": records,
             "ring": self.ring,
@@ -298,12 +303,35 @@ class State:
         return self.work[:, rows].transpose(0, 2, 1).reshape(-1, len(rows)).copy()
 
 
-def aligned(shape: tuple[int, ...]) -> FloatArray:
-    """Return zeros that begin at a cache line: a vector that straddles two costs twice."""
-    count = int(np.prod(shape))
-    room = np.zeros(8 * count + _LINE, dtype=np.uint8)
-    first = -room.ctypes.data % _LINE
-    return room[first : first + 8 * count].view(np.float64).reshape(shape)
+_CHANGING = ("lowest", "highest")
+
+
+def _numbers(
+    machine: Machine, prepared: Prepared, phases: FloatArray
+) -> dict[tuple[object, ...], FloatArray]:
+    """Return what rows of the workspace hold at the start: (variants,) or (1,) each."""
+    control, piece = prepared.control, prepared.piece
+    found: dict[tuple[object, ...], FloatArray] = {}
+    for c in range(phases.shape[1]):
+        found["b0", c], found["b1", c], found["b2", c] = control.numerator[:, c].T
+        found["a1", c], found["a2", c] = control.denominator[:, c].T
+        found["level low", c], found["level high", c] = (
+            control.level_low[:, c],
+            control.level_high[:, c],
+        )
+        found["volt", c] = control.volt_per_level[:, c]
+        found["gain", c] = control.volt_per_level[:, c] * control.gain[:, c]
+        found["limit", c] = control.limit[:, c]
+        found["phase", c] = phases[:, c]
+        for j, values in enumerate(control.sensor_row[:, c].T):
+            found["sensor", c, j] = values
+    for x, axis in enumerate(piece.group.axes):
+        found["lowest", x], found["highest", x] = np.full(1, np.inf), np.full(1, -np.inf)
+        found["scale", x] = np.full(1, 1.0 / machine.axes[axis].counts.si)
+        for j in range(piece.base.shape[2]):
+            found["load", x, j] = piece.load_rows[:, x, j]
+            found["frame", x, j] = piece.frame_rows[:, x, j]
+    return found
 
 
 def new_state(
@@ -319,46 +347,25 @@ def new_state(
     lanes, width
         Variants in one block, and in one vector.
     """
-    shape = prepared.shape(lanes, width, peak=peak, quantised=quantised)
+    numbers = _numbers(machine, prepared, phases)
+    uniform = tuple(
+        name
+        for name, values in numbers.items()
+        if width > 1 and name[0] not in _CHANGING and (values == values[0]).all()
+    )
+    shape = prepared.shape(lanes, width, peak=peak, quantised=quantised, uniform=uniform)
     layout = Layout(shape)
     variants, steps = prepared.piece.variants, prepared.steps
     blocks = -(-variants // lanes)
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
     modes = Modes(prepared.plant, which, layout, steps.lengths_s, prepared.rate)
-    work = aligned((blocks, layout.rows, lanes))
+    work = aligned((blocks * (lanes // width), layout.stride, width))
 
-    def put(name: tuple[object, ...], values: FloatArray) -> None:
-        full = np.broadcast_to(values, (variants,))[which]
-        work[:, layout[name]] = full.reshape(blocks, lanes)
-
-    control = prepared.control
-    for c in range(len(shape.controllers)):
-        for row, values in (
-            ("b0", control.numerator[:, c, 0]),
-            ("b1", control.numerator[:, c, 1]),
-            ("b2", control.numerator[:, c, 2]),
-            ("a1", control.denominator[:, c, 0]),
-            ("a2", control.denominator[:, c, 1]),
-            ("level low", control.level_low[:, c]),
-            ("level high", control.level_high[:, c]),
-            ("volt", control.volt_per_level[:, c]),
-            ("gain", control.volt_per_level[:, c] * control.gain[:, c]),
-            ("limit", control.limit[:, c]),
-            ("phase", phases[:, c]),
-        ):
-            put((row, c), values)
-        for j in shape.controllers[c].sensor:
-            put(("sensor", c, j), control.sensor_row[:, c, j])
-    for x, axis in enumerate(prepared.piece.group.axes):
-        put(("lowest", x), np.full(1, np.inf))
-        put(("highest", x), np.full(1, -np.inf))
-        put(("scale", x), np.full(1, 1.0 / machine.axes[axis].counts.si))
-        for j in shape.axes[x].load:
-            put(("load", x, j), prepared.piece.load_rows[:, x, j])
-        for j in shape.axes[x].frame:
-            put(("frame", x, j), prepared.piece.frame_rows[:, x, j])
-    first = modes.meet(0)[:, : layout.of_mode]
-    work[:, layout.fixed :] = first.reshape(blocks, lanes, -1).transpose(0, 2, 1)
+    for name, values in numbers.items():
+        if name in layout.row:
+            full = np.broadcast_to(values, (variants,))[which]
+            work[:, layout[name]] = full.reshape(-1, width)
+    work[:, layout.fixed : layout.rows] = modes.meet(0)[:, : layout.of_mode]
     clock = np.zeros((blocks, HEADS + 2 * len(shape.controllers)), dtype=np.int64)
     clock[:, HEADS::2] = prepared.schedule.in_flight
     longest = int(prepared.schedule.in_flight.max(initial=0)) + 2
@@ -370,7 +377,6 @@ def new_state(
         modes=modes,
         work=work,
         ring=aligned((blocks, len(shape.controllers), longest, lanes)),
-        mode=np.zeros(blocks * lanes, dtype=np.int64),
         clock=clock,
         counts=np.zeros((blocks, COUNTS), dtype=np.int64),
         frozen=(np.ascontiguousarray(steps.kind), np.ascontiguousarray(steps.length)),

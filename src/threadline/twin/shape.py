@@ -1,13 +1,19 @@
 """What a kernel is written for, and where each number lies in its workspace.
 
-The workspace of a block of variants ("lanes") is rows of ``lanes`` numbers, so that one vector
-instruction serves several variants. Only entries of matrices that can differ from zero (and,
-on the diagonal of a propagator, from one) have rows.
+The workspace of a group of variants ("lanes") is rows of ``width`` numbers, so that one vector
+instruction serves all of them; a block is as many groups as fit the fastest memory. Only entries
+of matrices that can differ from zero (and, on the diagonal of a propagator, from one) have rows.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+
+_LINE, _PAGE = 64, 4096
 
 Pattern = tuple[int, ...]
 """Columns of a row that may differ from zero."""
@@ -33,7 +39,7 @@ class AxisShape(NamedTuple):
 
 
 class GuardShape(NamedTuple):
-    """What of a guard is fixed."""
+    """What of a guard is fixed; its bounds have taken up the constant of its row."""
 
     row: Pattern
     bounded_below: bool
@@ -43,8 +49,8 @@ class GuardShape(NamedTuple):
 class Shape(NamedTuple):
     """Everything that a kernel is written for; columns are states, drives' inputs and 1."""
 
-    lanes: int
-    width: int
+    lanes: int  # of a block
+    width: int  # of a vector
     matrix: tuple[Pattern, ...]  # of the derivative, one for each state, of all modes together
     drives: tuple[Pattern, ...]  # of their currents
     controllers: tuple[ControllerShape, ...]
@@ -59,6 +65,7 @@ class Shape(NamedTuple):
     delayed: bool  # some command is under way longer than no time
     shared: bool  # every tick each controller reads just what is its axis' load
     kinds: tuple[tuple[tuple[int, int], ...], ...]  # the actions of each kind of step
+    uniform: tuple[tuple[object, ...], ...]  # rows that hold one number for all lanes, for good
 
     @property
     def states(self) -> int:
@@ -82,20 +89,19 @@ class Shape(NamedTuple):
         unit = tuple(i not in row for i, row in enumerate(found))
         return tuple(tuple(sorted(row)) for row in found), unit
 
-    def points(self) -> tuple[Pattern, ...]:
-        """Return the patterns of the guards' inner Bezier points."""
+    def rates(self) -> tuple[Pattern, ...]:
+        """Return the patterns of the guards' rates."""
         found = []
         for guard in self.guards:
-            rates = (self.matrix[j] for j in guard.row if j < self.states)
-            found.append(tuple(sorted(set(guard.row).union(*rates))))
+            rows = (self.matrix[j] for j in guard.row if j < self.states)
+            found.append(tuple(sorted(set().union(*rows))))
         return tuple(found)
 
 
-CONTROLLER_ROWS = (
-    "e1", "e2", "o1", "o2", "level", "held",
-    "b0", "b1", "b2", "a1", "a2", "level low", "level high", "volt", "gain", "limit", "phase",
-)  # fmt: skip
-"""Errors and outputs one and two ticks ago, level, level that has arrived; then its numbers."""
+CHANGING = ("e1", "e2", "o1", "o2", "level", "held")
+"""Of a controller: errors and outputs one and two ticks ago, level, level that has arrived."""
+NUMBERS = ("b0", "b1", "b2", "a1", "a2", "level low", "level high", "volt", "gain", "limit",
+           "phase")  # fmt: skip
 AXIS_ROWS = ("worst", "lowest", "highest", "last", "scale")
 """Largest |commanded - load|, least and greatest load of the window, last load, units per count."""
 
@@ -112,22 +118,32 @@ class Layout:
         if shape.guards:
             for i in range(n):
                 self._add("old", i)
-        for c, controller in enumerate(shape.controllers):
-            for name in CONTROLLER_ROWS:
-                self._add(name, c)
-            for j in controller.sensor:
-                self._add("sensor", c, j)
-        for x, axis in enumerate(shape.axes):
-            for name in AXIS_ROWS:
+        unused = [self._unused(c) for c in shape.controllers]
+        for c in range(len(unused)):
+            for name in CHANGING:
+                if name not in unused[c]:
+                    self._add(name, c)
+        for x in range(len(shape.axes)):
+            for name in AXIS_ROWS[:-1]:
                 self._add(name, x)
-            for j in axis.load:
-                self._add("load", x, j)
-            for j in axis.frame:
-                self._add("frame", x, j)
         for d in range(len(shape.drives)):
             self._add("peak", d)
         for s in range(shape.inputs):
             self._add("tripped", s)
+        self._add("mode")
+        changing = len(self.row)
+        for c, controller in enumerate(shape.controllers):
+            for name in NUMBERS:
+                if name not in unused[c]:
+                    self._add(name, c)
+            for j in controller.sensor:
+                self._add("sensor", c, j)
+        for x, axis in enumerate(shape.axes):
+            self._add(AXIS_ROWS[-1], x)
+            for j in axis.load:
+                self._add("load", x, j)
+            for j in axis.frame:
+                self._add("frame", x, j)
         self.fixed = len(self.row)
         reach, _ = shape.reach()
         for w in range(len(shape.guards)):
@@ -143,10 +159,9 @@ class Layout:
         for i, pattern in enumerate(reach):
             for j in pattern:
                 self._add("step", i, j)
-        for w, point in enumerate(shape.points()):
-            for j in point:
-                self._add("leaving", w, j)
-                self._add("arriving", w, j)
+        for w, pattern in enumerate(shape.rates()):
+            for j in pattern:
+                self._add("third", w, j)
         self.per_length = len(self.row) - self.first_length
         self.later_lengths = self.first_length + shape.lengths * self.per_length
         self.rows = self.later_lengths
@@ -155,6 +170,27 @@ class Layout:
                 for j in pattern:
                     self.row["matrix", i, j] = self.rows
                     self.rows += 1
+
+        # A load waits for an earlier store whose address is alike in its last twelve bits: what
+        # changes must not look like anything that is read of the vector of lanes after it.
+        lines = max(1, 8 * shape.width // _LINE)
+        period = _PAGE // _LINE // lines
+        self.stride = self.rows
+        if shape.lanes > shape.width:
+            self.stride += (changing - self.rows) % period
+
+    def _unused(self, controller: ControllerShape) -> set[str]:
+        """Return the rows that a controller does without."""
+        unused: set[str] = set()
+        if not controller.second:
+            unused |= {"e2", "o2", "b2", "a2"}
+        if not (controller.second or controller.feedback):
+            unused |= {"o1", "a1"}
+        if not self.shape.delayed:
+            unused.add("held")
+        if not controller.limited:
+            unused.add("limit")
+        return unused
 
     def _add(self, *name: object) -> None:
         self.row[name] = len(self.row)
@@ -166,3 +202,11 @@ class Layout:
     def of_mode(self) -> int:
         """Rows that change with the mode."""
         return self.rows - self.fixed
+
+
+def aligned(shape: tuple[int, ...]) -> FloatArray:
+    """Return zeros that begin at a cache line: a vector that straddles two costs twice."""
+    count = int(np.prod(shape))
+    room = np.zeros(8 * count + _LINE, dtype=np.uint8)
+    first = -room.ctypes.data % _LINE
+    return room[first : first + 8 * count].view(np.float64).reshape(shape)

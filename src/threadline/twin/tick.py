@@ -108,19 +108,17 @@ def write_advance(rows: Lanes, events: Any, call: list[Value]) -> None:
     def leave(mask: Value, whole: int) -> None:
         bits = code.bits(mask)
         with code.when_seldom(~bits.equals(0)):
-            code.run(events, *call[:4], bits, code.integer(whole), *call[4:])
+            code.run(events, *call[:3], bits, code.integer(whole), *call[3:])
 
     if shape.peak:
         if events is not None:
             # Inputs may have jumped: the current belongs to the mode then in force.
-            jumped = None
-            for w, guard in enumerate(shape.guards):
-                here = rows.outside(w, [rows.product(("guard", w), guard.row)])
-                jumped = here if jumped is None else jumped | here
-            assert jumped is not None
-            leave(jumped, 0)
+            leave(rows.jumped(), 0)
             rows.forget()
         write_peaks(rows)
+    if events is not None:
+        for i in range(shape.states):
+            rows["old", i] = rows["z", i]
     after = rows.advanced()
     if events is None:
         for i in range(shape.states):
@@ -128,7 +126,6 @@ def write_advance(rows: Lanes, events: Any, call: list[Value]) -> None:
     else:
         mask = rows.may_leave(after)
         for i in range(shape.states):
-            rows["old", i] = rows["z", i]
             rows["z", i] = after[i]
         leave(mask, 1)
         rows.forget()
