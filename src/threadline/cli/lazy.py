@@ -35,6 +35,7 @@ COMMANDS = {
     "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
+    "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),

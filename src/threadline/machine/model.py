@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline.arrays import FloatArray
 from threadline.machine.controllers import Controller, Sensor
+from threadline.machine.design import Design
 from threadline.machine.parts import (
     STRICT,
     Axis,
@@ -46,6 +47,8 @@ class Machine:
         The network and what runs on it, by name; the order of ``axes`` is that of all arrays.
     cylinders, outputs, contacts, plc
         Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
+    design
+        What may be changed of it, for ``threadline design`` alone.
     sha256
         Of the resolved content: base file and overlays included.
     file, reference
@@ -70,6 +73,7 @@ class Machine:
     plc: Plc | None = None
     tool: Tool
     operator: Operator | None = None
+    design: Design | None = None
     sha256: str = ""
     file: str = ""
     reference: str = ""
@@ -78,6 +82,9 @@ class Machine:
     def _references(self) -> Machine:
         for name, link in self.links.items():
             _known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
+            if link.eccentric is not None:
+                at = f"links.{name}.eccentric.angle"
+                _known(link.eccentric.angle, self.bodies, at, "body")
         for name, drive in self.drives.items():
             _known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
         for name, sensor in self.sensors.items():

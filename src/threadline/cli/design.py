@@ -1,0 +1,220 @@
+"""``threadline design``: the smallest change to the machine that meets the specification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from threadline.cli.options import (
+    DEFAULT_INTERPOLATION_TEXT,
+    DEFAULT_TOLERANCE_TEXT,
+    InterpolationOption,
+    JobArgument,
+    JsonOption,
+    MachineOption,
+    ReportOption,
+    SpecOption,
+    ToleranceOption,
+    keep_inputs,
+    options_of,
+)
+from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.outputs import check_outputs
+from threadline.errors import OptionError
+from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
+from threadline.machine import load_machine
+from threadline.pipeline import parse_width_s
+from threadline.report.design import (
+    candidate_rows,
+    change_rows,
+    gain_rows,
+    what_binds,
+    write_design_report,
+)
+from threadline.search.design import Candidate, DesignResult
+from threadline.search.design import design as search_design
+from threadline.search.design_files import spec_file, write_design
+from threadline.verdict import load_spec, verdict_rows
+
+_MOST_WIDTHS = 6
+
+
+def design(
+    job: JobArgument,
+    machine: MachineOption,
+    spec: SpecOption = None,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    over_tolerances: Annotated[
+        bool,
+        typer.Option(
+            "--over-tolerances", help="It must hold at every corner of the parameters' tolerances."
+        ),
+    ] = False,
+    needle: Annotated[
+        str | None, typer.Option(help='Replaces the needle speed of a seam: "75 stitch/s".')
+    ] = None,
+    feed_forward: Annotated[
+        str | None,
+        typer.Option(
+            help="Command the exact inverse of each candidate instead of designing filters; widths "
+            'of the smoothing to try: "30 ms, 36 ms, 50 ms".'
+        ),
+    ] = None,
+    plot: Annotated[
+        str | None, typer.Option(help='Two parameters to draw the region in: "belt,load".')
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Write the machine here (.toml), and its specification beside it (.spec.toml).",
+        ),
+    ] = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Find the smallest change to the machine with which JOB is within specification.
+
+    What may be changed, how far and at which cost stands in the [design] table of the machine.
+
+    Exit status: 0 when a design was found, 1 when there is none within the bounds, 2 wrong input.
+
+    Example: threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml
+    """
+    chosen = load_machine(machine)
+    if output is not None:
+        if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
+            raise OptionError(
+                f"{str(output)!r} is no name for a machine file",
+                remedy="Give one that ends in .toml and not in .spec.toml.",
+            )
+        for file in (output, spec_file(output)):
+            keep_inputs(file, job, chosen.file, spec)
+    check_outputs(file=output, folder=report)
+    if needle is not None and not job.name.lower().endswith(SEAM_SUFFIXES):
+        raise OptionError(f"{job.name} is no seam and has no needle speed")
+    plotted = _plotted(plot, tuple(chosen.design.parameters) if chosen.design else None)
+    smoothing_s = _widths_s(feed_forward)
+    with progress_bar(not json) as progress:
+        result = search_design(
+            job,
+            chosen,
+            load_spec(spec, chosen),
+            options_of(interpolation, None, tolerance),
+            tolerances=over_tolerances,
+            needle_speed=needle,
+            plotted=plotted,
+            smoothing_s=smoothing_s,
+            progress=progress,
+        )
+    written = []
+    if output is not None and result.found is not None:
+        written = write_design(result, result.found, output)
+    page = None if report is None else write_design_report(result, report)
+    if json:
+        print_json(_content(result, [str(p) for p in written], page))
+    else:
+        _show(result)
+        for path in written:
+            typer.echo(f"Wrote {path}")
+        if page is not None:
+            typer.echo(f"Report: {page}")
+    raise typer.Exit(0 if result.found is not None else 1)
+
+
+def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str] | None:
+    if text is None or known is None:
+        return None
+    names = tuple(part.strip() for part in text.split(","))
+    if len(names) != 2 or names[0] == names[1] or any(name not in known for name in names):
+        raise OptionError(
+            f"cannot plot {text[:60]!r}", remedy=f"Give two of {', '.join(known)}, with a comma."
+        )
+    return names[0], names[1]
+
+
+def _widths_s(text: str | None) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in text.split(",")))
+    if len(widths) > _MOST_WIDTHS:
+        raise OptionError(f"{len(widths)} widths of the smoothing, at most {_MOST_WIDTHS}")
+    return widths
+
+
+def _show(result: DesignResult) -> None:
+    title = f"{result.job.name} on {result.machine.name}"
+    if result.found is not None:
+        print_table(f"{title}: the smallest change", *change_rows(result))
+        print_table("Settings that go with it", *gain_rows(result.found))
+        over = f"over {result.found.proofs} machines at the tolerances' corners, the worst: "
+        print_table(
+            f"Verdict, {over if result.tolerances else ''}proved by the whole pipeline",
+            *verdict_rows(result.found.verdict),
+        )
+    print_table("Cost against margin, and other machines", *candidate_rows(result))
+    typer.echo(what_binds(result))
+    typer.echo(f"{result.simulated} machines simulated")
+
+
+def _content(result: DesignResult, written: list[str], page: Path | None) -> dict[str, Any]:
+    found = result.found
+    content: dict[str, Any] = {
+        "found": None,
+        "over_tolerances": result.tolerances,
+        "as_built": _candidate(result.as_built),
+        "nearest": _candidate(result.nearest),
+        "known": {name: _candidate(c) for name, c in result.known.items()},
+        "pareto": [_candidate(c) for c in result.pareto],
+        "what_binds": what_binds(result),
+        "refused": list(result.refused),
+        "simulated": result.simulated,
+        "written": written,
+    }
+    if found is not None:
+        content["found"] = {
+            **_candidate(found.candidate),
+            "passed": found.verdict.passed,
+            "proofs": found.proofs,
+            "numbers": dict(found.numbers),
+            "worst": {
+                f"{r.name} {r.axis}".strip(): r.measured
+                for r in found.verdict.results
+                if r.limit is not None
+            },
+        }
+    if result.region is not None:
+        region = result.region
+        content["region"] = {
+            "parameters": list(region.names),
+            "factors": [line.tolist() for line in region.factors],
+            "ratio": region.found.tolist(),
+            "ratio_others_unchanged": region.unchanged.tolist(),
+        }
+    if page is not None:
+        content["report"] = str(page)
+    return content
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "factors": dict(candidate.factors),
+        "cost": candidate.cost,
+        "share_of_limit": candidate.ratio,
+        "share_of_limit_nominal": candidate.nominal,
+        "binding": candidate.binding,
+        "crossover_hz": candidate.crossover_hz,
+        "phase_margin_deg": candidate.phase_margin_deg,
+        "acceleration": candidate.acceleration,
+        "smoothing_s": candidate.smoothing_s,
+        "needle_delay_s": candidate.delay_s,
+    }
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("design")(design)

@@ -1,0 +1,146 @@
+"""What may be changed of a machine when it is redesigned: the ``[design]`` table of its file.
+
+Nothing of it has a part in a motion or a simulation: ``threadline design`` alone reads it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT
+from threadline.machine.quantity import Quantity, Units
+from threadline.units import parse_quantity
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+NumberPath = Annotated[
+    str,
+    Field(pattern=r"^(bodies|links|drives|sensors|controllers)(\.[A-Za-z][A-Za-z0-9_-]*){2,3}$"),
+]
+Factor = Annotated[float, Field(gt=0.0, lt=1e6)]
+MOST_PARAMETERS = 8
+MOST_TOLERANCES = 4
+"""Every corner of the tolerances is simulated: 2 to this power of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class DesignParameter:
+    """Numbers of the machine that change together by one factor.
+
+    Parameters
+    ----------
+    of
+        Their names in the file: ``"links.x_belt.stiffness"``.
+    factor
+        Least and largest factor on what the file says, or ``range``, the same as quantities.
+    range
+        Least and largest value, in the unit of the numbers, which must then be equal.
+    weight
+        A change costs ``weight |ln factor|``.
+    tolerance
+        Share by which the numbers may be off: a design that is asked to hold over the tolerances
+        is tried at both ends of it.
+    note
+        For people.
+    """
+
+    of: tuple[NumberPath, ...] = Field(min_length=1)
+    factor: tuple[Factor, Factor] | None = None
+    range: tuple[str, str] | None = None
+    weight: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
+    tolerance: str | None = None
+    note: str = ""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DesignParameter:
+        if (self.factor is None) == (self.range is None):
+            raise ValueError("a parameter has either factor = [1, 100] or range = [low, high]")
+        if self.factor is not None and self.factor[0] > self.factor[1]:
+            raise ValueError(f"factor runs from {self.factor[0]:g} to {self.factor[1]:g}")
+        if not 0.0 <= self.spread < 1.0:
+            raise ValueError(f"tolerance {self.tolerance!r} must be at least 0 % and below 100 %")
+        return self
+
+    @property
+    def spread(self) -> float:
+        """The tolerance as a number; 0 where there is none."""
+        return 0.0 if self.tolerance is None else parse_quantity(self.tolerance, "")
+
+
+Hertz = Annotated[Quantity, Units(("Hz",), positive=True)]
+Degrees = Annotated[Quantity, Units(("rad",), positive=True)]
+Share = Annotated[Quantity, Units(("",), positive=True, most=1.0)]
+Seconds = Annotated[Quantity, Units(("s",), not_negative=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class DesignSettings:
+    """What can be set without changing the machine, least and largest; it costs nothing.
+
+    Parameters
+    ----------
+    crossover, phase_margin
+        What the lead filters of all axes are designed for. Without them the gains stay.
+    acceleration
+        Share of the machine's acceleration and jerk that the planner uses.
+    needle_delay
+        How long after the command the needle goes down.
+    """
+
+    crossover: tuple[Hertz, Hertz] | None = None
+    phase_margin: tuple[Degrees, Degrees] | None = None
+    acceleration: tuple[Share, Share] | None = None
+    needle_delay: tuple[Seconds, Seconds] | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> DesignSettings:
+        if (self.crossover is None) != (self.phase_margin is None):
+            raise ValueError("crossover and phase_margin come together")
+        for name in ("crossover", "phase_margin", "acceleration", "needle_delay"):
+            pair = getattr(self, name)
+            if pair is not None and pair[0].si > pair[1].si:
+                raise ValueError(
+                    f"{name} runs from {pair[0].si:g} to {pair[1].si:g} {pair[0].unit}"
+                )
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class KnownDesign:
+    """An answer that somebody gave: plotted beside the one found.
+
+    ``factors`` are by the names of the parameters; what is left out stays as it is.
+    """
+
+    title: str
+    factors: dict[Name, Factor] = Field(min_length=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Design:
+    """The ``[design]`` table."""
+
+    parameters: dict[Name, DesignParameter] = Field(min_length=1, max_length=MOST_PARAMETERS)
+    settings: DesignSettings = Field(default_factory=DesignSettings)
+    known: dict[Name, KnownDesign] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _references(self) -> Design:
+        taken: dict[str, str] = {}
+        for name, parameter in self.parameters.items():
+            for path in parameter.of:
+                if path in taken:
+                    raise ValueError(f"{path} is in both {taken[path]!r} and {name!r}")
+                taken[path] = name
+        for title, known in self.known.items():
+            for name in known.factors:
+                if name not in self.parameters:
+                    raise ValueError(
+                        f"known.{title}.factors names {name!r}, which is no parameter; there are: "
+                        f"{', '.join(self.parameters)}"
+                    )
+        if sum(p.spread > 0 for p in self.parameters.values()) > MOST_TOLERANCES:
+            raise ValueError(f"more than {MOST_TOLERANCES} parameters have a tolerance")
+        return self

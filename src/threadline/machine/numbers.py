@@ -1,0 +1,61 @@
+"""Numbers of a machine by their dotted names: read, and replaced."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+from threadline.errors import OptionError
+from threadline.machine.model import Machine
+from threadline.machine.quantity import Quantity
+
+
+def number_at(machine: Machine, path: str) -> Quantity:
+    """Return the number of ``machine`` called ``path``, such as ``"links.x_belt.stiffness"``.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no such number.
+    """
+    node: Any = machine
+    for key in path.split("."):
+        node = node.get(key) if isinstance(node, Mapping) else getattr(node, key, None)
+    if not isinstance(node, Quantity):
+        raise OptionError(
+            f"machine {machine.name!r} has no number {path!r}",
+            remedy="Name one that its file gives.",
+        )
+    return node
+
+
+def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
+    """Return ``machine`` with other numbers (SI) and a hash that tells them apart.
+
+    Tolerances stay the same share of the value.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no such number.
+    """
+    for path, value in numbers.items():
+        old = number_at(machine, path)
+        share = 1.0 if old.si == 0.0 else abs(value / old.si)
+        new = dataclasses.replace(
+            old, si=float(value), tolerance_si=old.tolerance_si * share, exact_s=None
+        )
+        machine = _replaced(machine, path.split("."), new)
+    note = repr(sorted((path, float(value)) for path, value in numbers.items()))
+    sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
+    return dataclasses.replace(machine, sha256=sha256)
+
+
+def _replaced(node: Any, keys: list[str], value: Quantity) -> Any:
+    key, rest = keys[0], keys[1:]
+    if isinstance(node, Mapping):
+        return {**node, key: _replaced(node[key], rest, value) if rest else value}
+    below = _replaced(getattr(node, key), rest, value) if rest else value
+    return dataclasses.replace(node, **{key: below})

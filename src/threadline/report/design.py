@@ -1,0 +1,275 @@
+"""The report of a redesign: what changes, what it buys, and what is in spec about it."""
+
+from __future__ import annotations
+
+import platform
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from threadline import __version__
+from threadline.machine.numbers import number_at
+from threadline.report.document import Document, Table, write_document
+from threadline.report.style import figure_style
+from threadline.search.design import Candidate, DesignResult, Found
+from threadline.verdict import verdict_rows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_Table = tuple[list[str], list[list[str]]]
+_MARKS = ("s", "D", "^", "P", "X")
+
+
+def change_rows(result: DesignResult) -> _Table:
+    """Return the numbers that the design changes: from, to, factor and cost."""
+    found, space = result.found, result.space
+    assert found is not None
+    rows = []
+    for name, weight, paths in zip(space.names, space.weights, space.paths, strict=True):
+        factor = found.candidate.factors[name]
+        if factor == 1.0:
+            continue
+        cost = f"{weight * abs(np.log(factor)):.3f}"
+        for path in paths:
+            old = number_at(result.machine, path)
+            rows.append(
+                [
+                    name,
+                    path,
+                    f"{old.si:.4g} {old.unit}",
+                    f"{old.si * factor:.4g} {old.unit}",
+                    f"{factor:.3g}",
+                    cost,
+                ]
+            )
+            cost = ""
+    rows.append(["total", "", "", "", "", f"{found.candidate.cost:.3f}"])
+    return ["parameter", "number", "from", "to", "factor", "cost"], rows
+
+
+def gain_rows(found: Found) -> _Table:
+    """Return what has to be set besides: filters, acceleration, needle."""
+    rows = []
+    candidate = found.candidate
+    if candidate.crossover_hz is not None:
+        rows.append(["crossover of all axes", f"{candidate.crossover_hz:.4g} Hz"])
+        rows.append(["phase margin", f"{candidate.phase_margin_deg:.4g} deg"])
+    for path, value in found.numbers.items():
+        if path.startswith("controllers."):
+            rows.append([path, f"{value:.5g}"])
+    if candidate.smoothing_s is None:
+        rows.append(["acceleration and jerk, of the machine's", f"{candidate.acceleration:.1%}"])
+    else:
+        rows.append(["feed-forward, smoothed over", f"{candidate.smoothing_s * 1e3:.3g} ms"])
+    if candidate.delay_s is not None:
+        rows.append(["needle down after the command", f"{candidate.delay_s * 1e3:.3g} ms"])
+    return ["setting", "value"], rows
+
+
+def candidate_rows(result: DesignResult) -> _Table:
+    """Return the Pareto set and the machines that it is compared with."""
+    names = list(result.space.names)
+    header = ["machine", *names, "cost", "of the limit", "limited by"]
+    rows = [_row("as it is", names, result.as_built)]
+    rows += [_row(name, names, candidate) for name, candidate in result.known.items()]
+    if result.found is not None:
+        rows.append(_row("smallest change", names, result.found.candidate))
+    rows += [_row("cost against margin", names, candidate) for candidate in result.pareto]
+    return header, rows
+
+
+def _row(title: str, names: list[str], candidate: Candidate) -> list[str]:
+    return [
+        title,
+        *(f"{candidate.factors[n]:.3g}" for n in names),
+        f"{candidate.cost:.2f}",
+        f"{min(candidate.ratio, 999.0):.0%}",
+        candidate.binding.replace("_", " "),
+    ]
+
+
+def what_binds(result: DesignResult) -> str:
+    """Return one sentence: what was found, or what stands in the way."""
+    over = " over the tolerances" if result.tolerances else ""
+    if result.found is not None:
+        candidate = result.found.candidate
+        changed = [f"{n} x {f:.3g}" for n, f in candidate.factors.items() if f != 1.0]
+        return (
+            f"in spec{over} with {', '.join(changed) or 'new settings alone'}: cost "
+            f"{candidate.cost:.3f}, limited by {candidate.binding.replace('_', ' ')}"
+        )
+    nearest = result.nearest
+    refused = f" (refused by the whole pipeline: {result.refused[0]})" if result.refused else ""
+    return (
+        f"no change within the bounds is in spec{over}: {nearest.binding.replace('_', ' ')} binds, "
+        f"at best {nearest.ratio:.0%} of its limit{refused}"
+    )
+
+
+def write_design_report(result: DesignResult, folder: Path) -> Path:
+    """Write the report into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    tables, figures, captions = [], {}, {}
+    if result.found is not None:
+        changed, settings = change_rows(result), gain_rows(result.found)
+        verdict = verdict_rows(result.found.verdict)
+        tables.append(Table(title="The smallest change", header=changed[0], rows=changed[1]))
+        tables.append(Table(title="Settings", header=settings[0], rows=settings[1]))
+        tables.append(
+            Table(
+                title="Criteria",
+                header=verdict[0],
+                rows=verdict[1],
+                note=f"The worst of {result.found.proofs} machines at the corners of the "
+                "tolerances."
+                if result.tolerances
+                else "",
+            )
+        )
+    header, rows = candidate_rows(result)
+    tables.append(
+        Table(
+            title="Cost against margin, and other machines",
+            header=header,
+            rows=rows,
+            note="Factors on the machine's numbers. Cost is the sum of weight x |ln factor|; of "
+            "the limit: the worst measured over its limit, 100 % or less is in spec.",
+        )
+    )
+    with figure_style():
+        if result.region is not None:
+            figures["region"] = region_figure(result)
+            captions["region"] = _region_caption(result)
+        figures["pareto"] = pareto_figure(result)
+        captions["pareto"] = "No machine that was tried beats one of these in both."
+        return write_document(
+            Document(
+                title=f"{result.job.name} on {result.machine.name}: redesign",
+                subtitle=result.machine.title,
+                verdicts=[(what_binds(result), result.found is not None)],
+                tables=tables,
+                figures=figures,
+                captions=captions,
+                facts=[
+                    ("threadline", __version__),
+                    ("Python", platform.python_version()),
+                    ("job", result.job.name),
+                    ("job sha256", result.job.sha256),
+                    ("machine", f"{result.machine.name} ({result.machine.title})"),
+                    ("machine sha256", result.machine.sha256),
+                    ("machines simulated", str(result.simulated)),
+                ],
+            ),
+            folder,
+            "design",
+        )
+
+
+def _region_caption(result: DesignResult) -> str:
+    assert result.region is not None
+    others = ", ".join(f"{n} x {f:.3g}" for n, f in result.region.others.items())
+    kept = f"with {others}, as in the design" if others else "everything else as the machine is"
+    twice = " Dashed: the same boundary with everything else as the machine is." if others else ""
+    return (
+        f"Hatched: in spec, {kept}; the best of ten designs of the filters and of "
+        f"all needle delays at each point, without tolerances. Numbers on the lines: the worst "
+        f"measured over its limit.{twice}"
+    )
+
+
+def region_figure(result: DesignResult) -> Figure:
+    """Draw what is in spec in two parameters, with the design and the known answers."""
+    from matplotlib.figure import Figure
+
+    region = result.region
+    assert region is not None
+    figure = Figure(figsize=(7.2, 5.6))
+    panel: Axes = figure.subplots()
+    across, up = np.meshgrid(*region.factors)
+    shown = np.log(np.clip(region.found, 1e-2, 1e2))
+    filled = panel.contourf(
+        across, up, shown, levels=[-10.0, 0.0], colors=["#d9e8f2"], hatches=["///"], alpha=1.0
+    )
+    filled.set_edgecolor("0.6")
+    lines = panel.contour(
+        across, up, shown, levels=np.log([0.25, 0.5, 1.0, 2.0, 4.0]).tolist(),
+        colors="black", linewidths=[0.6, 0.6, 1.8, 0.6, 0.6], linestyles="solid",
+    )  # fmt: skip
+    panel.clabel(lines, fmt=lambda v: f"{np.exp(v):.0%}", fontsize=7, inline_spacing=1)
+    if region.others:
+        panel.contour(
+            across, up, np.log(np.clip(region.unchanged, 1e-2, 1e2)), levels=[0.0],
+            colors="0.35", linewidths=1.4, linestyles=[(0, (5, 2))],
+        )  # fmt: skip
+    _mark(panel, result, "as it is", result.as_built, "o", False)
+    if result.found is not None:
+        _mark(panel, result, "smallest change", result.found.candidate, "*", True)
+    for k, (name, candidate) in enumerate(result.known.items()):
+        assert result.machine.design is not None
+        title = result.machine.design.known[name].title
+        _mark(panel, result, title, candidate, _MARKS[k % len(_MARKS)], True)
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_xlabel(f"{region.names[0]}, factor")
+    panel.set_ylabel(f"{region.names[1]}, factor")
+    panel.grid(visible=False)
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter(lambda v, _: f"{v:g}")
+        axis.set_minor_formatter(lambda v, _: f"{v:g}" if f"{v:.0e}"[0] in "25" else "")
+    panel.margins(0.03)
+    figure.legend(loc="outside lower center", ncols=1)
+    panel.set_title(f"{result.job.name} on {result.machine.name}: what is in spec")
+    return figure
+
+
+def _mark(
+    panel: Axes, result: DesignResult, title: str, candidate: Candidate, marker: str, filled: bool
+) -> None:
+    assert result.region is not None
+    x, y = (candidate.factors[name] for name in result.region.names)
+    panel.plot(
+        [x], [y], linestyle="none", marker=marker, markersize=15 if marker == "*" else 9,
+        markerfacecolor="#E69F00" if filled else "white", markeredgecolor="black", clip_on=False,
+        zorder=6, label=f"{title}: {min(candidate.ratio, 99.0):.0%} of the limit",
+    )  # fmt: skip
+
+
+def pareto_figure(result: DesignResult) -> Figure:
+    """Draw cost against the share of the limit that is used."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.2))
+    panel: Axes = figure.subplots()
+    cost = [c.cost for c in result.pareto]
+    panel.step(
+        cost, [100.0 * c.ratio for c in result.pareto], where="post", color="black", lw=1.0,
+        marker="o", markersize=4, markerfacecolor="white", label="least share for the cost",
+    )  # fmt: skip
+    panel.axhline(
+        100.0, color="#D55E00", linestyle=(0, (1, 1.5)), lw=1.4, label="limit of the specification"
+    )
+    others = [("as it is", result.as_built, "o"), *(
+        (name, candidate, "s") for name, candidate in result.known.items()
+    )]  # fmt: skip
+    if result.found is not None:
+        others.append(("smallest change", result.found.candidate, "*"))
+    for title, candidate, marker in others:
+        panel.plot(
+            [candidate.cost], [100.0 * candidate.ratio], linestyle="none", marker=marker,
+            markersize=13 if marker == "*" else 8, markerfacecolor="#E69F00",
+            markeredgecolor="black", label=title,
+        )  # fmt: skip
+    panel.set_ylim(0.0, 100.0 * min(max(1.6, 1.1 * result.as_built.ratio), 4.0))
+    panel.set_xlabel("cost: sum of weight x |ln factor|")
+    panel.set_ylabel("worst measured over its limit [%]")
+    panel.legend()
+    panel.set_title("What a change buys")
+    return figure

@@ -1,0 +1,384 @@
+"""The smallest change to a machine with which a job is in specification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import MachineError, PlanError
+from threadline.jobs import read_job
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.machine.numbers import number_at, with_numbers
+from threadline.pipeline import Options, check_loops, plan_job
+from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
+from threadline.search.design_region import Region, region_of
+from threadline.search.design_search import (
+    TARGETS,
+    first_sample,
+    known_points,
+    least_change,
+    pareto,
+    with_settings,
+)
+from threadline.search.design_space import Space, design_space
+from threadline.signals import TickTable
+from threadline.twin import simulate
+from threadline.verdict import Spec, Verdict, judge
+
+_MOST_PROOFS = 12
+_DELAYED = ("stitch_length_error", "stitch_placement_error")
+_DIGITS = 3
+_RETRIED = 8  # settings of a known answer that are tried over the tolerances
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A machine that was tried.
+
+    Parameters
+    ----------
+    factors
+        By parameter.
+    cost
+        Weighted sum of |ln factor|.
+    ratio, nominal
+        Worst measured over limit: over the tolerances if they were asked for, and without.
+    binding
+        The criterion that uses most of its limit.
+    crossover_hz, phase_margin_deg
+        What its filters were designed for; None where they weren't.
+    acceleration
+        Share of the machine's acceleration.
+    smoothing_s
+        Of feed-forward; None without it.
+    delay_s
+        Needle delay; None without stitches.
+    """
+
+    factors: Mapping[str, float]
+    cost: float
+    ratio: float
+    nominal: float
+    binding: str
+    crossover_hz: float | None
+    phase_margin_deg: float | None
+    acceleration: float
+    smoothing_s: float | None
+    delay_s: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """A design that was proved by the whole pipeline.
+
+    Parameters
+    ----------
+    candidate
+        As it was proved.
+    machine, spec
+        With the numbers of the design and its needle delay.
+    numbers
+        Those that differ from the machine as it was: path to SI value.
+    verdict
+        Of the machine as drawn and, where they were asked for, of all corners: the worst counts.
+    proofs
+        How many machines were proved.
+    """
+
+    candidate: Candidate
+    machine: Machine
+    spec: Spec
+    numbers: Mapping[str, float]
+    verdict: Verdict
+    proofs: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DesignResult:
+    """What a search for the smallest change brought.
+
+    Parameters
+    ----------
+    machine, job
+        As they were.
+    found
+        None where no change within the bounds meets the specification.
+    pareto
+        Cost against margin, the cheapest first.
+    known
+        The best settings of each known answer, by its title.
+    as_built
+        The machine as it is, with the best settings.
+    region
+        What is in spec about the design, in two of its parameters; None with fewer than two.
+    nearest
+        The candidate that came nearest to the specification.
+    simulated
+        Machines simulated in the search.
+    tolerances
+        Whether the design holds over them.
+    """
+
+    machine: Machine
+    job: Job
+    space: Space
+    found: Found | None
+    pareto: tuple[Candidate, ...]
+    known: Mapping[str, Candidate]
+    as_built: Candidate
+    region: Region | None
+    nearest: Candidate
+    simulated: int
+    tolerances: bool
+    refused: tuple[str, ...]
+
+
+def design(
+    job_file: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    tolerances: bool = False,
+    needle_speed: str | None = None,
+    plotted: tuple[str, str] | None = None,
+    smoothing_s: tuple[float, ...] = (),
+    effort: Effort | None = None,
+    progress: Progress | None = None,
+) -> DesignResult:
+    """Search the smallest change to ``machine`` with which a job is in ``spec``.
+
+    Parameters
+    ----------
+    tolerances
+        Whether it must hold at every corner of the tolerances of the parameters.
+    needle_speed
+        Replaces that of a seam: ``"75 stitch/s"``.
+    plotted
+        Two parameters for the region; those that cost most when None.
+    smoothing_s
+        Widths of the smoothing that feed-forward is tried with: the commands then go through the
+        exact inverse of each candidate instead of through filters designed for it. Empty for none.
+    effort
+        How long to search.
+
+    Raises
+    ------
+    MachineError, JobError, PlanError, OptionError
+        If the input is wrong, or the machine as it is cannot be told to do the job.
+    """
+    space = design_space(machine, smoothing_s)
+    job = (
+        read_job(job_file, machine)
+        if needle_speed is None
+        else read_job(job_file, machine, needle_speed=needle_speed)
+    )
+
+    def report(what: str, low: float, high: float) -> Callable[[float], None]:
+        def at(fraction: float) -> None:
+            if progress is not None:
+                progress(what, low + (high - low) * fraction)
+
+        return at
+
+    evaluator = Evaluator(
+        space, job, spec, options, tolerances, effort or (FEW if smoothing_s else THOROUGH)
+    )
+    tried = first_sample(space, evaluator, report("sampling", 0.0, 0.25))
+    tried = least_change(space, evaluator, tried, report("narrowing", 0.25, 0.55))
+    for turn, target in enumerate(TARGETS):
+        at = 0.55 + 0.2 * turn / len(TARGETS)
+        step = report("trading cost for margin", at, at + 0.2 / len(TARGETS))
+        tried = least_change(space, evaluator, tried, step, target=target)
+    found, refused = _proved(space, evaluator, tried, job, spec)
+    centre = tried.points[_nearest(space, tried)] if found is None else _point(space, found)
+    level = 0 if found is None else _level(space, found.candidate)
+    # Beyond the limit the tolerances were not tried.
+    front = pareto(space, tried, 1.0 + 1e-9 if evaluator.tolerances else 1.5)
+    used = np.abs(tried.points[front[tried.ratio[front] <= 1.0], : space.parameters])
+    region = region_of(
+        space,
+        evaluator,
+        centre,
+        level,
+        np.median(used, axis=0) * space.weights if len(used) else space.weights,
+        plotted,
+        report("drawing the region", 0.75, 1.0),
+    )
+    return DesignResult(
+        machine=machine,
+        job=job,
+        space=space,
+        found=found,
+        pareto=tuple(_candidate(space, evaluator, tried, i) for i in front.tolist()),
+        known={
+            name: _best_of(space, evaluator, tried, point)
+            for name, point in known_points(space).items()
+        },
+        as_built=_best_of(space, evaluator, tried, np.zeros(space.parameters)),
+        region=region,
+        nearest=_candidate(space, evaluator, tried, _nearest(space, tried)),
+        simulated=evaluator.simulated,
+        tolerances=evaluator.tolerances,
+        refused=refused,
+    )
+
+
+def _nearest(space: Space, tried: Tried) -> int:
+    """Return the cheapest that is in spec, else the one with the least ratio."""
+    good = np.flatnonzero(tried.ratio <= 1.0)
+    if len(good):
+        return int(good[np.argmin(space.cost(tried.points[good]))])
+    return int(np.argmin(tried.ratio))
+
+
+def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: FloatArray) -> Candidate:
+    """Return the best of those tried that have these parameters, whatever their settings."""
+    same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
+    own = tried.taken(np.flatnonzero(same))
+    if evaluator.tolerances:
+        # The first sample left out those that are in spec as drawn but dear.
+        points = with_settings(space, parameters, evaluator.effort.settings_log2)
+        for level in range(len(space.levels)):
+            levels = np.full(len(points), level, dtype=np.int64)
+            own = own.join(evaluator.tried(points, levels, beyond=-1.0))
+        best = np.argsort(own.nominal, kind="stable")[:_RETRIED]
+        own = evaluator.tried(own.points[best], own.level[best], beyond=np.inf)
+    return _candidate(space, evaluator, own, int(np.argmin(own.ratio)))
+
+
+def _candidate(space: Space, evaluator: Evaluator, tried: Tried, index: int) -> Candidate:
+    point, level = tried.points[index], int(tried.level[index])
+    gains = space.designs_gains
+    return Candidate(
+        factors=dict(zip(space.names, np.exp(point[: space.parameters]).tolist(), strict=True)),
+        cost=float(space.cost(point[None])[0]),
+        ratio=float(tried.ratio[index]),
+        nominal=float(tried.nominal[index]),
+        binding=tried.binding[index],
+        crossover_hz=float(np.exp(point[-2])) if gains else None,
+        phase_margin_deg=float(point[-1]) if gains else None,
+        acceleration=1.0 if space.ahead else space.levels[level],
+        smoothing_s=space.levels[level] if space.ahead else None,
+        delay_s=evaluator.delay_s(level, int(tried.delay[index])),
+    )
+
+
+def _point(space: Space, found: Found) -> FloatArray:
+    candidate = found.candidate
+    settings = []
+    if candidate.crossover_hz is not None and candidate.phase_margin_deg is not None:
+        settings = [np.log(candidate.crossover_hz), candidate.phase_margin_deg]
+    return np.array([*(np.log(candidate.factors[n]) for n in space.names), *settings])
+
+
+def _level(space: Space, candidate: Candidate) -> int:
+    own = candidate.acceleration if candidate.smoothing_s is None else candidate.smoothing_s
+    return space.levels.index(own)
+
+
+def _proved(
+    space: Space, evaluator: Evaluator, tried: Tried, job: Job, spec: Spec
+) -> tuple[Found | None, tuple[str, ...]]:
+    """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
+    good = np.flatnonzero(tried.ratio <= 1.0)
+    refused: list[str] = []
+    for index in good[np.argsort(space.cost(tried.points[good]), kind="stable")][:_MOST_PROOFS]:
+        own = tried.points[index]
+        for point in (_rounded(space, own), own):
+            once = evaluator.tried(point[None], tried.level[index : index + 1])
+            if once.ratio[0] > 1.0:
+                continue
+            candidate = _candidate(space, evaluator, once, 0)
+            try:
+                found = _prove(space, evaluator, point, candidate, job, spec)
+            except PlanError as error:
+                refused.append(error.message)
+                continue
+            if found.verdict.passed:
+                return found, tuple(refused)
+            failed = max(found.verdict.results, key=lambda r: r.severity)
+            refused.append(f"{failed.name} {failed.axis}".strip())
+    return None, tuple(refused)
+
+
+def _rounded(space: Space, point: FloatArray) -> FloatArray:
+    """Return the point with factors, crossover and phase margin of three digits."""
+    rounded = point.copy()
+    count = space.parameters
+    logs = [*range(count), *([count] if space.designs_gains else [])]
+    for k in logs:
+        rounded[k] = np.log(float(f"{np.exp(point[k]):.{_DIGITS}g}"))
+    if space.designs_gains:
+        rounded[-1] = float(f"{point[-1]:.{_DIGITS}g}")
+    return np.clip(rounded, space.low, space.high)
+
+
+def _prove(
+    space: Space,
+    evaluator: Evaluator,
+    point: FloatArray,
+    candidate: Candidate,
+    job: Job,
+    spec: Spec,
+) -> Found:
+    """Prove one candidate, and its corners, by the whole pipeline.
+
+    Raises
+    ------
+    PlanError
+        If a loop is unstable, or the machine cannot be told to do the job.
+    """
+    machine = space.machine
+    gains = {k: float(v[0]) for k, v in evaluator.gains(point[None])[0].items()}
+    numbers = {k: float(v[0]) for k, v in space.numbers(point[None]).items()}
+    numbers = {k: v for k, v in numbers.items() if v != number_at(machine, k).si} | gains
+    if candidate.acceleration != 1.0:
+        for name, axis in machine.axes.items():
+            numbers[f"axes.{name}.acceleration"] = axis.acceleration.si * candidate.acceleration
+            if axis.jerk is not None:
+                numbers[f"axes.{name}.jerk"] = axis.jerk.si * candidate.acceleration
+    redesigned = with_numbers(machine, numbers)
+    asked = with_delay(spec, candidate.delay_s)
+    check_loops(redesigned)
+    plan = plan_job(job, redesigned, evaluator.options_at(_level(space, candidate)))
+    assert isinstance(plan.commands, TickTable)
+    machines = [redesigned]
+    if evaluator.tolerances:
+        for corner in space.corners(point[None]):
+            off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
+            machines.append(with_numbers(redesigned, off))
+            check_loops(machines[-1])
+    recordings = [simulate(plan.commands, each) for each in machines]
+    try:
+        verdict = judge(recordings, plan, asked)
+    except MachineError as error:
+        raise PlanError(error.message) from error
+    return Found(
+        candidate=candidate,
+        machine=redesigned,
+        spec=asked,
+        numbers=numbers,
+        verdict=verdict,
+        proofs=len(machines),
+    )
+
+
+def with_delay(spec: Spec, delay_s: float | None) -> Spec:
+    """Return ``spec`` with the needle set to another delay."""
+    if delay_s is None:
+        return spec
+    return replace(
+        spec,
+        criteria=tuple(
+            replace(c, options={**c.options, "delay": delay_s}) if c.name in _DELAYED else c
+            for c in spec.criteria
+        ),
+    )

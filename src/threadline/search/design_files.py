@@ -1,0 +1,106 @@
+"""A design as files: a machine based on the one that was redesigned, and its specification."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from threadline.machine import Machine
+from threadline.machine.numbers import number_at
+from threadline.machine.quantity import Quantity
+from threadline.search.design import DesignResult, Found
+from threadline.signals.files.common import atomic_file
+from threadline.verdict import Spec
+from threadline.verdict.registry import MEASURES
+
+_SPEC_SUFFIX = ".spec.toml"
+
+
+def spec_file(machine_file: Path) -> Path:
+    """Return where the specification of a machine file is looked for: beside it."""
+    return machine_file.with_suffix(_SPEC_SUFFIX)
+
+
+def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
+    """Write the machine, and beside it the specification with its needle delay.
+
+    Parameters
+    ----------
+    file
+        The machine's, ending in ``.toml``; its specification ends in ``.spec.toml``.
+
+    Raises
+    ------
+    RecordingError
+        If a file cannot be written.
+    """
+    texts = {
+        file: machine_toml(result, found, file.parent),
+        spec_file(file): spec_toml(found.spec, found.machine),
+    }
+    for path, text in texts.items():
+        with atomic_file(path) as stream:
+            stream.write(text.encode())
+    return list(texts)
+
+
+def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
+    """Return the machine file of a design, based on the machine that was redesigned."""
+    machine = result.machine
+    tables: dict[str, list[str]] = {}
+    for path, value in found.numbers.items():
+        table, _, key = path.rpartition(".")
+        text = quantity_text(number_at(machine, path), value)
+        tables.setdefault(table, []).append(f"{key} = {json.dumps(text)}")
+    over = " over the tolerances" if result.tolerances else ""
+    lines = [
+        f"# Found by threadline design for {result.job.name}: in specification{over}.",
+        f"# Cost {found.candidate.cost:.4g}: the sum of weight x |ln factor|.",
+        f"base = {json.dumps(_base(machine, folder))}",
+        f"name = {json.dumps(machine.name.split('+')[0] + '-redesigned')}",
+        f"title = {json.dumps(machine.title + ', redesigned')}",
+        'design = "none"',
+    ]
+    for table, rows in sorted(tables.items()):
+        lines += ["", f"[{table}]", *rows]
+    return "\n".join(lines) + "\n"
+
+
+def quantity_text(old: Quantity, value: float) -> str:
+    """Return a number as a machine file has it, with the old one's share of tolerance."""
+    spread = "exact"
+    if old.tolerance_si and old.si:
+        spread = f"+- {100.0 * abs(old.tolerance_si / old.si):.6g} %"
+    written = f"{value!r} {old.unit}".strip()
+    before = f"{old.si:.6g} {old.unit}".strip()
+    return f"{written} {spread}, assumed: redesigned, from {before}"
+
+
+def _base(machine: Machine, folder: Path) -> str:
+    """Return the machine's reference as seen from another folder."""
+    end = machine.reference.rfind(".toml") + len(".toml")
+    if end < len(".toml"):
+        return machine.reference
+    file = Path(machine.reference[:end]).resolve()
+    return os.path.relpath(file, folder.resolve()) + machine.reference[end:]
+
+
+def spec_toml(spec: Spec, machine: Machine) -> str:
+    """Return a specification as its file."""
+    lines = [f"name = {json.dumps(spec.name)}", f'lag = "{spec.lag_s!r} s"']
+    for criterion in spec.criteria:
+        kind = MEASURES[criterion.name]
+        lines += ["", "[[criteria]]", f"name = {json.dumps(criterion.name)}"]
+        if criterion.axis:
+            lines.append(f"axis = {json.dumps(criterion.axis)}")
+        if criterion.hard:
+            lines.append('limit = "machine"')
+        elif criterion.limit is not None:
+            unit = kind.unit(machine.axes[criterion.axis].kind if criterion.axis else "linear")
+            lines.append(f"limit = {json.dumps(f'{criterion.limit!r} {unit}'.strip())}")
+        if criterion.required:
+            lines.append("required = true")
+        for key, value in criterion.options.items():
+            lines.append(f"{key} = {json.dumps(f'{value!r} {kind.options[key].unit}'.strip())}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,193 @@
+"""The least change: a space-filling sample, then moves along the boundary of what is in spec."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import qmc
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.search.design_evaluate import Evaluator, Tried
+from threadline.search.design_space import Space
+
+SEED = 1994
+_ELITE = 8
+_PATIENCE = 4
+_ENOUGH = 2e-3  # relative: less than this in several rounds is no progress
+_FIRST_STEP, _STEP_DECAY = 0.15, 0.85
+_SHRINK = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98)
+TARGETS = (0.8, 0.6)
+"""Ratios for which the least change is looked for too: the Pareto set."""
+
+Report = Callable[[float], None]
+
+
+def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
+    """Return a Sobol sample of the whole space at every level, and of the settings alone.
+
+    The settings alone: of the machine as it is and of each known answer.
+    """
+    dims, effort = len(space.low), evaluator.effort
+    points, levels = [], []
+    for level in range(len(space.levels)):
+        cube = qmc.Sobol(dims, seed=SEED + level).random_base2(effort.sample_log2)
+        points.append(qmc.scale(cube, space.low, np.maximum(space.high, space.low + 1e-12)))
+        for fixed in [np.zeros(space.parameters), *known_points(space).values()]:
+            points.append(with_settings(space, fixed, effort.settings_log2))
+        levels += [level] * (sum(len(p) for p in points) - len(levels))
+    everything, of_level = np.concatenate(points), np.array(levels, dtype=np.int64)
+    found: Tried | None = None
+    step = max(len(everything) // 4, 1)
+    for at in range(0, len(everything), step):
+        part = evaluator.tried(everything[at : at + step], of_level[at : at + step], beyond=-1.0)
+        found = part if found is None else found.join(part)
+        report(0.7 * (at + len(part)) / len(everything))
+    assert found is not None
+    if not evaluator.tolerances:
+        return found
+    # Corners of the cheapest only; what is in spec as drawn and was not tried at them is left out.
+    good = np.flatnonzero(found.nominal <= 1.0)
+    cheap = good[np.argsort(space.cost(found.points[good]), kind="stable")][: effort.proposals]
+    out = found.taken(np.flatnonzero(found.nominal > 1.0))
+    return out.join(evaluator.tried(found.points[cheap], found.level[cheap])) if len(cheap) else out
+
+
+def known_points(space: Space) -> dict[str, FloatArray]:
+    """Return the (P,) coordinates of the known answers."""
+    return {
+        name: np.array([np.log(factors.get(p, 1.0)) for p in space.names])
+        for name, factors in space.known.items()
+    }
+
+
+def with_settings(space: Space, parameters: FloatArray, log2: int) -> FloatArray:
+    """Return points with the same parameters and a Sobol sample of the settings."""
+    settings = len(space.low) - space.parameters
+    if not settings:
+        return parameters[None]
+    cube = qmc.Sobol(settings, seed=SEED).random_base2(log2)
+    scaled = qmc.scale(cube, space.low[space.parameters :], space.high[space.parameters :])
+    return np.hstack([np.broadcast_to(parameters, (len(scaled), len(parameters))), scaled])
+
+
+def least_change(
+    space: Space,
+    evaluator: Evaluator,
+    tried: Tried,
+    report: Report,
+    *,
+    target: float = 1.0,
+) -> Tried:
+    """Return all candidates tried, with those of a search for the least cost at a ratio.
+
+    Parameters
+    ----------
+    tried
+        To start from.
+    target
+        Largest ratio of measured to limit.
+    """
+    random = np.random.default_rng(SEED)
+    step, stale = _FIRST_STEP, 0
+    effort = evaluator.effort
+    rounds = effort.rounds if target == 1.0 else effort.trade_rounds
+    best = _least(space, tried, target)
+    for turn in range(rounds):
+        elite = _elite(space, tried, target)
+        points, level = _proposals(space, tried, elite, step, random, effort.proposals)
+        if np.isfinite(best):
+            cheaper = space.cost(points) < best
+            points, level = points[cheaper], level[cheaper]
+        if len(points):
+            tried = tried.join(evaluator.tried(points, level))
+        now = _least(space, tried, target)
+        stale = stale + 1 if now > best * (1.0 - _ENOUGH) or not np.isfinite(now) else 0
+        best, step = now, step * _STEP_DECAY
+        report((turn + 1) / rounds)
+        if stale >= _PATIENCE or best == 0.0:
+            break
+    return tried
+
+
+def _least(space: Space, tried: Tried, target: float) -> float:
+    cost = space.cost(tried.points)[tried.ratio <= target]
+    return float(cost.min(initial=np.inf))
+
+
+def _elite(space: Space, tried: Tried, target: float) -> IntArray:
+    """Return the cheapest that meet the target, and the nearest to it that are cheaper still."""
+    cost = space.cost(tried.points)
+    good = np.flatnonzero(tried.ratio <= target)
+    chosen = good[np.argsort(cost[good], kind="stable")][:_ELITE]
+    limit = cost[chosen[0]] if len(chosen) else np.inf
+    near = np.flatnonzero((tried.ratio > target) & (cost < limit))
+    near = near[np.argsort(tried.ratio[near], kind="stable")][
+        : _ELITE if len(chosen) else 3 * _ELITE
+    ]
+    return np.concatenate([chosen, near]).astype(np.int64)
+
+
+def _proposals(
+    space: Space,
+    tried: Tried,
+    elite: IntArray,
+    step: float,
+    random: np.random.Generator,
+    most: int,
+) -> tuple[FloatArray, IntArray]:
+    """Return candidates about the elite: shrunk towards no change, and moved at random.
+
+    The least of a sum of magnitudes often leaves some numbers as they are, so that moves often
+    end exactly there.
+    """
+    count, span = space.parameters, space.high - space.low
+    points: list[FloatArray] = []
+    levels: list[int] = []
+    each = max(most // max(len(elite), 1), 1)
+    for index in elite.tolist():
+        own, level = tried.points[index], int(tried.level[index])
+        moved = own + step * span * random.standard_normal((each, len(own)))
+        scale = random.choice(_SHRINK[1:], size=(each, 1))
+        shrunk = random.random((each, 1)) < 0.5
+        moved[:, :count] = np.where(shrunk, own[:count] * scale, moved[:, :count])
+        for k in np.flatnonzero(own[:count]).tolist():
+            alone = np.repeat(own[None], len(_SHRINK), axis=0)
+            alone[:, k] *= _SHRINK
+            # What one number gives up another may have to make good.
+            alone[:, count:] += (
+                step * span[count:] * random.standard_normal((len(_SHRINK), len(span) - count))
+            )
+            moved = np.concatenate([moved, alone])
+        zero = random.random((len(moved), count)) < 0.12
+        moved[:, :count] = np.where(zero, 0.0, moved[:, :count])
+        still = random.random((len(moved), 1)) < 0.3
+        moved = np.where(still & (np.arange(len(own)) >= count), own, moved)
+        points.append(np.clip(moved, space.low, space.high))
+        other = random.integers(0, len(space.levels), len(moved))
+        levels += np.where(random.random(len(moved)) < 0.2, other, level).tolist()
+    every, of_level = np.concatenate(points), np.array(levels, dtype=np.int64)
+    if len(every) > 2 * most:
+        chosen = np.sort(random.choice(len(every), 2 * most, replace=False))
+        every, of_level = every[chosen], of_level[chosen]
+    return every, of_level
+
+
+def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntArray:
+    """Return the candidates that no other beats in both cost and ratio, the cheapest first.
+
+    Parameters
+    ----------
+    most
+        Largest ratio of interest.
+    apart
+        Of several whose ratios lie in the same interval of this width the cheapest is kept.
+    """
+    cost = space.cost(tried.points)
+    order = np.lexsort((tried.ratio, cost))
+    kept, best = [], most
+    for index in order.tolist():
+        if np.ceil(tried.ratio[index] / apart) < np.ceil(best / apart):
+            kept.append(index)
+            best = tried.ratio[index]
+    return np.array(kept, dtype=np.int64)

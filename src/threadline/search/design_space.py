@@ -1,0 +1,213 @@
+"""The space that a redesign is searched in: factors on numbers of the machine, and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import MachineError, OptionError, Place
+from threadline.machine import Machine
+from threadline.machine.controllers import LeadController
+from threadline.machine.design import Design, DesignParameter
+from threadline.machine.numbers import number_at
+from threadline.units import parse_quantity
+
+_LEVELS = 3
+_DELAY_STEP_S = 1e-3
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Space:
+    """What may be changed, as coordinates.
+
+    A point has the logarithm of a factor for each of P parameters, then, where filters are
+    designed, the logarithm of the crossover in Hz and the phase margin in degrees.
+
+    Parameters
+    ----------
+    machine
+        As it is.
+    names, weights
+        (P,) of the parameters.
+    paths
+        Per parameter the numbers of the machine that it scales.
+    low, high
+        (P + 0 or 2,) bounds of a point.
+    tolerance
+        (P,) share by which each may be off.
+    levels
+        Shares of the acceleration that are tried; with ``ahead`` the widths of the smoothing, s.
+    ahead
+        Whether the commands go through the exact inverse of each candidate: feed-forward.
+    delays_s
+        (D,) needle delays that are tried; empty where they are the specification's.
+    """
+
+    machine: Machine
+    names: tuple[str, ...]
+    weights: FloatArray
+    paths: tuple[tuple[str, ...], ...]
+    low: FloatArray
+    high: FloatArray
+    tolerance: FloatArray
+    levels: tuple[float, ...]
+    delays_s: FloatArray
+    ahead: bool = False
+    known: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters P."""
+        return len(self.names)
+
+    @property
+    def designs_gains(self) -> bool:
+        """Whether the filters are designed for every candidate."""
+        return len(self.low) > self.parameters
+
+    def cost(self, points: FloatArray) -> FloatArray:
+        """Return (n,) the weighted sum of |ln factor| of (n, dims) points."""
+        return np.asarray(np.abs(points[:, : self.parameters]) @ self.weights)
+
+    def numbers(self, points: FloatArray) -> dict[str, FloatArray]:
+        """Return the numbers of the machine at (n, dims) points: path to (n,) SI values."""
+        factors = np.exp(points[:, : self.parameters])
+        return {
+            path: factors[:, k] * number_at(self.machine, path).si
+            for k, paths in enumerate(self.paths)
+            for path in paths
+        }
+
+    def corners(self, points: FloatArray) -> FloatArray:
+        """Return (n * C, dims) the corners of the tolerances of (n, dims) points, in turn."""
+        loose = np.flatnonzero(self.tolerance > 0)
+        if not len(loose):
+            return points
+        signs = np.array(list(product((-1.0, 1.0), repeat=len(loose))))
+        off = np.zeros((len(signs), points.shape[1]))
+        off[:, loose] = np.log1p(signs * self.tolerance[loose])
+        return np.asarray((points[:, None, :] + off[None]).reshape(-1, points.shape[1]))
+
+    @property
+    def corner_count(self) -> int:
+        """How many corners a point has."""
+        return 2 ** int((self.tolerance > 0).sum())
+
+
+def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space:
+    """Return what the machine's ``[design]`` table allows.
+
+    Parameters
+    ----------
+    smoothing_s
+        Widths of the smoothing that feed-forward is tried with; its filters stay as they are and
+        the needle goes down when the command says. Empty for none.
+
+    Raises
+    ------
+    MachineError
+        If it has none, or it names numbers that this machine does not have.
+    """
+    place = Place(machine.file) if machine.file else None
+    if machine.design is None:
+        raise MachineError(
+            f"machine {machine.name!r} has no [design] table",
+            place=place,
+            remedy="Say what may be changed: [design.parameters.NAME] with of and factor.",
+        )
+    design = machine.design
+    low, high = [], []
+    for name, parameter in design.parameters.items():
+        first, last = _bounds(machine, name, parameter, place)
+        low.append(np.log(first))
+        high.append(np.log(last))
+    ahead = bool(smoothing_s)
+    low_set, high_set = ([], []) if ahead else _gain_bounds(machine, design, place)
+    return Space(
+        machine=machine,
+        names=tuple(design.parameters),
+        weights=np.array([p.weight for p in design.parameters.values()]),
+        paths=tuple(p.of for p in design.parameters.values()),
+        low=np.array([*low, *low_set]),
+        high=np.array([*high, *high_set]),
+        tolerance=np.array([p.spread for p in design.parameters.values()]),
+        levels=smoothing_s or _levels(design),
+        delays_s=np.zeros(1) if ahead else _delays(design),
+        ahead=ahead,
+        known={name: known.factors for name, known in design.known.items()},
+    )
+
+
+def _bounds(
+    machine: Machine, name: str, parameter: DesignParameter, place: Place | None
+) -> tuple[float, float]:
+    """Return the least and the largest factor of a parameter."""
+    where = f"design.parameters.{name}"
+    try:
+        numbers = [number_at(machine, path) for path in parameter.of]
+    except OptionError as error:
+        raise MachineError(
+            f"{where}: {error.message}", place=place, remedy="Correct of, or take it out."
+        ) from error
+    if any(q.si == 0.0 for q in numbers):
+        raise MachineError(f"{where}: a number that is 0 has no factor", place=place)
+    if parameter.factor is not None:
+        return parameter.factor
+    assert parameter.range is not None
+    own = numbers[0]
+    if any(abs(q.si / own.si - 1.0) > _SAME or q.unit != own.unit for q in numbers):
+        raise MachineError(
+            f"{where}: range is for numbers that are equal",
+            place=place,
+            remedy="Give factor = [low, high] instead.",
+        )
+    try:
+        first, last = (parse_quantity(text, own.unit) / own.si for text in parameter.range)
+    except ValueError as error:
+        raise MachineError(f"{where}.range: {error}", place=place) from error
+    if not 0.0 < first <= last:
+        raise MachineError(
+            f"{where}.range runs from {parameter.range[0]} to {parameter.range[1]}", place=place
+        )
+    return first, last
+
+
+def _gain_bounds(
+    machine: Machine, design: Design, place: Place | None
+) -> tuple[list[float], list[float]]:
+    settings = design.settings
+    if settings.crossover is None or settings.phase_margin is None:
+        return [], []
+    for axis in machine.axes.values():
+        if not isinstance(machine.controllers[axis.controller], LeadController):
+            raise MachineError(
+                f"design.settings.crossover: the controller {axis.controller!r} is no lead filter",
+                place=place,
+                remedy="Only lead filters are designed; give its gains as parameters instead.",
+            )
+    (low, high), (least, most) = settings.crossover, settings.phase_margin
+    return (
+        [float(np.log(low.si)), float(np.degrees(least.si))],
+        [float(np.log(high.si)), float(np.degrees(most.si))],
+    )
+
+
+def _levels(design: Design) -> tuple[float, ...]:
+    if design.settings.acceleration is None:
+        return (1.0,)
+    low, high = (q.si for q in design.settings.acceleration)
+    if low == high:
+        return (high,)
+    return tuple(float(v) for v in np.geomspace(low, high, _LEVELS)[::-1])
+
+
+def _delays(design: Design) -> FloatArray:
+    if design.settings.needle_delay is None:
+        return np.empty(0)
+    low, high = (q.si for q in design.settings.needle_delay)
+    return np.linspace(low, high, max(round((high - low) / _DELAY_STEP_S) + 1, 1))
