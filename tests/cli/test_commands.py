@@ -121,6 +121,32 @@ def test_a_refused_job_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     assert [p.name for p in tmp_path.iterdir()] == ["far.prg"]
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["prove"],
+        ["prove", "--json"],
+        ["compile", "--target", "csv", "-o", "inches.csv"],
+        ["compare", "--no-fastest", "--interpolation", "linear"],
+        ["fastest", "--low", "10 mm/s", "--high", "11 mm/s", "--interpolation", "linear"],
+    ],
+    ids=lambda command: " ".join(command[:2]),
+)
+def test_every_command_that_plans_gives_the_warnings(
+    command: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("inches.prg").write_text("O9\nG91 G1 X 0.1 F 90\nM99\nO1\nG20\nM98 P9\nM30\n")
+    verb, *options = command
+    code, _, err = run(capsys, verb, "inches.prg", "-m", "lathe-winder", *options)
+
+    assert code == 0
+    assert err.count("warning: inches.prg:2: F 90 is 38.1 mm/s, above the normal feed") == 1
+
+
 def test_a_recording_is_judged_as_the_run_was(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

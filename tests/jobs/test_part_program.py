@@ -118,6 +118,23 @@ def test_warnings_name_their_line(tmp_path: Path) -> None:
     assert read(tmp_path, "G91 G1", *many, "M30").warnings[-1] == "15 more warnings of these kinds."
 
 
+def test_a_feed_is_judged_in_the_unit_in_force_where_it_is_called(tmp_path: Path) -> None:
+    """F 90 is 1.5 mm/s, and in inches 38.1 mm/s: above 36.1, whichever way G20 comes into force."""
+    body, main = ["O9", "G91 G1 X1 F90", "M99"], ["O1", "G20", "M98 P9", "M30"]
+    before = read(tmp_path, *body, *main)
+    assert [w.split(":")[1] for w in before.warnings] == ["2"]
+    assert "F 90 is 38.1 mm/s" in before.warnings[0]
+
+    setter, plain = ["O8", "G20", "M99"], ["O1", "M98 P9", "M30"]
+    left_behind = read(tmp_path, *body, *setter, "O1", "M98 P8", "M98 P9", "M30")
+    second_pass = read(tmp_path, "O9", "G91 G1 X1 F90", "G20", "M99", "O1", "M98 P9 L2", "M30")
+    not_called = read(tmp_path, *body, *setter, *plain)
+    set_in_the_body = read(tmp_path, "O9", "G21 G91 G1 X1 F90", "M99", *main)
+    inverse_time = read(tmp_path, *body, "O1", "G20 G93", "M98 P9", "M30")
+    assert [len(job.warnings) for job in (left_behind, second_pass)] == [1, 1]
+    assert [job.warnings for job in (not_called, set_in_the_body, inverse_time)] == [(), (), ()]
+
+
 def test_numbers_in_a_comment_are_tags(tmp_path: Path) -> None:
     """``; tension_N=25 width=4`` belongs to the move of its block; words do not."""
     job = read(tmp_path, "G91 G1 F60 X1 ; tension_N=25.000 width=4", "X1 ; speed = of light", "M30")

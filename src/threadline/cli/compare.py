@@ -20,6 +20,7 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.cli.outputs import check_outputs
+from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import Proof, parse_feed
@@ -64,9 +65,11 @@ def compare(
     chosen = machine_from(machine, par)
     names = _listed(interpolation, "--interpolation")
     feeds = [None] if feed is None else [parse_feed(text) for text in _listed(feed, "--feed")]
+    read = read_job(job, chosen)
+    warn(chosen, read)
     with progress_bar(not json) as progress:
         found = compare_job(
-            read_job(job, chosen),
+            read,
             chosen,
             load_spec(spec, chosen),
             names,

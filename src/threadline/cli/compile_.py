@@ -26,7 +26,8 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import note, print_json
+from threadline.cli.output import print_json
+from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import plan_job
@@ -91,8 +92,7 @@ def compile_(
                 remedy=f"Use {' or '.join(TABLES)}.",
             )
         plan = plan_job(read_job(job, chosen), chosen, options)
-        for warning in feed_forward_warnings(plan.feed_forward):
-            note(f"warning: {warning}")
+        warn(chosen, plan.job, feed_forward_warnings(plan.feed_forward))
         check_limits(plan.trajectory, chosen)
         files = write(plan, target, out)
     if json:

@@ -24,6 +24,7 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.warn import warn
 from threadline.errors import OptionError, UnitError
 from threadline.jobs import read_job
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
@@ -59,6 +60,8 @@ def fastest(
     Example: threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear
     """
     chosen = machine_from(machine, par)
+    read = read_job(job, chosen)
+    warn(chosen, read)
     if job.name.lower().endswith(SEAM_SUFFIXES):
         _fastest_seam(
             job,
@@ -80,7 +83,6 @@ def fastest(
             "--feed-forward and --actual search the needle speed of a seam",
             remedy="Leave them out; threadline prove takes them for any job.",
         )
-    read = read_job(job, chosen)
     with progress_bar(not json) as progress:
         result = fastest_job(
             read,

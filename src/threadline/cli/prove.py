@@ -33,10 +33,10 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import note, print_json, print_table, progress_bar
 from threadline.cli.outputs import appearing, check_outputs
+from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.pipeline import Proof, SwitchProof, prove_switching
 from threadline.pipeline import prove as prove_job
-from threadline.plant.suspicions import suspicions
 from threadline.report import write_report, write_switching
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
@@ -112,6 +112,11 @@ def prove(
                 written = write_switching(proof, report)
             elif report is not None and isinstance(proof, Proof):
                 written = write_report(proof, report)
+    if isinstance(proof, SwitchProof):
+        for warning in proof.plan.scheduled.warnings:
+            note(f"warning: {warning}")
+    else:
+        warn(chosen, proof.plan.job, feed_forward_warnings(proof.plan.feed_forward))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:
@@ -130,9 +135,6 @@ def prove(
 def show_proof(proof: Proof) -> None:
     """Print the verdict of a proof for people."""
     plan = proof.plan
-    beyond = feed_forward_warnings(plan.feed_forward)
-    for warning in [*suspicions(plan.machine), *plan.job.warnings, *beyond]:
-        note(f"warning: {warning}")
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
     for line in [*feed_forward_lines(plan.feed_forward), *calculate(plan).lines()]:
@@ -143,8 +145,6 @@ def show_proof(proof: Proof) -> None:
 def show_switching(proof: SwitchProof) -> None:
     """Print the verdict of a proof on an on/off machine for people."""
     plan = proof.plan
-    for warning in plan.scheduled.warnings:
-        note(f"warning: {warning}")
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, switched", header, rows)
     header, rows = step_rows(proof.verdict)

@@ -77,7 +77,7 @@ def read_part_program(
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
         operations=OperationStream(program.runs, program.folded),
-        warnings=_warnings(scanner, machine, file),
+        warnings=_warnings(scanner, structure, machine, file),
     )
 
 
@@ -104,12 +104,14 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
     )
 
 
-def _warnings(scanner: Scanner, machine: Machine, file: SourceFile) -> tuple[str, ...]:
+def _warnings(
+    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile
+) -> tuple[str, ...]:
     findings = scanner.findings
     used = scanner.moved_axes or range(len(machine.axis_names))  # G28 alone names none
     caps_m_s = normal_feed_m_s(machine)
     warnings = []
-    for (feed, tenth_mm), line in findings.feeds.items():
+    for (feed, tenth_mm), line in findings.feeds.speeds(structure.main.label).items():
         speed_m_s = feed * tenth_mm / (600_000 * ONE)
         if machine.operator is None or caps_m_s is None:
             break

@@ -8,6 +8,7 @@ import numpy as np
 
 from threadline.errors import JobError
 from threadline.jobs.blocks import Block, Dialect, parse_block
+from threadline.jobs.in_force import FeedNotes
 from threadline.jobs.kernel import STEPS, PlainReader
 from threadline.jobs.programs import Call, Collector, Structure
 from threadline.jobs.textfile import Lines, SourceFile
@@ -25,12 +26,12 @@ class Findings:
     Parameters
     ----------
     feeds
-        First line of each F in G94: by exact F and tenths of a millimetre in its unit of length.
+        Every F, and the calls that say in which unit it is.
     long_dwells, blends
         Lines of dwells that look like milliseconds, and of G64.
     """
 
-    feeds: dict[tuple[int, int], int] = field(default_factory=dict)
+    feeds: FeedNotes = field(default_factory=FeedNotes)
     long_dwells: list[int] = field(default_factory=list)
     blends: list[int] = field(default_factory=list)
 
@@ -46,8 +47,6 @@ class Scanner:
         self._plain = PlainReader(dialect.axes, (True,) * len(dialect.axes), follow=False)
         self._tapes: list[int] = []
         self._begun = False
-        self._unit = 10
-        self._inverse_time = False
 
     def run(self) -> Structure:
         """Read the file once and return its programs.
@@ -64,7 +63,7 @@ class Scanner:
             if program is not None and self._plain.worth_trying():
                 count = self._plain.read(lines)
                 program.moves += count
-                self._note_plain(count)
+                self._note_plain(program.label, count)
                 if count or not lines.more():
                     continue
             number, offset, text = lines.take()
@@ -119,9 +118,10 @@ class Scanner:
         elif block.axes:
             program.moves += 1
         program.stops += (block.action == 4) + block.tool_off + (block.program in (0, 2, 30))
-        self._note(block)
+        self._note(program.label, block)
         if block.program == 98:
             assert block.p is not None
+            self.findings.feeds.call(program.label, block.p // ONE, block.passes)
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
             call.passes += block.passes
         elif block.program in (2, 30, 99):
@@ -132,32 +132,25 @@ class Scanner:
         """Indices of the axes that have words in the file."""
         return [int(index) for index in np.flatnonzero(self._plain.used)]
 
-    def _note_plain(self, count: int) -> None:
-        """Note what the plain reader has found in ``count`` blocks."""
+    def _note_plain(self, program: int | None, count: int) -> None:
+        """Note what the plain reader has found in ``count`` blocks of a program."""
         plain = self._plain
-        if count and not self._inverse_time:
+        if count:
             words, first = np.unique(plain.out_word[:count], return_index=True)
             for word, at in zip(words.tolist(), first.tolist(), strict=True):
                 if word >= 0:
-                    self._note_feed(word * (ONE // STEPS), int(plain.out_line[at]))
+                    line = int(plain.out_line[at])
+                    self.findings.feeds.feed(program, word * (ONE // STEPS), line)
 
-    def _note_feed(self, feed: int, line: int) -> None:
-        feeds = self.findings.feeds
-        if len(feeds) < _MAX_REMEMBERED:
-            feeds.setdefault((feed, self._unit), line)
-
-    def _note(self, block: Block) -> None:
-        """Note what may deserve a warning; units in the order of the file, not of the calls."""
+    def _note(self, program: int | None, block: Block) -> None:
+        """Note what may deserve a warning."""
         findings = self.findings
         for code in block.settings:
-            if code in (20, 21):
-                self._unit = 254 if code == 20 else 10
-            elif code in (93, 94):
-                self._inverse_time = code == 93
-            elif code == 64 and len(findings.blends) < _MAX_REMEMBERED:
+            findings.feeds.set_mode(program, code)
+            if code == 64 and len(findings.blends) < _MAX_REMEMBERED:
                 findings.blends.append(block.line)
-        if block.feed is not None and not self._inverse_time:
-            self._note_feed(block.feed, block.line)
+        if block.feed is not None:
+            findings.feeds.feed(program, block.feed, block.line)
         if block.action == 4 and block.p is not None and block.p >= _LONG_DWELL_S * ONE:
             findings.long_dwells.append(block.line)
             del findings.long_dwells[_MAX_REMEMBERED:]
