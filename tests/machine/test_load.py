@@ -303,7 +303,7 @@ def test_stiction_needs_a_friction(refused) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is missing"),
+        ("", "keys are missing"),
         ("name = ", "not valid TOML"),
         ("a = 1\na = 2\n", "not valid TOML"),
         ("\0\0", "not valid TOML"),

@@ -10,15 +10,16 @@ import json
 import os
 import re
 import tomllib
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from threadline.errors import MachineError, Place
+from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
+from threadline.machine.schema import ADAPTER, field_names, in_file, line_of
 from threadline.opening import refuse_special
 from threadline.wording import field_fault, toml_fault
 
@@ -26,8 +27,6 @@ _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
 _OURS = ("sha256", "file", "reference")
 """Fields of the model that no file may hold."""
-
-_ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
 
 
 def library_names() -> tuple[str, ...]:
@@ -69,9 +68,9 @@ def load_machine(reference: str | Path) -> Machine:
     content["file"] = file
     content["reference"] = str(reference)
     try:
-        return _ADAPTER.validate_python(content)
+        return ADAPTER.validate_python(content)
     except ValidationError as error:
-        _refuse(error, text, file)
+        _refuse(error, content, text, file)
 
 
 def _split(reference: str) -> tuple[str, list[str]]:
@@ -110,7 +109,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         above, above_file = _read(seen[-1])
         raise MachineError(
             f"machine files are based on each other in a circle: {' -> '.join([*seen, name])}",
-            place=Place(above_file, _line_of(above, ("base",))),
+            place=Place(above_file, line_of(above, ("base",))),
             remedy="Take one base out.",
         )
     text, file = _read(name)
@@ -123,7 +122,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         if key in content:
             raise MachineError(
                 f"unknown key {key!r}",
-                place=Place(file, _line_of(text, (key,))),
+                place=Place(file, line_of(text, (key,))),
                 remedy="Take it out: it is found out from the file itself.",
             )
     base = content.pop("base", None)
@@ -132,7 +131,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
     if not isinstance(base, str):
         raise MachineError(
             f"base must be the name of a machine, got {base!r}",
-            place=Place(file, _line_of(text, ("base",))),
+            place=Place(file, line_of(text, ("base",))),
             remedy='Write it like base = "lathe-winder".',
         )
     base_name, base_overlays = _split(base)
@@ -190,95 +189,41 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _refuse(error: ValidationError, text: str, file: str) -> NoReturn:
+def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: str) -> NoReturn:
     errors = error.errors(include_url=False)
     # A misspelt key is also a missing one; only its own error says what to mend.
     unknown = {"unexpected_keyword_argument", "extra_forbidden"}
     first = next((e for e in errors if e["type"] in unknown), errors[0])
     # Pydantic puts the tag of a union and "[key]" into the location; the file has neither.
     tagged = tuple(str(part) for part in first["loc"] if part != "[key]")
-    location = tagged[:2] + tagged[3:] if _is_tagged(tagged) else tagged
+    location = in_file(tagged)
     where = ".".join(location)
-    place = Place(file, _line_of(text, location))
+    place = Place(file, line_of(text, location))
     if first["type"] in unknown:
-        siblings = _field_names(tagged[:-1])
+        siblings = field_names(tagged[:-1])
         close = difflib.get_close_matches(location[-1], siblings, n=1, cutoff=0.5)
         hint = f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(siblings)}."
         raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
-    if first["type"] == "union_tag_not_found":
+    missing = missing_keys(errors, content)
+    if missing and first["type"] in MISSING:
+        said = ", ".join(key.said_at(line_of(text, key.location)) for key in missing)
+        alone = len(missing) == 1
         raise MachineError(
-            f"'{where}.kind' is missing", place=place, remedy="Add it to the file."
-        ) from error
-    if first["type"] in {"missing", "missing_argument"}:
-        raise MachineError(
-            f"{where!r} is missing", place=place, remedy="Add it to the file."
+            f"{missing[0].said} is missing"
+            if alone
+            else f"{len(missing)} keys are missing: {said}",
+            place=Place(file, line_of(text, missing[0].location) if alone else 0),
+            remedy=f"Add it, like {missing[0].form}" if alone else "Add them.",
         ) from error
     message, remedy = field_fault(first)
     named = _REFERENCE.match(message)
     if not location and named:
         # What checks references sees the whole machine; its message begins with the key.
-        place = Place(file, _line_of(text, tuple(named[1].split("."))))
+        place = Place(file, line_of(text, tuple(named[1].split("."))))
     said = f"{where}: {message}" if where else message
+    if missing:
+        remedy = f"{remedy} Also missing: {', '.join(key.said for key in missing)}.".strip()
     raise MachineError(said, place=place, remedy=remedy) from error
-
-
-def _is_tagged(location: tuple[str, ...]) -> bool:
-    """Say whether the third part is the kind of a controller or sensor, which no file writes."""
-    return len(location) > 2 and location[0] in {"controllers", "sensors"}
-
-
-@cache
-def _schema() -> dict[str, Any]:
-    """Return the schema of a machine file; it takes longer to make than a file to read."""
-    return _ADAPTER.json_schema(mode="validation")
-
-
-def _field_names(location: tuple[str, ...]) -> list[str]:
-    """Return the keys allowed at ``location`` by walking the schema of the model."""
-    schema = _schema()
-    definitions = schema.get("$defs", {})
-    node = schema
-    for part in location:
-        node = _deref(node, definitions)
-        kinds = node.get("discriminator", {}).get("mapping", {})
-        if part in kinds:
-            node = {"$ref": kinds[part]}
-            continue
-        entries = [node.get("additionalProperties"), *node.get("patternProperties", {}).values()]
-        node = node.get("properties", {}).get(part) or next((e for e in entries if e), {})
-    node = _deref(node, definitions)
-    return list(node.get("properties", {}))
-
-
-def _deref(node: Any, definitions: dict[str, Any]) -> Any:
-    while isinstance(node, dict):
-        if "$ref" in node:
-            node = definitions[node["$ref"].rsplit("/", 1)[1]]
-        elif "anyOf" in node:
-            node = next((n for n in node["anyOf"] if "$ref" in n), {})
-        else:
-            break
-    return node
-
-
-def _line_of(text: str, location: tuple[str, ...]) -> int:
-    """Return the line (from 1) of the deepest part of ``location`` that the text holds."""
-    table: tuple[str, ...] = ()
-    best, best_depth = 0, 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[\[?([^\]]+)\]\]?", line)
-        key = re.match(r'\s*("?[A-Za-z0-9_.-]+"?)\s*=', line)
-        if header:
-            table = tuple(part.strip(' "') for part in header[1].split("."))
-            path = table
-        elif key:
-            path = table + tuple(part.strip(' "') for part in key[1].split("."))
-        else:
-            continue
-        depth = len(path) if path == location[: len(path)] else 0
-        if depth > best_depth:
-            best, best_depth = number, depth
-    return best
 
 
 def replace_operator(machine: Machine, **changes: Any) -> Machine:

@@ -12,7 +12,7 @@ from enum import StrEnum
 from fractions import Fraction
 from typing import Any
 
-from pydantic import GetCoreSchemaHandler
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from threadline.errors import UnitError
@@ -125,6 +125,12 @@ class Units:
         return core_schema.no_info_plain_validator_function(
             self._read, json_schema_input_schema=core_schema.str_schema()
         )
+
+    def __get_pydantic_json_schema__(
+        self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Say in the schema which units there are."""
+        return {"type": "string", "x-units": list(self.units)}
 
     def _read(self, value: Any) -> Quantity:
         if isinstance(value, Quantity):

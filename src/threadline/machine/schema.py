@@ -1,0 +1,83 @@
+"""The schema of a machine file, walked by its dotted keys, and the line of a key in a file."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from threadline.machine.model import Machine
+
+ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
+
+
+@cache
+def schema() -> dict[str, Any]:
+    """Return the schema of a machine file; it takes longer to make than a file to read."""
+    return ADAPTER.json_schema(mode="validation")
+
+
+def field_node(location: tuple[str, ...]) -> dict[str, Any]:
+    """Return the schema of the key at ``location``; empty where there is no such key.
+
+    Parameters
+    ----------
+    location
+        As pydantic gives it: with the kind of a controller or sensor behind its name.
+    """
+    node: Any = schema()
+    for part in location:
+        node = plain_node(node)
+        kinds = node.get("discriminator", {}).get("mapping", {})
+        if part in kinds:
+            node = {"$ref": kinds[part]}
+            continue
+        entries = [node.get("additionalProperties"), *node.get("patternProperties", {}).values()]
+        node = node.get("properties", {}).get(part) or next((e for e in entries if e), {})
+    return plain_node(node)
+
+
+def field_names(location: tuple[str, ...]) -> list[str]:
+    """Return the keys allowed at ``location``, which is as for ``field_node``."""
+    return list(field_node(location).get("properties", {}))
+
+
+def plain_node(node: Any) -> dict[str, Any]:
+    """Return what a node of the schema refers to; of a key that may be left out, its value."""
+    definitions = schema().get("$defs", {})
+    while isinstance(node, dict):
+        if "$ref" in node:
+            node = definitions[node["$ref"].rsplit("/", 1)[1]]
+        elif "anyOf" in node:
+            node = next((n for n in node["anyOf"] if n.get("type") != "null"), {})
+        else:
+            return node
+    return {}
+
+
+def in_file(location: tuple[str, ...]) -> tuple[str, ...]:
+    """Return ``location`` as the file has it: without the kind of a controller or sensor."""
+    tagged = len(location) > 2 and location[0] in {"controllers", "sensors"}
+    return location[:2] + location[3:] if tagged else location
+
+
+def line_of(text: str, location: tuple[str, ...]) -> int:
+    """Return the line (from 1) of the deepest part of ``location`` that the text holds."""
+    table: tuple[str, ...] = ()
+    best, best_depth = 0, 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[\[?([^\]]+)\]\]?", line)
+        key = re.match(r'\s*("?[A-Za-z0-9_.-]+"?)\s*=', line)
+        if header:
+            table = tuple(part.strip(' "') for part in header[1].split("."))
+            path = table
+        elif key:
+            path = table + tuple(part.strip(' "') for part in key[1].split("."))
+        else:
+            continue
+        depth = len(path) if path == location[: len(path)] else 0
+        if depth > best_depth:
+            best, best_depth = number, depth
+    return best
