@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.fastest_seam import fastest_seam, needle_hz
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -25,14 +26,12 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.cli.warn import warn
-from threadline.errors import OptionError, UnitError
+from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
-from threadline.machine import Machine
-from threadline.pipeline import Options, parse_feed
-from threadline.search import Fastest, FastestJob, fastest_job, fastest_needle
-from threadline.units import parse_quantity
-from threadline.verdict import Spec, criteria_json, load_spec, verdict_rows
+from threadline.pipeline import parse_feed
+from threadline.search import Fastest, FastestJob, fastest_job
+from threadline.verdict import criteria_json, load_spec, verdict_rows
 
 
 def fastest(
@@ -49,6 +48,17 @@ def fastest(
         str | None, typer.Option(help='Lowest feed to try; of a seam "5 stitch/s".')
     ] = None,
     high: Annotated[str | None, typer.Option(help="Highest feed to try.")] = None,
+    mismatch: Annotated[
+        bool,
+        typer.Option(
+            "--mismatch",
+            help="Of a seam: the same with masses and stiffnesses at the ends of their "
+            "tolerances, planned for the machine as its file says.",
+        ),
+    ] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Folder for the picture of --mismatch (PNG, SVG).")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
@@ -63,7 +73,7 @@ def fastest(
     read = read_job(job, chosen)
     warn(chosen, read)
     if job.name.lower().endswith(SEAM_SUFFIXES):
-        _fastest_seam(
+        fastest_seam(
             job,
             chosen,
             load_spec(spec, chosen),
@@ -75,13 +85,15 @@ def fastest(
                 smoothing=smoothing,
             ),
             None if actual is None else machine_from(actual, par),
-            (_needle_hz(low), _needle_hz(high)),
+            (needle_hz(low), needle_hz(high)),
+            mismatch,
+            report,
             json,
         )
-    if feed_forward or actual is not None:
+    if feed_forward or mismatch or actual is not None or report is not None:
         raise OptionError(
-            "--feed-forward and --actual search the needle speed of a seam",
-            remedy="Leave them out; threadline prove takes them for any job.",
+            "--feed-forward, --actual, --mismatch and --report are for needle speeds of a seam",
+            remedy="Leave them out; threadline prove takes the first two for any job.",
         )
     with progress_bar(not json) as progress:
         result = fastest_job(
@@ -153,69 +165,8 @@ def _show(result: FastestJob, title: str) -> None:
     print_table("verdict at the fastest", head, body)
 
 
-def _fastest_seam(
-    job: Path,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    actual: Machine | None,
-    span: tuple[float | None, float | None],
-    json: bool,
-) -> NoReturn:
-    """Search the needle speed of a seam, say what was found, and leave."""
-    with progress_bar(not json) as progress:
-        found = fastest_needle(
-            job,
-            machine,
-            spec,
-            options,
-            low=span[0],
-            high=span[1],
-            progress=progress,
-            actual=actual,
-        )
-    if json:
-        print_json(
-            {
-                "best": found.best,
-                "unit": "stitch/s",
-                "intervals": [[i.low, i.high] for i in found.intervals],
-                "limited_by": found.limited_by,
-                "tried": found.tried,
-                "verdict": _verdict_content(found),
-            }
-        )
-    elif found.best is None:
-        typer.echo(
-            f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all"
-        )
-        print_table("verdict where the search came closest", *verdict_rows(found.verdict))
-    else:
-        rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
-        title = f"{job.name} on {machine.name}: needle speeds in spec"
-        print_table(title, ["from stitch/s", "to stitch/s"], rows)
-        typer.echo(
-            f"fastest: {found.best:.2f} stitch/s, limited by {found.limited_by}; "
-            f"{found.tried} plans tried"
-        )
-        print_table("verdict at the fastest", *verdict_rows(found.verdict))
-    raise typer.Exit(0 if found.best is not None else 1)
-
-
 def _verdict_content(found: Fastest) -> dict[str, Any]:
     return {"passed": found.verdict.passed, "criteria": criteria_json(found.verdict)}
-
-
-def _needle_hz(text: str | None) -> float | None:
-    if text is None:
-        return None
-    try:
-        return parse_quantity(text, "stitch/s")
-    except UnitError as error:
-        raise OptionError(
-            f"{text!r}: {error.message}",
-            remedy='The search of a seam runs in stitches: "40 stitch/s".',
-        ) from error
 
 
 def _metres_per_second(text: str) -> float:

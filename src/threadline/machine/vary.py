@@ -47,6 +47,27 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
     return replace(machine, bodies=bodies, drives=drives)
 
 
+def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:
+    """Return ``machine`` with its loads heavier and its links stiffer than the file says.
+
+    Parameters
+    ----------
+    mass, stiffness
+        In parts of the tolerance of each number: 1 is its upper end, -1 its lower one. Loads are
+        the bodies that carry the work of an axis, links all that are not rigid.
+    """
+    loads = {body for axis in machine.axes.values() for body in axis.load or {}}
+    bodies = {
+        name: replace(body, inertia=_off(body.inertia, mass)) if name in loads else body
+        for name, body in machine.bodies.items()
+    }
+    links = {
+        name: replace(link, stiffness=_off(link.stiffness, stiffness))
+        for name, link in machine.links.items()
+    }
+    return replace(machine, bodies=bodies, links=links)
+
+
 def derate(machine: Machine, share: float) -> Machine:
     """Return ``machine`` with that share of its acceleration and jerk limits.
 
@@ -69,6 +90,10 @@ def derate(machine: Machine, share: float) -> Machine:
         for name, axis in machine.axes.items()
     }
     return replace(machine, axes=axes)
+
+
+def _off(quantity: Quantity, parts: float) -> Quantity:
+    return replace(quantity, si=quantity.si + parts * quantity.tolerance_si)
 
 
 def _scaled(quantity: Quantity | None, factor: float) -> Quantity | None:

@@ -10,7 +10,7 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.pipeline import Options, plan_job, prove_plan
-from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
+from threadline.search.fastest import EDGE_RELATIVE, SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Result, Spec, Status, Verdict
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
@@ -46,6 +46,7 @@ def fastest_needle(
     points: int = SCAN_POINTS,
     progress: Callable[[str, float], None] | None = None,
     actual: Machine | None = None,
+    edge_relative: float = EDGE_RELATIVE,
 ) -> Fastest:
     """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
 
@@ -75,7 +76,9 @@ def fastest_needle(
             return _beyond(error)
         return prove_plan(plan, spec, actual=actual).verdict
 
-    return find_fastest(judged, begin, end, points=points, progress=progress)
+    return find_fastest(
+        judged, begin, end, points=points, edge_relative=edge_relative, progress=progress
+    )
 
 
 def _beyond(error: LimitError) -> Verdict:

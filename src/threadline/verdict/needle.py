@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +82,10 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
     moves = ((i, o) for i, o in enumerate(plan.job) if isinstance(o, Move))
     start = np.asarray(plan.job.start, dtype=np.float64)
     before_s, contour = 0.0, -1.0
-    for block, operation, end_s in _operation_ends(motion):
+    begun = False
+    for block, operation, end_s in _operation_ends(_moving(motion)):
+        if not begun:
+            before_s, begun = float(block.start_s[0]), True
         taken: list[Move] = []
         index: list[int] = []
         for i, move in moves:
@@ -131,19 +134,35 @@ def _period_s(move: Move) -> float:
     return 1.0 / move.feed.value
 
 
+def _moving(trajectory: Trajectory) -> Iterator[TrajectoryBlock]:
+    """Yield the pieces that move: the needle is down when a stitch ends, not its rest after it."""
+    for block in trajectory:
+        moves = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
+        if moves.all():
+            yield block
+        elif moves.any():
+            yield TrajectoryBlock(
+                start_s=block.start_s[moves],
+                duration_s=block.duration_s[moves],
+                coefficients=block.coefficients[moves],
+                operation=block.operation[moves],
+            )
+
+
 def _operation_ends(
-    trajectory: Trajectory,
+    blocks: Iterable[TrajectoryBlock],
 ) -> Iterator[tuple[TrajectoryBlock, IntArray, FloatArray]]:
     """Yield, block by block, the operations that end in it and when."""
     held: TrajectoryBlock | None = None
-    for block in trajectory:
+    for block in blocks:
         if not len(block):
             continue
         if held is not None and block.operation[0] != held.operation[-1]:
             yield held, held.operation[-1:], np.array([held.end_s])
         change = np.flatnonzero(np.diff(block.operation))
         if len(change):
-            yield block, block.operation[change], block.start_s[change + 1]
+            ends = block.start_s[change] + block.duration_s[change]
+            yield block, block.operation[change], ends
         held = block
     if held is not None:
         yield held, held.operation[-1:], np.array([held.end_s])

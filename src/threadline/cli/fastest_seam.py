@@ -1,0 +1,140 @@
+"""``threadline fastest`` on a seam: every interval of needle speed that stays in spec."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+
+from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.errors import OptionError, UnitError
+from threadline.machine import Machine
+from threadline.pipeline import Options
+from threadline.report.mismatch import write_mismatch
+from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
+from threadline.units import parse_quantity
+from threadline.verdict import Spec, criteria_json, verdict_rows
+
+
+def fastest_seam(
+    job: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    actual: Machine | None,
+    span: tuple[float | None, float | None],
+    mismatch: bool,
+    report: Path | None,
+    json: bool,
+) -> NoReturn:
+    """Search the needle speed of a seam, say what was found, and leave."""
+    if report is not None and not mismatch:
+        raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
+    if mismatch and actual is not None:
+        raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
+    low, high = span
+    cells: list[Mismatch] = []
+    with progress_bar(not json) as progress:
+        found = fastest_needle(
+            job, machine, spec, options, low=low, high=high, progress=progress, actual=actual
+        )
+        if mismatch:
+            end = found.best * _ABOVE if high is None and found.best else (high or _UNKNOWN_HZ)
+            cells = needle_over_tolerances(
+                job, machine, spec, options, low=low, high=end, progress=progress
+            )
+        title = f"{job.name} on {machine.name}"
+        written = None if report is None else write_mismatch(cells, title, report)
+    if json:
+        content = _content(found)
+        if cells:
+            content["mismatch"] = [
+                {"mass": c.mass, "stiffness": c.stiffness, **_interval_content(c.found)}
+                for c in cells
+            ]
+        if written is not None:
+            content["report"] = str(written)
+        print_json(content)
+    else:
+        _show(found, title)
+        if cells:
+            _show_mismatch(cells, title)
+        if written is not None:
+            typer.echo(f"Report: {written}")
+    raise typer.Exit(0 if found.best is not None else 1)
+
+
+_ABOVE = 1.1  # a machine off its file is rarely faster than by that
+_UNKNOWN_HZ = 100.0
+
+
+def _interval_content(found: Fastest) -> dict[str, Any]:
+    return {
+        "best": found.best,
+        "intervals": [[i.low, i.high] for i in found.intervals],
+        "limited_by": found.limited_by,
+    }
+
+
+def _content(found: Fastest) -> dict[str, Any]:
+    return {
+        **_interval_content(found),
+        "unit": "stitch/s",
+        "tried": found.tried,
+        "verdict": {
+            "passed": found.verdict.passed,
+            "criteria": criteria_json(found.verdict),
+        },
+    }
+
+
+def _show(found: Fastest, title: str) -> None:
+    if found.best is None:
+        typer.echo(
+            f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all"
+        )
+        print_table("verdict where the search came closest", *verdict_rows(found.verdict))
+        return
+    rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
+    print_table(f"{title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows)
+    typer.echo(
+        f"fastest: {found.best:.2f} stitch/s, limited by {found.limited_by}; "
+        f"{found.tried} plans tried"
+    )
+    print_table("verdict at the fastest", *verdict_rows(found.verdict))
+
+
+def _show_mismatch(cells: list[Mismatch], title: str) -> None:
+    """Print the fastest per mass and stiffness, both at the ends of their tolerances."""
+    names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+    rows = [
+        [
+            names[cell.mass],
+            names[cell.stiffness],
+            "none" if cell.found.best is None else f"{cell.found.best:.2f}",
+            cell.found.limited_by,
+        ]
+        for cell in cells
+    ]
+    header = ["mass of loads", "stiffness of links", "fastest stitch/s", "limited by"]
+    print_table(f"{title}: planned for the file, sewn off its tolerances", header, rows)
+
+
+def needle_hz(text: str | None) -> float | None:
+    """Return a needle speed in stitch/s.
+
+    Raises
+    ------
+    OptionError
+        If it is not one.
+    """
+    if text is None:
+        return None
+    try:
+        return parse_quantity(text, "stitch/s")
+    except UnitError as error:
+        raise OptionError(
+            f"{text!r}: {error.message}",
+            remedy='The search of a seam runs in stitches: "40 stitch/s".',
+        ) from error

@@ -1,0 +1,45 @@
+"""The picture of how needle speeds in spec fall over the tolerances of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from threadline.report.style import AXES, figure_style
+from threadline.search import Mismatch
+
+_NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+
+
+def draw_mismatch(cells: Sequence[Mismatch], title: str) -> Figure:
+    """Return a figure: the highest needle speed in spec over stiffness, a line per mass."""
+    with figure_style():
+        figure = Figure(figsize=(5.6, 3.4))
+        axes = figure.add_subplot()
+        for style, mass in zip(AXES, sorted({cell.mass for cell in cells}), strict=False):
+            row = sorted((c for c in cells if c.mass == mass), key=lambda cell: cell.stiffness)
+            axes.plot(
+                [cell.stiffness for cell in row],
+                [cell.found.best or 0.0 for cell in row],
+                marker="o",
+                label=f"loads: {_NAMES[mass]}",
+                **style,
+            )
+        axes.set_xticks(list(_NAMES), [f"links: {name}" for name in _NAMES.values()])
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("fastest in spec, stitch/s")
+        axes.set_title(title)
+        axes.legend(loc="lower center")
+    return figure
+
+
+def write_mismatch(cells: Sequence[Mismatch], title: str, folder: Path) -> Path:
+    """Write the figure into ``folder`` as PNG and SVG; return the path of the PNG."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = draw_mismatch(cells, title)
+    path = folder / "tolerances.png"
+    figure.savefig(path)
+    figure.savefig(folder / "tolerances.svg", metadata={"Date": None})
+    return path

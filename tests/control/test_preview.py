@@ -1,0 +1,59 @@
+"""The streaming inverse against the one in a piece, whose equations are tested with DOP853."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.control.test_feedforward import WIDTHS, trapezoid
+from threadline.control import AxisPreview, feed_forward, smooth_motion
+from threadline.errors import MachineError
+from threadline.machine import load_machine
+
+
+@pytest.mark.parametrize("axis", ["X", "Y"])
+@pytest.mark.parametrize("run", [37, 4096])
+def test_runs_give_what_the_whole_gives(axis, run):
+    machine = load_machine("stitcher")
+    motion = smooth_motion(*trapezoid(), WIDTHS)
+    whole = feed_forward(machine, axis, motion, motion.start_s, motion.end_s, settle_s=0.1)
+    preview = AxisPreview(machine, axis)
+    timing = preview.timing
+    assert timing.tick_s == pytest.approx(136e-6)
+    # Dead time of 3 ms and half a hold ahead; a reference is held for a millisecond.
+    assert timing.early_s == pytest.approx(3.068e-3) and timing.held_s == pytest.approx(0.5e-3)
+    assert timing.lead_s == pytest.approx(4e-3)
+    # X: the zero of the filter, 0.976; Y: the frame's damping of 1000 N s/m on 175 kg.
+    expected_s = {"X": 136e-6 * np.log(1e3) / -np.log(0.976), "Y": np.log(1e3) * 2 * 175 / 1000}[
+        axis
+    ]
+    assert timing.settle_s == pytest.approx(expected_s, rel=1e-6)
+    count = int((motion.end_s + 0.1 - whole.start_s) / timing.tick_s)
+    ticks = whole.start_s + timing.tick_s * np.arange(count)
+    told = []
+    for begin in range(0, count, run):
+        t = ticks[begin : begin + run]
+        ladders = [
+            np.stack([motion(at, order) for order in range(preview.orders)], axis=1)
+            for at in (t, t + timing.early_s)
+        ]
+        told.append(preview.feed(t, *ladders))
+    due = whole.start_s + 1e-3 * np.arange(int(count * timing.tick_s / 1e-3) - 1)
+    reference = np.interp(due + timing.held_s, ticks, np.concatenate(told))
+    # 1 nm: two ways to integrate the frame, of fourth and of sixth order.
+    np.testing.assert_allclose(reference, whole.reference_si[: len(due)], atol=1e-9)
+    demand = preview.demand
+    assert demand.current_a == pytest.approx(whole.peak_current_a, rel=1e-6)
+    assert demand.volts == pytest.approx(whole.peak_volts, rel=1e-6)
+    assert demand.bound_by == "current"
+    assert demand.share == pytest.approx(whole.peak_current_a / 27)
+
+
+def test_filters_without_a_stable_inverse_are_refused(tmp_path):
+    file = tmp_path / "m.toml"
+    file.write_text(
+        'base = "stitcher"\n[controllers.x]\nkind = "pd"\nkp = "0.1 dac/count exact, assumed"\n'
+        'kd = "-1 dac/count exact, assumed"\ngain = "none"\nzero = "none"\npole = "none"\n'
+    )
+    with pytest.raises(MachineError):
+        AxisPreview(load_machine(str(file)), "X")

@@ -1,0 +1,160 @@
+"""Averages over time: closed forms of a kernel of boxes and a B-spline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.interpolate import BSpline
+
+from threadline.errors import OptionError
+from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source
+from threadline.signals import Stream
+from threadline.trajectory import Trajectory, TrajectoryBlock, TrajectoryReader
+from threadline.trajectory.averaged import STEPS, averaged_trajectory, held_trajectory
+
+WIDTH = 0.04
+HERE = Source("test", 1)
+
+
+def motion(coefficients, duration, operation=None):
+    """Pieces one after the other; coefficients (n, order, axes)."""
+    duration = np.asarray(duration, dtype=float)
+    return Trajectory(
+        axes=("X", "Y"),
+        blocks=Stream.of(
+            [
+                TrajectoryBlock(
+                    start_s=np.concatenate([[0.0], np.cumsum(duration)[:-1]]),
+                    duration_s=duration,
+                    coefficients=np.asarray(coefficients, dtype=float),
+                    operation=np.arange(len(duration)) if operation is None else operation,
+                )
+            ]
+        ),
+    )
+
+
+def job(*operations):
+    return Job(
+        name="t", file="t", sha256="", axes=("X", "Y"), start=(0.0, 0.0),
+        operations=Stream.of(operations),
+    )  # fmt: skip
+
+
+def corner(v=0.2, time=0.3):
+    """X, then Y at even speed, with rests about it."""
+    way = v * time
+    pieces = [[[0, 0], [0, 0]], [[0, 0], [way, 0]], [[way, 0], [0, way]], [[way, way], [0, 0]]]
+    return motion(pieces, [0.1, time, time, 0.1])
+
+
+def kernel(t, step):
+    """Four discrete boxes of nine samples, then a quintic B-spline."""
+    weights = np.ones(1)
+    for _ in range(4):
+        weights = np.convolve(weights, np.ones(9) / 9)
+    shape = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+    at = t / step - np.arange(-16, 17)
+    return float(weights @ np.nan_to_num(shape(at))) / step
+
+
+def test_corner_is_cut_by_the_mean_of_the_kernel():
+    """v E|t| sin(turn / 2), the mean by quadrature; straight parts stay where they were."""
+    step = WIDTH / STEPS
+    mean = 2 * quad(lambda t: t * kernel(t, step), 0, WIDTH / 2, limit=200, epsrel=1e-10)[0]
+    assert mean / WIDTH == pytest.approx(0.1109, abs=1e-4)  # as the docstring says
+    smooth = averaged_trajectory(corner(), WIDTH)
+    middle = smooth(np.array([0.4]))[0]
+    away = np.linalg.norm(middle - [0.06, 0.0])
+    # Samples every 1.05 ms see the kink off by about v step^2 kernel(0) / 6 = 2.7 um.
+    assert away == pytest.approx(0.2 * mean * np.sin(np.pi / 4), abs=3e-6)
+    even = np.array([0.25, 0.55])
+    np.testing.assert_allclose(smooth(even), corner()(even), atol=1e-12)
+    np.testing.assert_allclose(smooth(even, 1), [[0.2, 0], [0, 0.2]], atol=1e-9)
+
+
+def test_parabola_is_raised_by_half_its_variance():
+    """The mean of a t^2 / 2 is a (t^2 + sigma^2) / 2; boxes of n samples have (n^2 - 1) / 12."""
+    a, step = 3.0, WIDTH / STEPS
+    smooth = averaged_trajectory(motion([[[0, 0], [0, 0], [a / 2, 0]]], [1.0]), WIDTH)
+    variance = (4 * (81 - 1) / 12 + 6 / 12) * step**2
+    t = np.array([0.4, 0.5, 0.6])
+    expected = a * (t**2 + variance) / 2
+    np.testing.assert_allclose(smooth(t)[:, 0], expected, rtol=1e-12)
+
+
+def test_four_derivatives_are_continuous_and_true():
+    smooth = averaged_trajectory(corner(), WIDTH)
+    step = WIDTH / STEPS
+    joints = np.arange(300, 500) * step
+    for order in range(5):
+        block = next(iter(smooth))
+        before = block.evaluate(joints - 1e-9 * step, order)
+        after = block.evaluate(joints + 1e-9 * step, order)
+        size = np.abs(after).max()
+        np.testing.assert_allclose(before, after, atol=1e-6 * size)
+    h = 1e-5
+    t = np.linspace(0.35, 0.45, 97)
+    for order in range(4):
+        slope = (smooth(t + h, order) - smooth(t - h, order)) / (2 * h)
+        wanted = smooth(t, order + 1)
+        np.testing.assert_allclose(slope, wanted, atol=2e-3 * np.abs(wanted).max())
+
+
+def test_operations_change_where_they_did():
+    blocks = list(averaged_trajectory(corner(), WIDTH))
+    operation = np.concatenate([b.operation for b in blocks])
+    start = np.concatenate([b.start_s for b in blocks])
+    changes = start[np.flatnonzero(np.diff(operation)) + 1]
+    np.testing.assert_allclose(changes, [0.1, 0.4, 0.7], atol=WIDTH / STEPS)
+
+
+@pytest.mark.parametrize("between", [SetOutput("valve", 1.0, HERE), Dwell(0.05, HERE)])
+def test_what_needs_rest_gets_it(between):
+    """The load stands still in the middle of the rest; an empty dwell rounds the corner."""
+    pieces = [[[0, 0], [0.06, 0]], [[0.06, 0], [0, 0.06]]]
+    path = motion(pieces, [0.3, 0.3], operation=np.array([0, 2]))
+    moves = Move((0.06, 0), None, HERE), Move((0.06, 0.06), None, HERE)
+    held = held_trajectory(path, job(moves[0], between, moves[1]), WIDTH, 0.1, 0.2)
+    assert held.duration_s == pytest.approx(0.6 + 0.3 + WIDTH)
+    smooth = averaged_trajectory(held, WIDTH)
+    rest = np.array([0.4 + WIDTH / 2])
+    np.testing.assert_allclose(smooth(rest)[0], [0.06, 0.0], atol=1e-12)
+    np.testing.assert_allclose(smooth(rest, 1)[0], [0.0, 0.0], atol=1e-12)
+    through = held_trajectory(path, job(moves[0], Dwell(0.0, HERE), moves[1]), WIDTH, 0.1, 0.2)
+    assert through.duration_s == pytest.approx(0.6 + 0.3)
+    assert np.abs(averaged_trajectory(through, WIDTH)(np.array([0.4]), 1)).min() > 0.05
+
+
+def test_reader_gives_the_same_in_bounded_memory():
+    smooth = averaged_trajectory(held_trajectory(corner(), job(), WIDTH, 0.1, 0.1), WIDTH)
+    cut = Trajectory(
+        axes=smooth.axes,
+        blocks=Stream.of(
+            [
+                TrajectoryBlock(
+                    start_s=b.start_s[k : k + 50],
+                    duration_s=b.duration_s[k : k + 50],
+                    coefficients=b.coefficients[k : k + 50],
+                    operation=b.operation[k : k + 50],
+                )
+                for b in smooth
+                for k in range(0, len(b), 50)
+            ]
+        ),
+    )
+    reader = TrajectoryReader(cut)
+    for begin in np.arange(-0.1, 1.3, 0.1):
+        t = begin + np.linspace(0, 0.099, 40)
+        ladder = reader.ladder(t, 3)
+        reader.drop(float(t[-1]))
+        for order in range(3):
+            expected = smooth(t, order)
+            expected[(t < 0) | (t > smooth.duration_s)] *= 1.0 if order == 0 else 0.0
+            np.testing.assert_allclose(ladder[:, order], expected, atol=1e-12)
+
+
+def test_no_width_is_refused():
+    with pytest.raises(OptionError, match="must be above 0 s"):
+        averaged_trajectory(corner(), 0.0)
