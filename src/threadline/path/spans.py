@@ -8,11 +8,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.path.polygon import Controls
 from threadline.path.types import PieceBlock
 
 BoolArray: TypeAlias = NDArray[np.bool_]
+_EVEN = 0.02
+"""A piece on which the programmed pace changes by more than this share of it is cut."""
+_MOST_PARTS = 16
 
 
 def pieces_of(
@@ -49,12 +52,15 @@ def pieces_of(
     coefficients = np.stack(
         [joints[first:stop], 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1
     )
-    nominal = 3.0 * np.maximum(np.maximum(t0, t1), t2)[:, 0]
     straight = line[first:stop]
     coefficients[straight, 1] = leg[first:stop][straight]
     coefficients[straight, 2:] = 0.0
-    nominal[straight] = controls.nominal_s[first + 1 : stop + 1][straight]
-    operation = controls.operation[first + 1 : stop + 1]
+    owner, coefficients, nominal = _evenly_timed(coefficients, t0, t1, t2, straight)
+    straight = straight[owner]
+    passed = controls.nominal_s[first + 1 : stop + 1][owner]
+    nominal[straight] = passed[straight]
+    operation = controls.operation[first + 1 : stop + 1][owner]
+    job_line = controls.line[first + 1 : stop + 1][owner]
     # Straight spans of one move are one piece.
     same = straight[1:] & straight[:-1] & (operation[1:] == operation[:-1])
     kept = np.flatnonzero(np.concatenate([[True], ~same]))
@@ -70,8 +76,53 @@ def pieces_of(
         nominal_s=np.add.reduceat(nominal, kept),
         rest_after=rest,
         dwell_s=pause,
-        line=controls.line[first + 1 : stop + 1][kept],
+        line=job_line[kept],
     )
+
+
+def _evenly_timed(
+    coefficients: FloatArray, t0: FloatArray, t1: FloatArray, t2: FloatArray, straight: BoolArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Cut curved pieces on which the programmed pace changes; each part has its own.
+
+    The time that the program gives is a spline over the same knots as the path, with the Bezier
+    differences ``t0, t1, t2`` (m, 1) on each piece. A piece has but one pace: at the slowest of
+    the three it would take up to half as long again, and the needle would wait for the head.
+
+    Returns
+    -------
+    owner, coefficients, nominal_s
+        (k,) piece that each part is of, (k, 4, axes) and (k,).
+    """
+    pace = 3.0 * np.concatenate([t0, t1, t2], axis=1)
+    mean = np.maximum(pace.mean(axis=1), np.finfo(np.float64).tiny)
+    uneven = (pace.max(axis=1) - pace.min(axis=1)) / mean
+    parts = np.clip(np.ceil(uneven / _EVEN), 1, _MOST_PARTS).astype(np.int64)
+    parts[straight] = 1
+    owner = np.repeat(np.arange(len(parts)), parts)
+    share = 1.0 / parts[owner]
+    begin = share * (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts))
+    c = coefficients[owner]
+    u, h = begin[:, None], share[:, None]
+    cut = np.stack(
+        [
+            c[:, 0] + u * (c[:, 1] + u * (c[:, 2] + u * c[:, 3])),
+            h * (c[:, 1] + u * (2.0 * c[:, 2] + 3.0 * u * c[:, 3])),
+            h**2 * (c[:, 2] + 3.0 * u * c[:, 3]),
+            h**3 * c[:, 3],
+        ],
+        axis=1,
+    )
+    whole = parts[owner] == 1
+    cut[whole] = c[whole]
+    a, b, d = pace[owner].T
+    end = begin + share
+    # The largest Bezier value of each part's own pace: the feed is an upper bound.
+    first = a * (1.0 - begin) ** 2 + 2.0 * b * begin * (1.0 - begin) + d * begin**2
+    last = a * (1.0 - end) ** 2 + 2.0 * b * end * (1.0 - end) + d * end**2
+    middle = a * (1.0 - begin) * (1.0 - end) + d * begin * end
+    middle += b * (begin * (1.0 - end) + end * (1.0 - begin))
+    return owner, cut, share * np.maximum(np.maximum(first, middle), last)
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,9 @@ class Stitching:
         Where along the contour to begin and to end; None for the whole of it.
     reverse
         Sew the contour against the direction in which it was drawn.
+    travel_speed_m_s, settle_s
+        How fast the head goes to where a contour begins, None for as fast as it can, and how
+        long it then rests until the needle goes down: a springy machine swings after a journey.
     """
 
     stitch_length_m: float
@@ -72,6 +75,8 @@ class Stitching:
     start_m: float | None = None
     end_m: float | None = None
     reverse: bool = False
+    travel_speed_m_s: float | None = None
+    settle_s: float = 0.0
 
     @property
     def speed_m_s(self) -> float:
@@ -111,6 +116,8 @@ _SETTINGS = {
     "start": _Setting("start_m", "m"),
     "end": _Setting("end_m", "m", open_low=True),
     "reverse": _Setting("reverse", kind=bool),
+    "travel_speed": _Setting("travel_speed_m_s", "m/s", low=1e-4, high=10.0),
+    "settle": _Setting("settle_s", "s", high=60.0),
 }
 STITCHING_KEYS = tuple(_SETTINGS)
 

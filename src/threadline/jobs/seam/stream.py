@@ -70,7 +70,11 @@ def _runs(sewn: Sequence[SewnContour]) -> Iterator[Operation | MoveRun]:
 def _begin(contour: SewnContour) -> Iterator[Operation]:
     source = Source(contour.place.file, contour.place.line)
     x, y = contour.start().tolist()
-    yield Move((x, y), _RAPID, source, {"kind": "travel", "seam": contour.seam})
+    speed = contour.settings.travel_speed_m_s
+    feed = _RAPID if speed is None else Feed(FeedMode.PATH, speed)
+    yield Move((x, y), feed, source, {"kind": "travel", "seam": contour.seam})
+    if contour.settings.settle_s > 0.0:
+        yield Dwell(contour.settings.settle_s, source)
     yield ToolEvent("sew", 1.0, source)
 
 
