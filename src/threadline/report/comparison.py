@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from threadline.pipeline import Proof
 from threadline.report.document import Document, Table, write_document
 from threadline.report.figures import moves, path_figure, profile_figure
+from threadline.report.overlay import Case, overlays
 from threadline.report.proof import facts
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
@@ -25,6 +26,7 @@ def write_comparison(
     with figure_style():
         figures: dict[str, Figure] = {}
         captions: dict[str, str] = {}
+        cases: list[Case] = []
         for proof in found.proofs:
             traces = collect(proof)
             label = f"{proof.plan.path.interpolation}, feed {proof.plan.options['feed']}"
@@ -35,6 +37,9 @@ def write_comparison(
                 captions[f"{stem}-{name}"] = (
                     f"{label}. Programmed, planned and actual; lines are told apart by dash."
                 )
+            cases.append((label, proof, traces))
+        first_figures, first_captions = overlays(cases)
+        figures, captions = first_figures | figures, first_captions | captions
         good = all(proof.verdict.passed for proof in found.proofs)
         document = Document(
             title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",

@@ -6,6 +6,7 @@ import io
 import re
 import shutil
 import tempfile
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 _PNG_DPI = 160
 _ROWS_PER_PAGE = 28
+_CHARACTERS_PER_LINE = 150
+_GAP = 0.012  # between a column on the right and one on the left beside it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,6 +137,7 @@ def _pages(document: Document) -> list[Figure]:
 
     head = [document.subtitle, *(text for text, _ in document.verdicts)]
     head += [f"warning: {w}" for w in document.warnings]
+    head = [line for text in head for line in textwrap.wrap(text, _CHARACTERS_PER_LINE) or [""]]
     facts = Table(title="What this was made from", header=("", ""), rows=document.facts)
     pages = []
     first = True
@@ -145,7 +149,7 @@ def _pages(document: Document) -> list[Figure]:
             if first:
                 figure.text(0.05, top, document.title, fontsize=15, weight="bold", va="top")
                 text = "\n".join(head)
-                figure.text(0.05, top - 0.05, text, fontsize=9, va="top", wrap=True)
+                figure.text(0.05, top - 0.05, text, fontsize=9, va="top")
                 top -= 0.08 + 0.022 * len(head)
                 first = False
             figure.text(0.05, top, table.title, fontsize=11, weight="bold", va="top")
@@ -169,7 +173,7 @@ def _draw_table(
             width = 0.9 * widths[column] / total
             left = column == 0 or len(header) == 2 or header[column] == "note"
             figure.text(
-                at if left else at + width,
+                at + (_GAP if left and column else 0.0) if left else at + width,
                 y,
                 str(cell),
                 fontsize=size,

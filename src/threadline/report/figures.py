@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
-from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST
+from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
 from threadline.report.traces import Traces
 from threadline.verdict import Result, Status
 
@@ -171,38 +171,68 @@ def _near(planned: FloatArray, actual: FloatArray, bound: float) -> bool:
 
 
 def error_figure(proof: Proof, traces: Traces) -> Figure:
-    """Draw tracking error along the job, and each measured error against its limit."""
+    """Draw contour and tracking error along the job, and each measured error by its limit."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 5.4))
-    along, bars = figure.subplots(2, 1, height_ratios=[3, 2])
+    figure = Figure(figsize=(7.2, 8.2))
+    contour, tracking, bars = figure.subplots(3, 1, height_ratios=[3, 3, 3])
+    _contour_along(proof, traces, contour)
     radius = proof.plan.machine.radius_m
-    dashes = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (4, 1, 1, 1)), (0, (8, 2)), (0, (2, 2)))
-    shades = ("#0072B2", "black", "#D55E00", "0.55", "#009E73", "#CC79A7")
     for index, axis in enumerate(proof.plan.trajectory.axes):
         if axis not in traces.commanded or not moves(traces, axis):
             continue
-        error = (traces.actual[axis] - traces.commanded[axis]) * radius[index] * 1e3
-        along.plot(
-            traces.time_s, error, label=axis, color=shades[index], linestyle=dashes[index], lw=1.0
-        )
-    worst = worst_result(proof, "contour_error")
+        row = proof.plan.machine.axis_names.index(axis)
+        error = (traces.actual[axis] - traces.commanded[axis]) * radius[row] * 1e3
+        style = AXES[index % len(AXES)]
+        tracking.plot(traces.time_s, error, label=axis, **style)
+    worst = worst_result(proof, "tracking_error")
     if worst is not None and worst.time_s is not None:
-        line = "" if worst.job_line is None else f" (line {worst.job_line})"
-        label = f"largest contour error {abs(worst.measured or 0) * 1e3:.3f} mm{line}"
-        along.axvline(worst.time_s, label=label, **LIMIT)
-    along.set_xlabel("time [s]")
-    along.set_ylabel("actual - commanded [mm]")
-    along.margins(y=0.12)
-    figure.legend(*along.get_legend_handles_labels(), loc="outside upper right", ncols=4)
-    along.set_title("Tracking error at the tool", loc="left")
+        tracking.axvline(worst.time_s, label=_worst_label(worst, ""), **LIMIT)
+    tracking.set_xlabel("time [s]")
+    tracking.set_ylabel("actual - commanded [mm]")
+    tracking.margins(y=0.12)
+    tracking.set_title("Tracking error along the job, at the tool (lag counts)")
+    _legend_beside(tracking)
     _bars(proof, bars)
     return figure
 
 
+def _contour_along(proof: Proof, traces: Traces, panel: Axes) -> None:
+    """Draw the contour error over time, its limit, and the worst place with its program line."""
+    if traces.contour is not None:
+        time_s, error_m = traces.contour
+        panel.plot(time_s, error_m * 1e3, label="tool off the path", **ACTUAL)
+    worst = worst_result(proof, "contour_error")
+    if worst is not None and worst.time_s is not None and worst.measured is not None:
+        if worst.limit is not None:
+            panel.axhline(worst.limit * 1e3, label=f"limit {worst.limit * 1e3:g} mm", **LIMIT)
+        note = f", {worst.note}" if worst.note else ""
+        panel.plot([worst.time_s], [worst.measured * 1e3], label=_worst_label(worst, note), **WORST)
+    else:
+        panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center")
+    panel.set_ylim(bottom=0.0)
+    panel.margins(y=0.15)
+    panel.set_xlabel("time [s]")
+    panel.set_ylabel("contour error [mm]")
+    panel.set_title("Contour error along the job, at the tool (lag along the path does not count)")
+    _legend_beside(panel)
+
+
+def _worst_label(worst: Result, note: str) -> str:
+    line = "" if worst.job_line is None else f" at line {worst.job_line}"
+    scale, unit = {"m": (1e3, "mm"), "rad": (DEGREES, "deg")}.get(worst.unit, (1.0, worst.unit))
+    axis = f" {worst.axis}" if worst.axis else ""
+    return f"worst{axis} {abs(worst.measured or 0.0) * scale:.3f} {unit}{line}{note}"
+
+
+def _legend_beside(panel: Axes) -> None:
+    """Put the legend below the panel's time axis, where it covers nothing."""
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, borderaxespad=0.0)
+
+
 def _bars(proof: Proof, panel: Axes) -> None:
     limited = [r for r in proof.verdict.results if r.limit and r.measured is not None]
-    names = [f"{r.name} {r.axis}".strip() for r in limited]
+    names = [f"{r.name} {r.axis}".strip().replace("_", " ") for r in limited]
     used = [abs(r.measured or 0.0) / (r.limit or 1.0) * 100.0 for r in limited]
     colours = ["#D55E00" if r.status is Status.FAILED else "0.7" for r in limited]
     hatches = ["////" if r.status is Status.FAILED else "" for r in limited]
@@ -218,7 +248,7 @@ def _bars(proof: Proof, panel: Axes) -> None:
             fontsize=7,
         )
     panel.axvline(100.0, **LIMIT)
-    panel.set_xlim(0, 225)
+    panel.set_xlim(0, max([120.0, *(shown + 20.0)]))
     panel.invert_yaxis()
     panel.tick_params(axis="y", labelsize=7)
     panel.grid(axis="y", visible=False)

@@ -86,6 +86,11 @@ def _caption(name: str) -> str:
     if name.startswith("profile-"):
         return (
             "Planned and actual displacement, velocity and acceleration; actual velocity and "
-            "acceleration are differences over one tick."
+            "acceleration are differences over one tick. Where the planned velocity steps, its "
+            "acceleration is infinite, and not drawn."
         )
-    return "Tracking error along the job, and each measured figure as a share of its limit."
+    return (
+        "Contour and tracking error along the job with the worst place and its program line, and "
+        "each measured figure as a share of its limit. The contour error is the largest of each "
+        "two-thousandth of the job."
+    )

@@ -10,6 +10,7 @@ from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
+from threadline.verdict.along import contour_along
 
 MAX_SAMPLES = 20_000
 MAX_VERTICES = 20_000
@@ -33,6 +34,9 @@ class Traces:
         (m, axes) programmed vertices and (m,) their operation.
     stride
         Every ``stride``-th sample of the recording was kept.
+    contour
+        (k,) times and (k,) contour errors, m, each the largest of a stretch of the job; None
+        where it could not be measured.
     """
 
     time_s: FloatArray
@@ -43,6 +47,7 @@ class Traces:
     planned: dict[str, FloatArray]
     vertices: FloatArray
     stride: int
+    contour: tuple[FloatArray, FloatArray] | None = None
 
 
 def collect(proof: Proof) -> Traces:
@@ -65,6 +70,7 @@ def collect(proof: Proof) -> Traces:
         planned=planned,
         vertices=_vertices(plan),
         stride=stride,
+        contour=contour_along(recording, plan, proof.spec.lag_s),
     )
 
 

@@ -1,0 +1,78 @@
+"""The contour error along the job, for a figure: the largest in each of many stretches of time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.plan import Plan
+from threadline.signals import Recording
+from threadline.verdict.blocks import find_first, judged_blocks, master_channel, sample_interval_s
+from threadline.verdict.intended import as_intended
+from threadline.verdict.nearest import squared_to_segment
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.window import PathWindow
+
+
+def contour_along(
+    recording: Recording, plan: Plan, lag_s: float, stretches: int = 2000
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return times, s, and distances of the tool from the programmed path, m, both (n,).
+
+    Distances are those of the measure ``contour_error`` from samples to chords, within the same
+    lag; a programmed point that is passed at a distance is not in them. The recording is read
+    once, in bounded memory.
+
+    Parameters
+    ----------
+    stretches
+        The job is cut into so many; each gives its largest distance, at its own time.
+
+    Returns
+    -------
+    tuple or None
+        None where the recording lacks a channel that the measure needs.
+    """
+    recording = as_intended(recording, plan)
+    axes = plan.programmed.axes
+    for alternatives in MEASURES["contour_error"].needs:
+        for axis in axes:
+            if not (
+                find_first(recording, alternatives, axis) or find_first(recording, alternatives, "")
+            ):
+                return None
+    interval_s = sample_interval_s(master_channel(recording, axes))
+    lag_samples = int(np.ceil(lag_s / interval_s - 1e-9))
+    width_s = max(plan.trajectory.duration_s + lag_s, interval_s) / stretches
+    worst = np.full(stretches + 1, -1.0)
+    time_s = np.zeros(stretches + 1)
+    for block in judged_blocks(recording, axes, lag_samples, PathWindow(plan.programmed)):
+        assert block.actual is not None
+        path, begin, end = block.window()
+        points = np.ascontiguousarray(block.actual * plan.programmed.radius_m)
+        squared = squared_distances(points, begin, end, path.vertices)
+        stretch = np.minimum((block.time_s / width_s).astype(np.int64), stretches)
+        # The largest of each stretch comes last, and what is assigned last stays.
+        order = np.argsort(squared, kind="stable")
+        order = order[squared[order] > worst[stretch[order]]]
+        worst[stretch[order]], time_s[stretch[order]] = squared[order], block.time_s[order]
+    seen = worst >= 0.0
+    return time_s[seen], np.sqrt(worst[seen])
+
+
+def _squared_distances(
+    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
+) -> FloatArray:
+    """Return the (n,) squared distance of each point to the chords ``begin[i]`` to ``end[i]``."""
+    found = np.empty(len(points))
+    for i in range(len(points)):
+        best = np.inf
+        for chord in range(begin[i], end[i] + 1):
+            squared, _ = squared_to_segment(points[i], vertices[chord - 1], vertices[chord])
+            best = min(best, squared)
+        found[i] = best
+    return found
+
+
+squared_distances = njit(cache=True, nogil=True)(_squared_distances)

@@ -1,0 +1,95 @@
+"""What the figures of a proof and of a comparison show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.pipeline import Options, Proof, parse_feed, plan_job, prove_plan
+from threadline.report.figures import all_figures
+from threadline.report.overlay import overlays
+from threadline.report.style import figure_style
+from threadline.report.traces import collect
+from threadline.verdict import load_spec
+from threadline.verdict.along import contour_along
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def proof_of(name: str, interpolation: str, feed: str | None = None) -> Proof:
+    machine = load_machine("lathe-winder")
+    options = Options(interpolation=interpolation, feed=None if feed is None else parse_feed(feed))
+    job = read_job(EXAMPLES / name, machine)
+    return prove_plan(plan_job(job, machine, options), load_spec(None, machine))
+
+
+@pytest.fixture(scope="module")
+def winding() -> Proof:
+    return proof_of("cone-dome-cylinder.prg", "linear")
+
+
+def test_the_error_along_the_job_peaks_where_the_judge_says(winding: Proof) -> None:
+    """The worst of the curve is the measured contour error, at its time.
+
+    Of a straight path at a corner: the tool leaves the chord, no point is missed by more. The
+    curve and the judge have the same distances, so equal to the rounding of a square root.
+    """
+    along = contour_along(winding.recording, winding.plan, winding.spec.lag_s)
+    assert along is not None
+    time_s, error_m = along
+    worst = winding.verdict.result("contour_error")
+    assert worst.note == ""
+    assert error_m.max() == pytest.approx(worst.measured, rel=1e-12)
+    assert time_s[error_m.argmax()] == pytest.approx(worst.time_s, abs=1e-9)
+    assert (np.diff(time_s) > 0).all()
+    assert 1000 < len(time_s) <= 2001
+
+
+def test_a_recording_without_load_has_no_curve(winding: Proof) -> None:
+    channels = tuple(c for c in winding.recording.channels if c.kind not in {"load", "tool"})
+    bare = replace(winding.recording, channels=channels)
+    assert contour_along(bare, winding.plan, winding.spec.lag_s) is None
+
+
+def test_the_figure_marks_the_worst_place_with_its_line(winding: Proof) -> None:
+    worst = winding.verdict.result("contour_error")
+    with figure_style():
+        figures = all_figures(winding, collect(winding))
+    panel = figures["errors"].axes[0]
+    labels = panel.get_legend_handles_labels()[1]
+    assert any(f"at line {worst.job_line}" in label for label in labels)
+    (marker,) = [line for line in panel.lines if line.get_marker() == "v"]
+    assert marker.get_xydata()[0] == pytest.approx([worst.time_s, worst.measured * 1e3])
+    for figure in figures.values():
+        for axes in figure.axes:
+            assert axes.get_ylabel() or axes.get_title(loc="left") == "Criteria with a limit"
+        assert "[" in figure.axes[-1].get_xlabel()
+
+
+def test_a_comparison_shows_over_travel_at_the_turn() -> None:
+    """At 180 mm: linear 0.46 mm short, the plain spline 8.6, pulled in none; all in one picture."""
+    cases = []
+    for name in ("linear", "b-spline", "b-spline-pulled"):
+        proof = proof_of("x-180.prg", name, "10 count/tick")
+        cases.append((name, proof, collect(proof)))
+    with figure_style():
+        figures, captions = overlays(cases)
+    assert list(figures) == list(captions) == ["turning-X"]
+    (panel,) = figures["turning-X"].axes
+    assert panel.get_title(loc="left").endswith("X turning at 180 mm")
+    highest = [line.get_ydata().max() for line in panel.lines[:3]]
+    assert highest == pytest.approx([-0.463, -8.573, 0.001], abs=2e-3)
+
+
+def test_a_comparison_shows_the_path_of_the_eye(winding: Proof) -> None:
+    with figure_style():
+        figures, _ = overlays([("linear", winding, collect(winding))])
+    assert list(figures) == ["turning-X", "turning-Y", "paths-XY"]
+    programmed = figures["paths-XY"].axes[0].lines[-1].get_xydata()
+    assert programmed.min(axis=0) == pytest.approx([-101.4, 0.0], abs=0.1)
+    assert programmed.max(axis=0) == pytest.approx([331.4, 75.4], abs=0.1)
