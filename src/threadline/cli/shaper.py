@@ -10,6 +10,7 @@ import typer
 
 from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import note, print_json, print_table
+from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
     KINDS,
     curve_lines,
@@ -34,6 +35,7 @@ from threadline.shaping import (
     realise,
     vibration_of,
 )
+from threadline.shaping.onoff.study import MoveStudy, study_move
 
 _SI_BAND = 0.2  # of the frequency to either side: what a machine's stiffness is usually known to
 
@@ -47,6 +49,7 @@ class _Answer:
     widths: tuple[Insensitivity, ...]
     klipper: KlipperExport | None
     warnings: tuple[str, ...]
+    study: MoveStudy | None = None
 
 
 def shaper(
@@ -78,6 +81,16 @@ def shaper(
     free: Annotated[
         bool, typer.Option(help="With --tick: amplitudes may be set anew (flow valves, axes).")
     ] = False,
+    move: Annotated[
+        str | None,
+        typer.Option(help='Say what a move of this length takes, with --acceleration: "200 mm".'),
+    ] = None,
+    acceleration: Annotated[
+        str | None, typer.Option(help='Full acceleration of that move: "1 m/s^2".')
+    ] = None,
+    still: Annotated[
+        float, typer.Option(help="Ringing allowed after it, of one full step's: 0.01 is 1 %.")
+    ] = 0.01,
     klipper: Annotated[bool, typer.Option("--klipper", help="Print Klipper's section.")] = False,
     report: ReportOption = None,
     json: JsonOption = False,
@@ -87,7 +100,14 @@ def shaper(
     Frequencies are undamped, vibration is normalised to one unit impulse, and insensitivity is
     (f_hi - f_lo) / f within the tolerance. Exit status: 0, or 2 for wrong input.
 
+    With --move the shaped move stands beside the time-optimal one and the robust optimum over
+    --band (20 % unless given); with --tick too, an on/off command is searched for within 10 % of
+    that optimum, and the front of ringing against time is shown.
+
     Example: threadline shaper --mode 3.04Hz --damping 0.17 --tolerance 0.05 --kind um-2ei
+
+    Example: threadline shaper --mode 3.04Hz --kind zv --move "200 mm" --acceleration "1 m/s^2"
+    --tick "10 ms"
     """
     modes = modes_of(mode, damping)
     if band is None:
@@ -111,6 +131,11 @@ def shaper(
     for one in modes:
         others = [other for other in modes if other is not one]
         warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
+    studied = None
+    if move is not None or acceleration is not None:
+        made_for = rest_to_rest(move, acceleration, modes)
+        tick_s = None if tick is None else seconds(tick, "--tick")
+        studied = study_move(made_for, made, relative=band or 0.2, tolerance=still, tick_s=tick_s)
     answer = _Answer(
         shaper=made,
         modes=modes,
@@ -119,6 +144,7 @@ def shaper(
         widths=tuple(insensitivity(made, one, tolerance) for one in modes),
         klipper=klipper_export(made, modes[0]) if klipper and len(modes) == 1 else None,
         warnings=tuple(warnings),
+        study=studied,
     )
     if klipper and len(modes) > 1:
         raise OptionError(
@@ -177,6 +203,7 @@ def _tables(answer: _Answer) -> list[Table]:
             rows=modes,
         ),
         Table(title="Cost", header=("", ""), rows=_cost(answer)),
+        *([] if answer.study is None else study_tables(answer.study)),
     ]
 
 
@@ -230,6 +257,8 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
         content["ticks"] = list(answer.realised.ticks)
         content["time_price_s"] = answer.realised.time_price_s
         content["vibration_price"] = answer.realised.vibration_price
+    if answer.study is not None:
+        content["move"] = study_content(answer.study)
     if answer.klipper is not None:
         content["klipper"] = answer.klipper.section or None
         content["klipper_note"] = answer.klipper.explanation

@@ -214,6 +214,13 @@ def compare_shapers(
     """
     optimal = time_optimal(move).command.duration_s
     robust = robust_optimum(move, relative=relative, tolerance=tolerance).duration_s
+    return beside(move, shapers, relative=relative, optimal_s=optimal, robust_s=robust)
+
+
+def beside(
+    move: RestToRest, shapers: list[Shaper], *, relative: float, optimal_s: float, robust_s: float
+) -> list[ShapedMove]:
+    """The same beside optima that are known."""
     unshaped = worst_ringing(
         shaped_command(move, Shaper(amplitudes=np.ones(1), times_s=np.zeros(1))),
         move.modes,
@@ -225,6 +232,8 @@ def compare_shapers(
         worst = worst_ringing(command, move.modes, relative)
         time = command.duration_s
         rows.append(
-            ShapedMove(shaper.name, time, time / optimal, time / robust, worst, worst / unshaped)
+            ShapedMove(
+                shaper.name, time, time / optimal_s, time / robust_s, worst, worst / unshaped
+            )
         )
     return rows

@@ -42,11 +42,14 @@ class FrontPoint:
         fraction of one full step's; None where the distance can't be covered.
     switched
         That of the on/off command that was found within the tolerance; None where none was.
+    command
+        That command.
     """
 
     duration_s: float
     free: float | None
     switched: float | None
+    command: Command | None = None
 
 
 def switched_command(
@@ -150,6 +153,7 @@ def residual_front(
                 count * tick_s,
                 None if free is None else free[0],
                 None if command is None else worst_ringing(command, move.modes, relative),
+                command,
             )
         )
     return points

@@ -1,0 +1,107 @@
+"""How far a shaped move is from the fastest there is, and what switching alone could do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from threadline.shaping.onoff.model import Command, RestToRest
+from threadline.shaping.onoff.optimal import time_optimal
+from threadline.shaping.onoff.robust import ShapedMove, beside, robust_optimum
+from threadline.shaping.onoff.switched import FrontPoint, residual_front
+from threadline.shaping.types import UNSHAPED, Shaper
+
+WITHIN = 1.1
+"""An on/off command is searched for up to so many times the robust optimum."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveStudy:
+    """A move, shaped and not, beside its bounds.
+
+    Parameters
+    ----------
+    move
+        What has to be done.
+    relative, tolerance
+        Half width of the band of frequency, and the ringing allowed over it, of one full step's.
+    optimal
+        The time-optimal command: no robustness.
+    robust
+        The robust optimum, levels free.
+    moves
+        Unshaped, and shaped.
+    front
+        Ringing against time on the controller's tick, up to the first on/off command that was
+        found within the tolerance; empty without a tick.
+    """
+
+    move: RestToRest
+    relative: float
+    tolerance: float
+    optimal: Command
+    robust: Command
+    moves: tuple[ShapedMove, ...]
+    front: tuple[FrontPoint, ...]
+
+    @property
+    def switched(self) -> FrontPoint | None:
+        """The on/off command within the tolerance and ``WITHIN`` of the robust optimum, if any."""
+        return next((point for point in self.front if point.command is not None), None)
+
+
+def study_move(
+    move: RestToRest,
+    shaper: Shaper,
+    *,
+    relative: float,
+    tolerance: float,
+    tick_s: float | None = None,
+) -> MoveStudy:
+    """Return the study of ``move`` with ``shaper``.
+
+    Parameters
+    ----------
+    move, shaper
+        The shaper should be made for the modes of the move.
+    relative, tolerance
+        Half width of the band, in [0, 1), and the ringing allowed over it.
+    tick_s
+        Of the controller that is to switch; None leaves the search out.
+
+    Raises
+    ------
+    OptionError, ShaperError
+        If a number is out of range, or a program fails.
+    """
+    optimal = time_optimal(move).command
+    robust = robust_optimum(move, relative=relative, tolerance=tolerance)
+    moves = beside(
+        move,
+        [UNSHAPED, shaper],
+        relative=relative,
+        optimal_s=optimal.duration_s,
+        robust_s=robust.duration_s,
+    )
+    front: list[FrontPoint] = []
+    if tick_s is not None:
+        # Faster than the robust optimum there is nothing within the tolerance: shown, not searched.
+        first = math.ceil(optimal.duration_s / tick_s - 1e-9)
+        last = math.floor(WITHIN * robust.duration_s / tick_s + 1e-9)
+        bound = math.ceil(robust.duration_s / tick_s - 1e-9)
+        coarse = range(first, bound, max(1, (bound - first) // 6))
+        for ticks in (*coarse, *range(bound, last + 1)):
+            front += residual_front(
+                move, relative=relative, tolerance=tolerance, tick_s=tick_s, ticks=[ticks]
+            )
+            if front[-1].command is not None:
+                break
+    return MoveStudy(
+        move=move,
+        relative=relative,
+        tolerance=tolerance,
+        optimal=optimal,
+        robust=robust,
+        moves=tuple(moves),
+        front=tuple(front),
+    )
