@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from threadline.cli.main import main
 from threadline.machine import load_machine
+from threadline.signals.files import read_recording
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
@@ -163,6 +165,47 @@ def test_a_recording_is_judged_as_the_run_was(
     code, out, err = run(capsys, "judge", trace, "-m", "lathe-winder+physical")
     assert (code, out) == (2, "")
     assert "run.npz was recorded on another machine" in err
+
+
+def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same run as time and positions alone: the same contour error, or none and why."""
+    common = ["-m", "lathe-winder", "--interpolation", "linear"]
+    run_file = tmp_path / "run.npz"
+    _, first, _ = run(
+        capsys, "prove", examples / "x-180.prg", *common, "--recording", run_file, "--json"
+    )
+    recording = read_recording(run_file)
+    times = recording.samples("X.load")[0]
+    columns = np.stack([times, *(recording.samples(f"{axis}.load")[1] for axis in "AXY")], axis=1)
+    lines = [";".join(map(repr, row)) for row in columns.tolist()]
+    judged = {}
+    for kind in (".load", ""):
+        head = f"time [s];A{kind} [rad];X{kind} [m];Y{kind} [m]"
+        trace = tmp_path / f"trace{kind}.csv"
+        trace.write_text("\n".join([head, *lines]) + "\n")
+        judged[kind] = run(capsys, "judge", trace, "--job", examples / "x-180.prg", *common)
+        _, second, _ = run(
+            capsys, "judge", trace, "--job", examples / "x-180.prg", *common, "--json"
+        )
+        contours = [
+            next(c for c in json.loads(text)["criteria"] if c["name"] == "contour_error")
+            for text in (first, second)
+        ]
+        if kind:
+            assert contours[1]["measured"] == pytest.approx(contours[0]["measured"], abs=1e-12)
+            assert contours[1]["job_line"] == contours[0]["job_line"]
+        else:
+            assert contours[1]["status"] == "not-measured"
+
+    assert judged[".load"][0] == 0
+    assert "by time" in judged[".load"][1]
+    assert judged[".load"][1].endswith("not measured)\n")
+    assert judged[""][0] == 1
+    assert judged[""][1].endswith(
+        "NOT PROVEN: contour error and turning point error were not measured\n"
+    )
 
 
 def test_report_and_table_files(

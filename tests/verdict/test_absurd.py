@@ -14,7 +14,7 @@ from .builders import follow, plan_through, record, winder
 POINTS = [[0.0, 0.0], [0.01, 0.0], [0.01, 0.01]]
 
 
-@pytest.mark.parametrize("value", [1e300, -np.inf, 2e15])
+@pytest.mark.parametrize("value", [1e300, -3e16, 2e15])
 def test_an_absurd_sample_is_refused_with_its_channel(value: float) -> None:
     """1e300 squared overflows, with a warning of numpy before anything is said."""
     path, operation = follow(POINTS, 20)

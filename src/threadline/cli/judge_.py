@@ -17,8 +17,8 @@ from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.pipeline import options_from, plan_job, plan_switching
 from threadline.signals.files import read_recording
+from threadline.verdict import closing, load_spec, step_rows, verdict_json, verdict_rows
 from threadline.verdict import judge as judge_recordings
-from threadline.verdict import load_spec, step_rows, verdict_json, verdict_rows
 
 
 def judge(
@@ -93,7 +93,7 @@ def judge(
         )
         if chosen.cylinders:
             print_table("Step by step", *step_rows(verdict))
-        typer.echo("IN SPEC" if verdict.passed else "OUT OF SPEC")
+        typer.echo(closing(verdict))
     raise typer.Exit(0 if verdict.passed else 1)
 
 

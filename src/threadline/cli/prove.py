@@ -40,7 +40,14 @@ from threadline.pipeline import prove as prove_job
 from threadline.report import write_report, write_switching
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
-from threadline.verdict import Criterion, load_spec, step_rows, verdict_json, verdict_rows
+from threadline.verdict import (
+    Criterion,
+    closing,
+    load_spec,
+    step_rows,
+    verdict_json,
+    verdict_rows,
+)
 
 
 def prove(
@@ -139,7 +146,7 @@ def show_proof(proof: Proof) -> None:
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
     for line in [*feed_forward_lines(plan.feed_forward), *calculate(plan).lines()]:
         typer.echo(line)
-    typer.echo("IN SPEC" if proof.verdict.passed else "OUT OF SPEC")
+    typer.echo(closing(proof.verdict))
 
 
 def show_switching(proof: SwitchProof) -> None:
@@ -149,7 +156,7 @@ def show_switching(proof: SwitchProof) -> None:
     print_table(f"{plan.job.name} on {plan.machine.name}, switched", header, rows)
     header, rows = step_rows(proof.verdict)
     print_table(f"Step by step, shaper {plan.options.get('shaper', 'none')}", header, rows)
-    typer.echo("IN SPEC" if proof.verdict.passed else "OUT OF SPEC")
+    typer.echo(closing(proof.verdict))
 
 
 def register(app: typer.Typer) -> None:

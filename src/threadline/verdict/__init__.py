@@ -1,7 +1,13 @@
 """Specification, measures and the judge of recordings."""
 
 from threadline.verdict.judge import judge
-from threadline.verdict.present import criteria_json, step_rows, verdict_json, verdict_rows
+from threadline.verdict.present import (
+    closing,
+    criteria_json,
+    step_rows,
+    verdict_json,
+    verdict_rows,
+)
 from threadline.verdict.spec import load_spec
 from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
@@ -13,6 +19,7 @@ __all__ = [
     "Spec",
     "Status",
     "Verdict",
+    "closing",
     "criteria_json",
     "judge",
     "load_spec",

@@ -165,6 +165,11 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
 def _refuse_absurd(block: RecordingBlock) -> None:
     """Refuse samples whose squares could overflow; what is not a number is not measured."""
     for name, samples in block.samples.items():
+        if np.isinf(samples).any():
+            raise RecordingError(
+                f"channel {name!r} holds a value that is not finite",
+                remedy="Repair the trace, or leave the channel out.",
+            )
         if (np.abs(samples) > _MOST).any():
             worst = float(np.nanmax(np.abs(samples)))
             raise RecordingError(

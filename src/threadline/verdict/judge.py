@@ -11,13 +11,14 @@ import numpy as np
 from threadline.errors import RecordingError, SpecError
 from threadline.path.types import ProgrammedPath
 from threadline.plan import Plan, SwitchPlan
-from threadline.signals import Recording
+from threadline.signals import ChannelKind, Recording
 from threadline.verdict.blocks import (
     find_first,
     judged_blocks,
     master_channel,
     sample_interval_s,
 )
+from threadline.verdict.by_time import OPERATION_BY_TIME, with_operation
 from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.intended import as_intended
@@ -34,7 +35,8 @@ _Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
 def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) -> Verdict:
     """Measure every criterion of ``spec`` and say what came of it.
 
-    Each recording is read once, in bounded memory; of several, the worst counts.
+    Each recording is read once, in bounded memory; of several, the worst counts. One without
+    operations has those of the commands at the same instant.
 
     Parameters
     ----------
@@ -58,7 +60,11 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
         _check_same_job(recording, plan)
     if isinstance(plan, SwitchPlan):
         return judge_switching(recordings, plan, spec)
-    recordings = [as_intended(recording, plan) for recording in recordings]
+    by_time = any(recording.find(ChannelKind.OPERATION) is None for recording in recordings)
+    recordings = [
+        as_intended(with_operation(recording, plan, plan.programmed.axes), plan)
+        for recording in recordings
+    ]
     findings: dict[_Key, list[Finding]] = {}
     keys = {_key(criterion): criterion for criterion in spec.criteria}
     for recording in recordings:
@@ -75,7 +81,9 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
             )
     findings |= {(name, ()): found for name, found in _of_plan(plan, keys).items()}
     results = [
-        result for criterion in spec.criteria for result in _results(criterion, findings, plan)
+        _told(result) if by_time else result
+        for criterion in spec.criteria
+        for result in _results(criterion, findings, plan)
     ]
     return Verdict(
         results=tuple(_with_lines(results, plan.programmed)),
@@ -90,6 +98,14 @@ def _check_same_job(recording: Recording, plan: Plan | SwitchPlan) -> None:
             f"the recording is of another job (sha256 {theirs[:12]}) than the plan ({ours[:12]})",
             remedy="Judge it against the job that was run.",
         )
+
+
+def _told(result: Result) -> Result:
+    """Say of a result that its operations were not recorded, if it has any."""
+    relies = any(ChannelKind.OPERATION in kinds for kinds in MEASURES[result.name].needs)
+    if result.measured is None or not relies:
+        return result
+    return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
 
 
 def _key(criterion: Criterion) -> _Key:
@@ -149,8 +165,17 @@ def _missing(kind: MeasureKind, recording: Recording, axes: Sequence[str]) -> st
         ]
         lacking = [axis for axis, channel in zip(axes, have, strict=True) if channel is None]
         if lacking and (not kind.per_axis or len(lacking) == len(axes)):
-            return f"no {' or '.join(alternatives)} channel of {', '.join(lacking)}"
+            return (
+                f"no {' or '.join(alternatives)} channel of {', '.join(lacking)}: "
+                + _how_to_give(alternatives, lacking[0])
+            )
     return ""
+
+
+def _how_to_give(alternatives: Sequence[ChannelKind], axis: str) -> str:
+    if ChannelKind.LOAD in alternatives:
+        return f'name the column "{axis}.load" if it was measured at the load, see docs/files.md'
+    return f'a column "{axis}.{alternatives[0]}" gives it, see docs/files.md'
 
 
 def _of_plan(plan: Plan, keys: Mapping[_Key, Criterion]) -> dict[str, list[Finding]]:

@@ -95,6 +95,24 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
+def closing(verdict: Verdict) -> str:
+    """Return the line under a verdict for people.
+
+    A verdict that fails only because something required was not measured says so: nothing was
+    found out of specification, and nothing proved.
+    """
+    missing = dict.fromkeys(r.name for r in verdict.results if r.status is Status.NOT_MEASURED)
+    if verdict.passed:
+        count = len(missing)
+        plural = "criterion" if count == 1 else "criteria"
+        return "IN SPEC" + (f" ({count} {plural} not measured)" if count else "")
+    if any(r.status is Status.FAILED for r in verdict.results):
+        return "OUT OF SPEC"
+    lacking = dict.fromkeys(r.name.replace("_", " ") for r in verdict.results if _lacking(r))
+    were = "was" if len(lacking) == 1 else "were"
+    return f"NOT PROVEN: {' and '.join(lacking)} {were} not measured"
+
+
 def verdict_rows(
     verdict: Verdict, *, every_axis: bool = False
 ) -> tuple[list[str], list[list[str]]]:

@@ -1,0 +1,90 @@
+"""The operation under way, from the plan's commands where a controller didn't record it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.plan import Plan
+from threadline.signals import (
+    Channel,
+    ChannelKind,
+    Recording,
+    RecordingBlock,
+    Stream,
+    TickTable,
+)
+from threadline.verdict.blocks import master_channel
+
+OPERATION_BY_TIME = "operations from the plan by time"
+"""Note of a result that relies on it."""
+
+_ROUNDING = 1e-9  # of a tick: an instant that is a tick but for a rounding is that tick
+
+
+def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Recording:
+    """Return ``recording`` with the operation that the commands were at, at the same instant.
+
+    A trace of another controller knows nothing of operations. Its time counts from the start of
+    the commands (docs/files.md), so each instant has its row in them, and the row its operation;
+    before the first row and after the last, theirs. A recording that has operations is returned as
+    it is: what was under way counts, not what was meant to be.
+
+    Raises
+    ------
+    RecordingError
+        If the recording holds no position of any of ``axes``.
+    """
+    commands = plan.commands
+    if recording.find(ChannelKind.OPERATION) is not None or not isinstance(commands, TickTable):
+        return recording
+    master = master_channel(recording, axes)
+    channel = Channel(
+        name=ChannelKind.OPERATION.value,
+        kind=ChannelKind.OPERATION,
+        unit="",
+        clock=master.clock,
+        stride=master.stride,
+    )
+    tick_s = float(commands.clock.period_s)
+
+    def blocks() -> Iterator[RecordingBlock]:
+        rows = _Rows(commands)
+        for block in recording:
+            count = len(block.samples[master.name])
+            first = block.first_tick.get(master.clock.name, 0)
+            time_s = master.clock.times_s(first, count, master.stride)
+            due = np.floor(time_s / tick_s + _ROUNDING).astype(np.int64)
+            operation = rows.operations(due).astype(np.float64)
+            yield replace(block, samples={**block.samples, channel.name: operation})
+
+    return replace(recording, channels=(*recording.channels, channel), blocks=Stream(blocks))
+
+
+class _Rows:
+    """The operations of a tick table, read once from the front."""
+
+    def __init__(self, commands: TickTable) -> None:
+        self._blocks = iter(commands)
+        self._first = 0
+        self._operation: IntArray = np.empty(0, dtype=np.int64)
+
+    def operations(self, rows: IntArray) -> IntArray:
+        """Return (n,) operations of (n,) rows, which never go back; beyond the end the last."""
+        found = np.empty(len(rows), dtype=np.int64)
+        done = 0
+        while done < len(rows):
+            end = done + int(np.searchsorted(rows[done:], self._first + len(self._operation)))
+            found[done:end] = self._operation[rows[done:end] - self._first]
+            done = end
+            if done < len(rows):
+                block = next(self._blocks, None)
+                if block is None:
+                    found[done:] = self._operation[-1] if len(self._operation) else 0
+                    break
+                if len(block):
+                    self._first, self._operation = block.first_tick, block.operation
+        return found
