@@ -19,6 +19,8 @@ from threadline.pipeline import Options, options_from, plan_job, prove_plan
 from threadline.plant.suspicions import current_needed
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
+from threadline.targets import feedforward as targets
+from threadline.trajectory import averaged
 from threadline.verdict import load_spec
 from threadline.verdict.needle import has_stitches, planned_stitches
 
@@ -144,6 +146,22 @@ def test_a_recording_says_how_to_plan_it_again(plan, machine):
         np.testing.assert_array_equal(ours.counts, theirs.counts)
     with pytest.raises(OptionError, match="exclude each other"):
         plan_job(plan.job, machine, replace(AHEAD, shaper="zv:12Hz:0.02"))
+
+
+def test_long_jobs_stream(plan, machine, seam, monkeypatch):
+    """Nothing kept, few rows and samples in hand at once: the same commands to the count."""
+    monkeypatch.setattr(averaged, "_KEPT", 0)
+    monkeypatch.setattr(averaged, "_CHUNK", 100)
+    monkeypatch.setattr(targets, "_KEPT", 0)
+    monkeypatch.setattr(targets, "_ROWS", 64)
+    streamed = plan_job(read_job(seam, machine), machine, AHEAD)
+    assert len(list(streamed.trajectory)) > 10 > len(list(plan.trajectory))
+    ours, theirs = (np.concatenate([b.counts for b in made.commands]) for made in (plan, streamed))
+    np.testing.assert_array_equal(ours, theirs)
+    labels = [np.concatenate([b.operation for b in made.commands]) for made in (plan, streamed)]
+    np.testing.assert_array_equal(*labels)
+    for one, other in zip(plan.feed_forward, streamed.feed_forward, strict=True):
+        assert one.current_a == pytest.approx(other.current_a, rel=1e-9)
 
 
 def test_travel_starts_and_ends_at_rest(plan):
