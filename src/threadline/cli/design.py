@@ -10,6 +10,8 @@ import typer
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
+    FEED_FORWARD,
+    FeedForwardOption,
     InterpolationOption,
     JobArgument,
     JsonOption,
@@ -56,11 +58,12 @@ def design(
     needle: Annotated[
         str | None, typer.Option(help='Replaces the needle speed of a seam: "75 stitch/s".')
     ] = None,
-    feed_forward: Annotated[
+    feed_forward: FeedForwardOption = False,
+    smoothing: Annotated[
         str | None,
         typer.Option(
-            help="Command the exact inverse of each candidate instead of designing filters; widths "
-            'of the smoothing to try: "30 ms, 36 ms, 50 ms".'
+            help='Times to smooth feed-forward over, to try: "36 ms, 50 ms"; '
+            f"default {FEED_FORWARD}."
         ),
     ] = None,
     plot: Annotated[
@@ -98,7 +101,7 @@ def design(
     if needle is not None and not job.name.lower().endswith(SEAM_SUFFIXES):
         raise OptionError(f"{job.name} is no seam and has no needle speed")
     plotted = _plotted(plot, tuple(chosen.design.parameters) if chosen.design else None)
-    smoothing_s = _widths_s(feed_forward)
+    smoothing_s = _widths_s(feed_forward, smoothing)
     with progress_bar(not json) as progress:
         result = search_design(
             job,
@@ -137,10 +140,16 @@ def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str]
     return names[0], names[1]
 
 
-def _widths_s(text: str | None) -> tuple[float, ...]:
-    if text is None:
+def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
+    """Return the widths of the smoothing to try; none without feed-forward."""
+    if not feed_forward:
+        if text is not None:
+            raise OptionError(
+                f"--smoothing {text!r} is of feed-forward", remedy="Give --feed-forward too."
+            )
         return ()
-    widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in text.split(",")))
+    parts = (text or FEED_FORWARD).split(",")
+    widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
     if len(widths) > _MOST_WIDTHS:
         raise OptionError(f"{len(widths)} widths of the smoothing, at most {_MOST_WIDTHS}")
     return widths

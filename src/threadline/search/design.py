@@ -198,8 +198,9 @@ def design(
         step = report("trading cost for margin", at, at + 0.2 / len(TARGETS))
         tried = least_change(space, evaluator, tried, step, target=target)
     found, refused = _proved(space, evaluator, tried, job, spec)
-    centre = tried.points[_nearest(space, tried)] if found is None else _point(space, found)
-    level = 0 if found is None else _level(space, found.candidate)
+    nearest = _nearest(space, tried)
+    centre = tried.points[nearest] if found is None else _point(space, found)
+    level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
     # Beyond the limit the tolerances were not tried.
     front = pareto(space, tried, 1.0 + 1e-9 if evaluator.tolerances else 1.5)
     used = np.abs(tried.points[front[tried.ratio[front] <= 1.0], : space.parameters])
@@ -224,7 +225,7 @@ def design(
         },
         as_built=_best_of(space, evaluator, tried, np.zeros(space.parameters)),
         region=region,
-        nearest=_candidate(space, evaluator, tried, _nearest(space, tried)),
+        nearest=_candidate(space, evaluator, tried, nearest),
         simulated=evaluator.simulated,
         tolerances=evaluator.tolerances,
         refused=refused,

@@ -32,7 +32,7 @@ class Effort:
     trade_rounds
         Of the search for the least change with more margin.
     side
-        Of the grid on which the region is drawn.
+        Of the grid on which the region is drawn; 0 for none.
     """
 
     sample_log2: int = 8
@@ -44,8 +44,8 @@ class Effort:
 
 
 THOROUGH = Effort()
-FEW = Effort(sample_log2=4, proposals=20, rounds=10, trade_rounds=1, side=5)
-"""For feed-forward: every candidate has commands of its own, and takes a second."""
+FEW = Effort(sample_log2=4, proposals=10, rounds=8, trade_rounds=0, side=0)
+"""For feed-forward: every candidate has commands of its own, and takes a second or two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

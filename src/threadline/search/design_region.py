@@ -51,7 +51,7 @@ def region_of(
     plotted: tuple[str, str] | None,
     report: Callable[[float], None],
 ) -> Region | None:
-    """Return the region about ``centre``; None with fewer than two parameters.
+    """Return the region about ``centre``; None with fewer than two parameters, or no grid.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def region_of(
         Two parameters; those that cost most at ``centre``, then those most used, when None.
     """
     names = plotted or _important(space, centre, usage)
-    if names is None:
+    if names is None or not evaluator.effort.side:
         return None
     first, second = (space.names.index(name) for name in names)
     lines = [
