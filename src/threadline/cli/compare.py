@@ -18,8 +18,9 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.output import note, print_json, print_table, progress_bar
 from threadline.cli.outputs import check_outputs
+from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
@@ -81,6 +82,8 @@ def compare(
         written = (
             None if report is None else write_comparison(found, report, comparison_tables(found))
         )
+    for warning in dict.fromkeys(line for proof in found.proofs for line in proof_warnings(proof)):
+        note(f"warning: {warning}")
     if json:
         content = comparison_json(found)
         if written is not None:

@@ -27,6 +27,7 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import print_json
+from threadline.cli.tolerance import tolerance_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
@@ -92,7 +93,9 @@ def compile_(
                 remedy=f"Use {' or '.join(TABLES)}.",
             )
         plan = plan_job(read_job(job, chosen), chosen, options)
-        warn(chosen, plan.job, feed_forward_warnings(plan.feed_forward))
+        warn(
+            chosen, plan.job, [*feed_forward_warnings(plan.feed_forward), *tolerance_warnings(plan)]
+        )
         check_limits(plan.trajectory, chosen)
         files = write(plan, target, out)
     if json:

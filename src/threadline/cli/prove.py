@@ -33,6 +33,7 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import note, print_json, print_table, progress_bar
 from threadline.cli.outputs import appearing, check_outputs
+from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.pipeline import Proof, SwitchProof, prove_switching
@@ -123,7 +124,11 @@ def prove(
         for warning in proof.plan.scheduled.warnings:
             note(f"warning: {warning}")
     else:
-        warn(chosen, proof.plan.job, feed_forward_warnings(proof.plan.feed_forward))
+        warn(
+            chosen,
+            proof.plan.job,
+            [*feed_forward_warnings(proof.plan.feed_forward), *proof_warnings(proof)],
+        )
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:

@@ -23,6 +23,8 @@ from threadline.signals import Stream
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
+KEEPING_TOLERANCE = ("auto", "parabolic")
+"""Interpolations that stay within the tolerance everywhere; the others report what they do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,8 +56,7 @@ def plan_path(
     tolerance_m
         Largest distance between planned and programmed path, per axis, rotary axes at the
         radius of the tool. The historical interpolations ignore it; the cubic keeps it at the
-        points only and the quintic meets them.
-
+        points only and the quintic meets them: of neither is the path between them bounded.
     pull
         How ``b-spline-pulled`` is pulled to its turning points: by repeating them, by points
         nearby, or by knot spacing.

@@ -1,0 +1,43 @@
+"""What is said when the chosen interpolation does not keep the tolerance that was asked for."""
+
+from __future__ import annotations
+
+from threadline.path.plan import KEEPING_TOLERANCE
+from threadline.pipeline import Proof, parse_tolerance_m
+from threadline.plan import Plan
+from threadline.verdict.deviation import measure_path_deviation
+
+_ROUNDING = 1e-6  # relative: of what is measured on points of the path
+
+
+def tolerance_warnings(plan: Plan) -> list[str]:
+    """Return a line if the planned path leaves the programmed one by more than the tolerance."""
+    if _keeps(plan):
+        return []
+    (worst,) = measure_path_deviation(plan)
+    return _told(plan, worst.value, worst.job_line)
+
+
+def proof_warnings(proof: Proof) -> list[str]:
+    """Return the same of a plan whose verdict has the path deviation already."""
+    found = [r for r in proof.verdict.results if r.name == "path_deviation"]
+    if _keeps(proof.plan) or not found:
+        return []
+    return _told(proof.plan, found[0].measured, found[0].job_line)
+
+
+def _keeps(plan: Plan) -> bool:
+    # Feed-forward replaces the path by one of its own: chords at their programmed times.
+    return plan.path.interpolation in (*KEEPING_TOLERANCE, "on-time")
+
+
+def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
+    tolerance_m = parse_tolerance_m(plan.options["tolerance"])
+    if deviation_m is None or deviation_m <= tolerance_m * (1.0 + _ROUNDING):
+        return []
+    at = f" at line {line}" if line else ""
+    return [
+        f"{plan.path.interpolation} does not keep the tolerance of {tolerance_m * 1e3:g} mm: the "
+        f"planned path is {deviation_m * 1e3:.3g} mm off the programmed one{at}; "
+        f"{' and '.join(KEEPING_TOLERANCE)} keep it"
+    ]
