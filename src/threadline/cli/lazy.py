@@ -32,6 +32,7 @@ class LazyCommand:
 
 
 COMMANDS = {
+    "new": LazyCommand("new", "Make a working project: machine, specification, job."),
     "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
@@ -41,6 +42,7 @@ COMMANDS = {
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
+    "machines": LazyCommand("machines", "List the machines of the library, or print one."),
     "law": LazyCommand("law", "Show a motion law: its Cv, Ca, Cj and efficiency."),
 }
 

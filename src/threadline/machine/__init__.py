@@ -1,7 +1,15 @@
 """Machines as data: the parts, the file, the library."""
 
-from threadline.machine.load import library_names, load_machine
+from threadline.machine.load import library_file, library_names, load_machine, overlay_names
 from threadline.machine.model import Machine
 from threadline.machine.quantity import Provenance, Quantity
 
-__all__ = ["Machine", "Provenance", "Quantity", "library_names", "load_machine"]
+__all__ = [
+    "Machine",
+    "Provenance",
+    "Quantity",
+    "library_file",
+    "library_names",
+    "load_machine",
+    "overlay_names",
+]

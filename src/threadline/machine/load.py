@@ -38,6 +38,38 @@ def library_names() -> tuple[str, ...]:
     )
 
 
+def library_file(name: str) -> Path:
+    """Return where the file of a library machine lies, to be read or copied.
+
+    Raises
+    ------
+    MachineError
+        If the library has no such machine.
+    """
+    _check_name(name)
+    return Path(str(resources.files("threadline.machine") / "library" / f"{name}.toml"))
+
+
+def overlay_names(reference: str | Path) -> tuple[str, ...]:
+    """Return the overlays of a machine that fit it: a base may have some that need more parts.
+
+    Raises
+    ------
+    MachineError
+        As ``load_machine``.
+    """
+    name, _ = _split(str(reference))
+    available = _resolve(name, ())[0].get("overlays", {})
+    fitting = []
+    for overlay in available if isinstance(available, dict) else ():
+        try:
+            load_machine(f"{name}+{overlay}")
+        except MachineError:
+            continue
+        fitting.append(overlay)
+    return tuple(fitting)
+
+
 def load_machine(reference: str | Path) -> Machine:
     """Read a machine file, or a machine of the library, with overlays.
 
@@ -165,6 +197,12 @@ def _read(name: str) -> tuple[str, str]:
             raise MachineError(
                 f"cannot read {name[:200]!r}: {why}", remedy="Give a machine file or a name."
             ) from error
+    _check_name(name)
+    entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
+    return entry.read_text(encoding="utf-8"), f"{name}.toml"
+
+
+def _check_name(name: str) -> None:
     known = library_names()
     if name not in known:
         close = difflib.get_close_matches(name, known, n=1)
@@ -172,8 +210,6 @@ def _read(name: str) -> tuple[str, str]:
         raise MachineError(
             f"no machine {name[:80]!r} in the library", remedy=f"{hint} A file ends in .toml."
         )
-    entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
-    return entry.read_text(encoding="utf-8"), f"{name}.toml"
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

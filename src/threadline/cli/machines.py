@@ -1,0 +1,91 @@
+"""``threadline machines``: what the library has, and the files of its machines to begin with."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from threadline.cli.options import JsonOption
+from threadline.cli.output import note, print_json
+from threadline.machine import (
+    Machine,
+    library_file,
+    library_names,
+    load_machine,
+    overlay_names,
+)
+
+
+def machines(
+    show: Annotated[
+        str | None, typer.Option(help="Print the file of this machine instead of the list.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """List the machines of the library: what they are, their axes, controllers and overlays.
+
+    An overlay changes a few numbers of a machine: lathe-winder+physical. docs/machines.md says
+    what stands in a machine file.
+
+    Example: threadline machines --show lathe-winder > mine.toml
+    """
+    if show is not None:
+        _show(show, json)
+        return
+    entries = [machine_json(name) for name in library_names()]
+    if json:
+        print_json({"machines": entries})
+        return
+    for entry in entries:
+        axes = ", ".join(f"{axis} {kind}" for axis, kind in entry["axes"].items())
+        typer.echo(entry["name"])
+        typer.echo(f"    {entry['title']}")
+        typer.echo(f"    axes        {axes}")
+        typer.echo(f"    controller  {', '.join(entry['controllers'])}")
+        typer.echo(f"    overlays    {', '.join(entry['overlays']) or 'none'}")
+
+
+def _show(name: str, json: bool) -> None:
+    file = library_file(name)
+    text = file.read_text(encoding="utf-8")
+    if json:
+        print_json({"name": name, "file": str(file), "text": text})
+        return
+    note(f"{file}")
+    typer.echo(text, nl=False)
+
+
+def machine_json(name: str) -> dict[str, Any]:
+    """Return what there is to know of a library machine before it is chosen."""
+    machine = load_machine(name)
+    return {
+        "name": machine.name,
+        "title": machine.title,
+        "axes": {axis: part.kind for axis, part in machine.axes.items()}
+        | dict.fromkeys(machine.cylinders, "cylinder"),
+        "controllers": controllers_of(machine),
+        "overlays": list(overlay_names(name)),
+        "file": str(library_file(name)),
+        "sha256": machine.sha256,
+    }
+
+
+def controllers_of(machine: Machine) -> list[str]:
+    """Return the controllers of a machine by kind, each with the period of its clock."""
+    found = [
+        f"{controller.kind} every {_period(machine, controller.clock)}"
+        for controller in machine.controllers.values()
+    ]
+    if machine.plc is not None:
+        found.append(f"PLC, a scan every {_period(machine, machine.plc.clock)}")
+    return list(dict.fromkeys(found))
+
+
+def _period(machine: Machine, clock: str) -> str:
+    return f"{machine.clocks[clock].si * 1e3:g} ms"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("machines")(machines)

@@ -1,0 +1,138 @@
+"""``threadline new``: a folder with a machine, a specification and a job that can be proved."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline import __version__
+from threadline.cli.options import JsonOption
+from threadline.cli.output import print_json
+from threadline.cli.outputs import check_outputs
+from threadline.errors import OptionError
+from threadline.machine import library_file
+
+
+@dataclass(frozen=True, slots=True)
+class Project:
+    """A kind of project.
+
+    Parameters
+    ----------
+    machine
+        Of the library.
+    prove
+        What follows ``threadline prove`` so that the job of the project is in specification.
+    """
+
+    machine: str
+    prove: str
+
+
+PROJECTS = {
+    "winder": Project("lathe-winder", "reversal.prg -m machine.toml"),
+    "stitcher": Project("stitcher", "corners.seam.toml -m machine.toml"),
+    "placer": Project(
+        "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
+    ),
+}
+
+
+def new(
+    kind: Annotated[str, typer.Argument(help=f"What the machine is: {', '.join(PROJECTS)}.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder to make; an empty one may be there.")
+    ],
+    json: JsonOption = False,
+) -> None:
+    """Make a working project: machine.toml, spec.toml, a job, and a README with the commands.
+
+    The machine is one of the library's, to be changed into yours.
+
+    Example: threadline new winder my-winder
+    """
+    project = _project(kind)
+    contents = project_files(kind)
+    _check(folder)
+    _write(folder, contents)
+    command = f"threadline prove {project.prove}"
+    if json:
+        print_json({"folder": str(folder), "files": sorted(contents), "prove": command})
+        return
+    typer.echo(f"{folder}: {', '.join(sorted(contents))}")
+    typer.echo(f"Next: cd {folder} && {command}")
+
+
+def project_files(kind: str) -> dict[str, str]:
+    """Return the files of a project: names and texts."""
+    name = PROJECTS[kind].machine
+    files = {}
+    for file, source in (
+        ("machine.toml", library_file(name)),
+        ("spec.toml", library_file(name).with_suffix(".spec.toml")),
+    ):
+        head = f"# From {source.name} of Threadline {__version__}: change it into yours.\n#\n"
+        files[file] = head + source.read_text(encoding="utf-8")
+    for entry in (resources.files("threadline.cli") / "projects" / kind).iterdir():
+        files[entry.name] = entry.read_text(encoding="utf-8")
+    return files
+
+
+def _project(kind: str) -> Project:
+    if kind not in PROJECTS:
+        close = difflib.get_close_matches(kind, PROJECTS, n=1)
+        hint = f"Did you mean {close[0]!r}? " if close else ""
+        raise OptionError(
+            f"there is no project of a machine {kind[:40]!r}",
+            remedy=f"{hint}There are: {', '.join(PROJECTS)}.",
+        )
+    return PROJECTS[kind]
+
+
+def _check(folder: Path) -> None:
+    if folder.is_dir() and any(folder.iterdir()):
+        raise OptionError(
+            f"the folder {str(folder)!r} is not empty", remedy="Name one that is not there yet."
+        )
+    if os.path.lexists(folder) and not folder.is_dir():
+        raise OptionError(f"{str(folder)!r} is not a folder", remedy="Name another.")
+    if folder.is_dir():
+        check_outputs(folder=folder)
+    else:
+        check_outputs(file=folder)
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    """Write all files or none, in a folder that is made or is empty."""
+    there = folder.is_dir()
+    beside = folder if there else folder.parent
+    with tempfile.TemporaryDirectory(dir=beside, prefix=".threadline-") as made:
+        staged = Path(made) / "project"
+        staged.mkdir()
+        for name, text in contents.items():
+            (staged / name).write_text(text, encoding="utf-8", newline="\n")
+        if not there:
+            staged.rename(folder)
+            return
+        moved: list[Path] = []
+        try:
+            for name in contents:
+                moved.append(folder / name)
+                (staged / name).rename(folder / name)
+        except BaseException:
+            for file in moved:
+                file.unlink(missing_ok=True)
+            raise
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("new")(new)

@@ -1,0 +1,124 @@
+"""A new project works as it is made, and is made whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from threadline.cli import new
+from threadline.cli.main import main
+from threadline.machine import library_names
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    """Run the program in this process; returns exit status, output and errors."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+@pytest.mark.parametrize("kind", new.PROJECTS)
+def test_a_new_project_is_in_spec(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "mine"
+    code, out, err = run(capsys, "new", kind, folder, "--json")
+    content = json.loads(out)
+
+    assert (code, err) == (0, "")
+    assert {"machine.toml", "spec.toml", "README.md"} < set(content["files"])
+    assert sorted(p.name for p in folder.iterdir()) == content["files"]
+    assert [p.name for p in tmp_path.iterdir()] == ["mine"]
+    program, *arguments = shlex.split(content["prove"])
+    assert program == "threadline"
+    # The README says the same command.
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    written = [shlex.split(line) for line in re.findall(r"^threadline .*", readme, re.MULTILINE)]
+    assert any(line[1 : len(arguments) + 1] == arguments for line in written)
+
+    monkeypatch.chdir(folder)
+    code, out, _ = run(capsys, *arguments, "--json")
+    verdict = json.loads(out)
+    assert code == 0
+    assert verdict["passed"] is True
+    # The folder's own specification was judged: its limits are those of the verdict.
+    asked = tomllib.loads((folder / "spec.toml").read_text(encoding="utf-8"))["criteria"]
+    limited = {row["name"] for row in asked if row.get("limit") not in {None, "machine"}}
+    assert limited
+    assert limited <= {c["name"] for c in verdict["criteria"] if c["limit"] is not None}
+
+
+def test_every_file_that_a_readme_names_is_there() -> None:
+    for kind in new.PROJECTS:
+        files = new.project_files(kind)
+        named = set(re.findall(r"[\w-]+(?:\.seam)?\.(?:prg|toml)", files["README.md"]))
+        assert named <= set(files)
+        assert new.PROJECTS[kind].machine in library_names()
+
+
+def test_an_empty_folder_is_filled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    assert run(capsys, "new", "winder", folder)[0] == 0
+    assert {p.name for p in folder.iterdir()} == set(new.project_files("winder"))
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_project_that_cannot_be_written_leaves_nothing(
+    there: bool,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = tmp_path / "mine"
+    if there:
+        folder.mkdir()
+    rename = Path.rename
+
+    def full(self: Path, target: Path) -> Path:
+        if self.name in {"spec.toml", "project"}:
+            raise OSError(28, "No space left on device", str(self))
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", full)
+    code, _, err = run(capsys, "new", "winder", folder)
+
+    assert code == 2
+    assert "No space left" in err
+    assert [p.name for p in tmp_path.rglob("*")] == (["mine"] if there else [])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "words"),
+    [
+        ("embroidery", "mine", "There are: winder, stitcher, placer"),
+        ("windr", "mine", "Did you mean 'winder'?"),
+        ("winder", "full", "is not empty"),
+        ("winder", "file", "is not a folder"),
+        ("winder", "no/such", "does not exist"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_in_one_line(
+    kind: str, name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = run(capsys, "new", kind, tmp_path / name)
+
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_help_lists_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = run(capsys, "new", "--help")
+    assert "winder, stitcher, placer" in out
+    assert "embroidery" not in out
