@@ -46,10 +46,13 @@ def test_the_actuator_is_identified_through_the_quantised_loop():
     assert found.delay_s == pytest.approx(3e-3, abs=10e-6)
     assert found.gain == pytest.approx(42, rel=0.01)
     # The onset of saturation lies between two of the steps tried, and stays above it.
-    flags = [run.saturated for _, run in found.steps]
+    forth = [run for size, run in found.steps if size > 0]
+    assert max(size for size, _ in found.steps) == pytest.approx(8 * np.pi)
+    assert min(size for size, _ in found.steps) < 0  # back as well
+    flags = [run.saturated for run in forth]
     assert flags == sorted(flags) and flags[0] is False and flags[-1] is True
     assert found.steps[0][1].peak_current_a < 27
-    rises = [run.rise_s for _, run in found.steps]
+    rises = [run.rise_s for run in forth]
     assert rises == sorted(rises)
 
 
@@ -115,3 +118,27 @@ def test_wrong_experiments_are_refused():
         constant_speed_gain(machine, "X", 0.0)
     with pytest.raises(OptionError, match="no axis 'Q'"):
         position_step(machine, "Q", 1.0)
+
+
+def test_steps_forth_and_back_tell_unequal_runs() -> None:
+    """Tight, a belt answers alike both ways (figure C.11); slack, only if its runs are equal."""
+    size = 3 * np.pi / 8 * 29e-3 / 6
+
+    def both(machine: str) -> tuple[float, float]:
+        runs = [position_step(load_machine(machine), "X", s, 0.3) for s in (size, -size)]
+        return runs[0].load_overshoot, runs[1].load_overshoot
+
+    for alike in ("stitcher", "stitcher+slack-belt"):
+        forth, back = both(alike)
+        assert forth == pytest.approx(back, abs=2e-3)  # the 8-bit word has one level more below 0
+    forth, back = both("stitcher+slack-belt+unequal-runs")
+    assert forth - back > 0.03
+
+
+@pytest.mark.parametrize("overlay", ["clipped-output", "backlash+eccentric-gear"])
+def test_overlays_change_a_step(overlay: str) -> None:
+    plain, other = (
+        position_step(load_machine(name), "X", 3 * np.pi / 8 * 29e-3 / 6, 0.3)
+        for name in ("stitcher", f"stitcher+{overlay}")
+    )
+    assert abs(plain.load_overshoot - other.load_overshoot) > 1e-3

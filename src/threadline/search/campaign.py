@@ -25,7 +25,10 @@ _FREQUENCIES = 40
 _HIGHEST_HZ = 200.0
 _SWEEP_COUNTS = 60.0
 _RUN_RAD_S = 20.0
-_STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16)
+_STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16, 32, 64, -2, -4, -6)
+"""Back as well: a belt whose runs fall slack answers otherwise one way than the other."""
+_RUN_S = 0.8
+_LONG_RUN_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +58,7 @@ class Campaign:
     @property
     def saturates_from_rad(self) -> float | None:
         """Smallest step tried that reached the current limit."""
-        return next((size for size, run in self.steps if run.saturated), None)
+        return min((abs(size) for size, run in self.steps if run.saturated), default=None)
 
     def as_json(self) -> dict[str, Any]:
         """Return the campaign as JSON content."""
@@ -142,7 +145,10 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
         late = np.exp(1j * omega * own.delay_s[0])
         delay = dead_time_s(sweep, 1j * omega * own.response(omega)[:, 0, 0] * late)
     steps = tuple(
-        (k * np.pi / 8, position_step(machine, axis, k * np.pi / 8 / ratio))
+        (
+            k * np.pi / 8,
+            position_step(machine, axis, k * np.pi / 8 / ratio, _LONG_RUN_S if k > 16 else _RUN_S),
+        )
         for k in _STEPS_EIGHTH_PI
     )
     speed = _RUN_RAD_S / ratio
