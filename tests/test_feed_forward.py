@@ -17,6 +17,7 @@ from threadline.machine.vary import off_tolerance
 from threadline.path.on_time import rapid_time_s
 from threadline.pipeline import Options, options_from, plan_job, prove_plan
 from threadline.plant.suspicions import current_needed
+from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
 from threadline.targets import feedforward as targets
@@ -146,6 +147,14 @@ def test_a_recording_says_how_to_plan_it_again(plan, machine):
         np.testing.assert_array_equal(ours.counts, theirs.counts)
     with pytest.raises(OptionError, match="exclude each other"):
         plan_job(plan.job, machine, replace(AHEAD, shaper="zv:12Hz:0.02"))
+
+
+def test_pictures_are_drawn_against_the_intended(proof, plan):
+    """The report's commanded trace is the plan's trajectory, not what the chip was told."""
+    traces = collect(proof)
+    for column, axis in enumerate("XY"):
+        wanted = plan.trajectory(traces.time_s)[:, column]
+        np.testing.assert_allclose(traces.commanded[axis], wanted, atol=1e-12)
 
 
 def test_long_jobs_stream(plan, machine, seam, monkeypatch):

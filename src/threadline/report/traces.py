@@ -10,6 +10,7 @@ from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
+from threadline.verdict import as_intended
 from threadline.verdict.along import contour_along
 
 MAX_SAMPLES = 20_000
@@ -52,7 +53,7 @@ class Traces:
 
 def collect(proof: Proof) -> Traces:
     """Read recording, trajectory and programmed path once each and thin them."""
-    plan, recording = proof.plan, proof.recording
+    plan, recording = proof.plan, as_intended(proof.recording, proof.plan)
     ticks = int(plan.trajectory.duration_s / float(plan.machine.tick_clock.period_s)) + 1
     stride = max(1, -(-ticks // MAX_SAMPLES))
     time_s, commanded, actual, velocity, acceleration = _recorded(recording, plan, stride)

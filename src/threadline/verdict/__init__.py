@@ -1,5 +1,6 @@
 """Specification, measures and the judge of recordings."""
 
+from threadline.verdict.intended import as_intended
 from threadline.verdict.judge import judge
 from threadline.verdict.present import (
     closing,
@@ -19,6 +20,7 @@ __all__ = [
     "Spec",
     "Status",
     "Verdict",
+    "as_intended",
     "closing",
     "criteria_json",
     "judge",
