@@ -35,7 +35,7 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
     code = Code(module, "change", arguments, width, True)
     base, number, given, counts, array = code.arguments
     context = Context(code, array)
-    rows = Lanes(code, layout, base, None)
+    rows = Lanes(code, layout, base)
     tables, events = context.pointer("tables"), code.read_lanes(given, 0)
     offset = number * ((layout.of_mode + 2 * W) * width)
     left = code.variable(INTEGER, code.bits(code.call("fabs", events) > 0.0))
@@ -70,7 +70,6 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
         to = code.read(plan, which + W, INTEGER)
         done = code.read(counts, EVENTS, INTEGER) + code.ones(code.bits(now))
         code.write(counts, EVENTS, done, INTEGER)
-        blend(code.integer(layout["mode",]), code.to_number(to))
         table = code.variable(POINTER, code.read(tables, to, POINTER))
         with code.when_seldom(_is_null(code, table.get())):
             code.run_address(context.integer("meet"), to)
@@ -79,9 +78,59 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
         with code.when_seldom(unmet):
             code.write(counts, UNMET, code.integer(1), INTEGER)
         with code.when(~unmet):
-            source = code.place(table.get(), offset)
-            with code.count(0, layout.of_mode) as row:
-                blend(row + layout.fixed, code.read_lanes(source, row * width))
+            _enter(code, layout, blend, to, code.place(table.get(), offset))
+    if layout.shape.lengths > 1:
+        rows.forget()
+        _choose_source(code, rows, tables, offset)
+    code.finish()
+    return code.function
+
+
+def _enter(code: Code, layout: Layout, blend: Any, mode: Value, table: Value) -> None:
+    """Write the rows of a mode to the lanes that enter it."""
+    blend(code.integer(layout["mode",]), code.to_number(mode))
+    with code.count(0, layout.copied) as row:
+        blend(row + layout.fixed, code.read_lanes(table, row * layout.shape.width))
+
+
+def _choose_source(code: Code, rows: Lanes, tables: Value, offset: Value) -> None:
+    """Write where the rows of advances are: in the table of a mode, nowhere for several modes."""
+    layout, width = rows.layout, rows.shape.width
+    mode = code.to_integer(code.read(code.place(rows.base, layout["mode",] * width), 0))
+    same = rows["mode",].equals(code.to_number(mode))
+    at = offset + (layout.first_length - layout.fixed) * width
+    source = code.variable(POINTER, code.place(code.read(tables, mode, POINTER), at))
+    with code.when(code.any(~same)):
+        source.set(Value(code, ir.Constant(POINTER, None)))
+    code.write(rows.base, layout["source",] * width, source.get(), POINTER)
+
+
+def write_gather(module: ir.Module, layout: Layout) -> Any:
+    """Write the function that puts the rows of one advance together for lanes of several modes.
+
+    Arguments: rows of the lanes, their number among all such groups, length, context.
+    """
+    W, width = len(layout.shape.guards), layout.shape.width
+    code = Code(module, "gather", (POINTER, INTEGER, INTEGER, POINTER), width, True)
+    base, number, length, array = code.arguments
+    tables = Context(code, array).pointer("tables")
+    rows = Lanes(code, layout, base)
+    offset = number * ((layout.of_mode + 2 * W) * width)
+    first = length * layout.per_length + (layout.first_length - layout.fixed)
+    left = code.variable(INTEGER, code.integer((1 << width) - 1))
+    target = code.place(base, layout.first_length * width)
+    modes = rows["mode",]
+    with code.loop() as leave:
+        leave(left.get().equals(0))
+        one = code.place(base, layout["mode",] * width)
+        mode = code.to_integer(code.read(one, code.first_bit(left.get())))
+        now = modes.equals(code.to_number(mode))
+        left.set(left.get() - code.bits(now))
+        source = code.place(code.read(tables, mode, POINTER), offset + first * width)
+        with code.count(0, layout.per_length) as row:
+            at = row * width
+            value = code.choose(now, code.read_lanes(source, at), code.read_lanes(target, at))
+            code.write_lanes(target, at, value)
     code.finish()
     return code.function
 
@@ -215,7 +264,7 @@ def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any
     base, number, length, bits, whole, counts, array = code.arguments
     context = Context(code, array)
     live = code.from_bits(bits)
-    rows = Lanes(code, layout, base, length)
+    rows = Lanes(code, layout, base)
     poly, more, kept = code.space((K + 1) * width), code.space(4 * width), code.space(width)
     cells, fraction = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)
     changes, event = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)

@@ -17,7 +17,7 @@ from typing import Any
 from llvmlite import ir
 
 from threadline.twin.code import INTEGER, POINTER, Code, Compiler, Value
-from threadline.twin.events import write_change, write_events, write_first_exit
+from threadline.twin.events import write_change, write_events, write_first_exit, write_gather
 from threadline.twin.lanes import COUNTS, Context, Lanes
 from threadline.twin.schedule import ARRIVE, CONTROL, TICK
 from threadline.twin.shape import Layout, Shape
@@ -50,11 +50,12 @@ def kernel(shape: Shape) -> Any:
 def _kernel(shape: Shape) -> Any:
     module = ir.Module("kernel")
     layout = Layout(shape)
-    events = None
+    events = gather = None
     if shape.guards:
         change = write_change(module, layout)
         events = write_events(module, layout, change, write_first_exit(module, layout))
-    _write_run(module, layout, events)
+        gather = write_gather(module, layout)
+    _write_run(module, layout, (events, gather))
     address = _compiler().address(module, "run")
     return CFUNCTYPE(None, c_int64, c_int64, c_void_p)(address)
 
@@ -62,8 +63,9 @@ def _kernel(shape: Shape) -> Any:
 class _Run:
     """What the pieces of the outermost function share while it is written."""
 
-    def __init__(self, code: Code, layout: Layout, events: Any, array: Value) -> None:
-        self.code, self.layout, self.shape, self.events = code, layout, layout.shape, events
+    def __init__(self, code: Code, layout: Layout, functions: Any, array: Value) -> None:
+        self.code, self.layout, self.shape = code, layout, layout.shape
+        self.functions = functions
         self.array, self.context = array, Context(code, array)
         self.references = self.context.pointer("references")
         self.rows = self.context.integer("rows")
@@ -82,13 +84,11 @@ class _Run:
         self.row = code.variable(INTEGER, 0)
         self.taken = code.variable(INTEGER, 0)
 
-    def over_lanes(
-        self, write: Callable[[Value, Value, Lanes], None], length: Value | None
-    ) -> None:
+    def over_lanes(self, write: Callable[[Value, Value, Lanes], None]) -> None:
         """Write a loop over the vectors of the block: number among all, first lane, rows."""
         code, shape, layout = self.code, self.shape, self.layout
         if shape.lanes == shape.width:
-            write(self.first, code.integer(0), Lanes(code, layout, self.work, length))
+            write(self.first, code.integer(0), Lanes(code, layout, self.work))
             return
         uniform = {
             name: code.splat(code.read(self.work, layout[name] * shape.width))
@@ -97,7 +97,7 @@ class _Run:
         }
         with code.count(0, shape.lanes // shape.width) as group:
             base = code.place(self.work, group * (layout.stride * shape.width))
-            rows = Lanes(code, layout, base, length, uniform)
+            rows = Lanes(code, layout, base, uniform)
             write(self.first + group, group * shape.width, rows)
 
     def tick(self) -> None:
@@ -106,7 +106,7 @@ class _Run:
         now = code.read(self.clock, NOW, INTEGER)
         in_window = now >= self.window
         with code.when_seldom(in_window | (row.get() + 1 >= self.rows)):
-            self.over_lanes(lambda *found: write_loads(found[2], in_window), None)
+            self.over_lanes(lambda *found: write_loads(found[2], in_window))
         code.write(self.clock, NOW, now + 1, INTEGER)
         row.set(row.get() + 1)
         with code.when_seldom(self.every > 0):
@@ -116,9 +116,7 @@ class _Run:
                 size = (columns + shape.inputs) * shape.lanes
                 index = self.b * self.context.integer("samples") + self.taken.get()
                 out = code.place(self.context.pointer("records"), index * size)
-                self.over_lanes(
-                    lambda _, lane, rows: write_sample(rows, code.place(out, lane)), None
-                )
+                self.over_lanes(lambda _, lane, rows: write_sample(rows, code.place(out, lane)))
                 self.taken.set(self.taken.get() + 1)
                 until.set(self.every)
             code.write(self.clock, UNTIL_SAMPLE, until.get() - 1, INTEGER)
@@ -170,24 +168,24 @@ class _Run:
 
         def advance(number: Value, _lane: Value, rows: Lanes) -> None:
             call = [rows.base, number, length, self.counts, self.array]
-            write_advance(rows, self.events, call)
+            write_advance(rows, self.functions, call)
 
         if len(actions) > advances:
-            self.over_lanes(write, length)
+            self.over_lanes(write)
         if advances and (shape.guards or len(actions) == 1):
             # By itself: a processor overlaps short chains of operations better than long ones.
-            self.over_lanes(advance, length)
+            self.over_lanes(advance)
 
 
 ADVANCE = 3
 """Beside the actions of ``schedule``: the advance to the next instant."""
 
 
-def _write_run(module: ir.Module, layout: Layout, events: Any) -> None:
+def _write_run(module: ir.Module, layout: Layout, functions: Any) -> None:
     shape = layout.shape
     code = Code(module, "run", (INTEGER, INTEGER, POINTER), shape.width, False)
     begin, end, array = code.arguments
-    run = _Run(code, layout, events, array)
+    run = _Run(code, layout, functions, array)
     kinds, lengths = run.context.pointer("kinds"), run.context.pointer("lengths")
     steps = run.context.integer("steps")
     with code.count(begin, end) as b:

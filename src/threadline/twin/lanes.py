@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import reduce
+from typing import Any
 
 from threadline.twin.code import INTEGER, POINTER, Code, Number, Value
 from threadline.twin.shape import Layout, Pattern
@@ -46,8 +47,6 @@ class Lanes:
         Where rows lie.
     base
         Address of their rows.
-    length
-        Which of the distinct advances; None where no row of one is used.
     uniform
         Rows that have been read already.
     """
@@ -57,7 +56,6 @@ class Lanes:
         code: Code,
         layout: Layout,
         base: Value,
-        length: Value | None,
         uniform: Mapping[tuple[object, ...], Value] | None = None,
     ) -> None:
         self.code, self.layout, self.base = code, layout, base
@@ -65,15 +63,14 @@ class Lanes:
         self._uniform = dict(uniform or {})
         self._known = self._uniform.copy()
         self._of_length = base
-        if length is not None and self.shape.lengths > 1:
-            offset = length * (layout.per_length * self.shape.width)
-            self._of_length = code.place(base, offset)
 
     def __getitem__(self, name: tuple[object, ...]) -> Value:
         if name not in self._known:
             base = self._of_length if name[0] in _OF_LENGTH else self.base
-            at = self.layout[name] * self.shape.width
-            self._known[name] = self.code.read_lanes(base, at)
+            at = self.layout[name]
+            if base is not self.base:
+                at -= self.layout.first_length
+            self._known[name] = self.code.read_lanes(base, at * self.shape.width)
         return self._known[name]
 
     def __setitem__(self, name: tuple[object, ...], value: Number) -> None:
@@ -84,6 +81,29 @@ class Lanes:
     def forget(self) -> None:
         """Read everything anew from here on: other code may have changed it."""
         self._known = self._uniform.copy()
+
+    def choose_length(self, gather: Any, number: Value, length: Value, array: Value) -> None:
+        """Read the rows of one of several advances from here on.
+
+        Parameters
+        ----------
+        gather
+            The function that puts them together where lanes are in several modes.
+        number
+            Of these lanes among all such groups.
+        """
+        code, layout, width = self.code, self.layout, self.shape.width
+        if self.shape.lengths == 1:
+            return
+        source = code.read(self.base, layout["source",] * width, POINTER)
+        place = code.place(source, length * (layout.per_length * width))
+        where = code.variable(POINTER, place)
+        if gather is not None and width > 1:
+            mixed = Value(code, code.at.ptrtoint(source.ir, INTEGER)).equals(0)
+            with code.when_seldom(mixed):
+                code.run(gather, self.base, number, length, array)
+                where.set(code.place(self.base, layout.first_length * width))
+        self._of_length = where.get()
 
     def column(self, j: int) -> Value:
         """Return column j of ``[states, inputs, 1]``."""

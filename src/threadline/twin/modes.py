@@ -3,13 +3,14 @@
 Every combination of the elements' modes is one mode of the whole, numbered in mixed radix; its
 tables, for all variants at once, are filled when the first variant meets it. Propagators are
 matrix exponentials: ``E(t / 2^s) = exp(Z t / 2^s)`` by its series (the fastest rate times that
-time is at most 1/4, 16 terms), then squared s times.
+time is at most 1/4, the remainder below 1e-18), then squared s times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from ctypes import CFUNCTYPE, c_int64, c_void_p, cast
+from math import ceil, log2
 from threading import Lock
 
 import numpy as np
@@ -19,48 +20,59 @@ from threadline.errors import MachineError, ThreadlineError
 from threadline.twin.shape import Layout, aligned
 from threadline.twin.tables import NET_GUARD, PlantTables
 
-_SERIES = 16
 _PER_RATE = 0.25
+_REMAINDER = 1e-18
 _MOST_BYTES = 1 << 31
+_OF_VARIANTS = (
+    "base", "direction", "law", "held_at", "net_scale", "guard_row", "guard_low", "guard_high",
+)  # fmt: skip
 
 
 def _product(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return A[:, i, k] B[:, k, j] summed over k in order: the same for one variant and many."""
-    total: FloatArray = A[:, :, 0, None] * B[:, None, 0, :]
-    for k in range(1, A.shape[2]):
-        total += A[:, :, k, None] * B[:, None, k, :]
-    return total
-
-
-def _after(step: FloatArray, before: FloatArray) -> FloatArray:
-    """Return the propagator (V, n, N) of one advance after another."""
-    n = step.shape[1]
-    found = _product(np.ascontiguousarray(step[:, :, :n]), before)
-    found[:, :, n:] += step[:, :, n:]
+    """Return A[i, k] B[k, j] summed over k in order; the variants are the last index of both."""
+    found = np.zeros((A.shape[0], *B.shape[1:]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            if A[i, k].any():
+                found[i] += A[i, k] * B[k]
     return found
 
 
-def propagator(generator: FloatArray, time_s: float, rate: float) -> FloatArray:
-    """Return the (V, n, N) propagator of ``x' = generator . [x, inputs, 1]`` over a time.
+class Propagators:
+    """Propagators (n, N, V) of ``x' = generator . [x, inputs, 1]`` over any time.
 
     Parameters
     ----------
+    generator
+        (n, N, V).
     rate
         The fastest rate of the machine, 1/s.
     """
-    n = generator.shape[1]
-    halvings = max(0, int(np.ceil(np.log2(max(rate * time_s / _PER_RATE, 1.0)))))
-    scaled = generator * (time_s / 2**halvings)
-    inner = np.ascontiguousarray(scaled[:, :, :n])
-    step: FloatArray = scaled.copy()
-    step[:, range(n), range(n)] += 1.0
-    term = scaled
-    for k in range(2, _SERIES + 1):
-        term = _product(inner, term) / k
-        step += term
-    for _ in range(halvings):
-        step = _after(step, step)
-    return step
+
+    def __init__(self, generator: FloatArray, rate: float) -> None:
+        self.generator, self.rate = generator, rate
+        self.powers = [generator]
+
+    def over(self, time_s: float) -> FloatArray:
+        """Return the propagator over a time, in s."""
+        n = len(self.generator)
+        halvings = max(0, ceil(log2(max(self.rate * time_s / _PER_RATE, 1.0))))
+        part_s = time_s / 2**halvings
+        step = np.zeros_like(self.generator)
+        step[range(n), range(n)] = 1.0
+        factor, left, k = 1.0, 1.0, 0
+        while left > _REMAINDER:
+            k += 1
+            factor *= part_s
+            left *= self.rate * part_s / k
+            if k > len(self.powers):
+                self.powers.append(_product(self.generator[:, :n], self.powers[-1]) / k)
+            step += self.powers[k - 1] * factor
+        for _ in range(halvings):
+            after = _product(step[:, :n], step)
+            after[:, n:] += step[:, n:]
+            step = after
+        return step
 
 
 class Modes:
@@ -97,7 +109,13 @@ class Modes:
         lengths_s: tuple[float, ...],
         rate: float,
     ) -> None:
-        self.plant, self.which, self.layout = plant, which, layout
+        self.layout, self.lanes = layout, len(which)
+        self.plant = plant._replace(
+            **{
+                name: np.ascontiguousarray(np.moveaxis(getattr(plant, name)[which], 0, -1))
+                for name in _OF_VARIANTS
+            }
+        )
         self.lengths_s, self.rate = lengths_s, rate
         count = int(np.prod(plant.modes))
         self.tables = np.zeros(count, dtype=np.uint64)
@@ -120,7 +138,7 @@ class Modes:
         """Return the (groups, rows + 2 W, width) table of a mode; held values come last."""
         with self._lock:
             if mode not in self.kept:
-                size = 8 * len(self.which) * (self.layout.of_mode + 2 * self.guards)
+                size = 8 * self.lanes * (self.layout.of_mode + 2 * self.guards)
                 if size * (len(self.kept) + 1) > _MOST_BYTES:
                     raise MachineError(
                         f"the simulation met more than {len(self.kept)} combinations of limits, "
@@ -145,28 +163,34 @@ class Modes:
         choice = self._choice(mode)
         generator = plant.base.copy()
         for e, m in enumerate(choice):
-            generator += plant.direction[:, e, :, None] * plant.law[:, e, m, None, :]
+            generator += plant.direction[e][:, None] * plant.law[e, m]
         guard, bounds, held_values, plan = self._guards(mode, choice, generator)
         for e, m in enumerate(choice):
             if plant.holds[e, m] >= 0:
-                generator[:, plant.holds[e, m]] = 0.0
+                generator[plant.holds[e, m]] = 0.0
         rows: dict[tuple[object, ...], FloatArray] = {}
         for w in range(W):
-            rows["low", w], rows["high", w] = bounds[:, w, 0], bounds[:, w, 1]
-        _put(rows, ("guard",), guard)
-        currents = [plant.law[:, e, choice[e]] for e in plant.drive_element]
-        if currents:
-            _put(rows, ("current",), np.stack(currents, axis=1))
-        _put(rows, ("matrix",), generator)
-        table = np.zeros((len(plant.base), self.layout.of_mode + 2 * W))
+            rows["low", w], rows["high", w] = bounds[w]
+        _put(rows, "guard", guard)
+        for d, e in enumerate(plant.drive_element):
+            for j, values in enumerate(plant.law[e, choice[e]]):
+                rows["current", d, j] = values
+        _put(rows, "matrix", generator)
+        table = np.zeros((self.layout.of_mode + 2 * W, self.lanes))
         self._place(table, rows, 0)
+        propagators = Propagators(generator, self.rate)
+        n = len(generator)
+        rate = _product(guard[:, :n], generator) if W else guard
         for x, time_s in enumerate(self.lengths_s):
-            of_length = self._of_length(generator, guard, time_s)
-            self._place(table, of_length, x * self.layout.per_length)
-        table[:, self.layout.of_mode :] = held_values.reshape(len(table), -1)
-        groups = table[self.which].reshape(-1, self.layout.shape.width, table.shape[1])
-        found = aligned((len(groups), table.shape[1], groups.shape[1]))
-        found[:] = groups.transpose(0, 2, 1)
+            rows = {}
+            _put(rows, "step", propagators.over(time_s))
+            # Of a guard, a third of what its rate makes in that time: to its inner Bezier points.
+            _put(rows, "third", rate * (time_s / 3.0))
+            self._place(table, rows, x * self.layout.per_length)
+        table[self.layout.of_mode :] = held_values.reshape(2 * W, self.lanes)
+        groups = table.reshape(len(table), -1, self.layout.shape.width)
+        found = aligned((groups.shape[1], len(table), groups.shape[2]))
+        found[:] = groups.transpose(1, 0, 2)
         return found, plan
 
     def _place(
@@ -174,21 +198,22 @@ class Modes:
     ) -> None:
         for name, at in self.layout.row.items():
             if name in rows:
-                table[:, at - self.layout.fixed + offset] = rows[name]
+                table[at - self.layout.fixed + offset] = rows[name]
 
     def _guards(
         self, mode: int, choice: list[int], generator: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Return rows (V, W, N), bounds (V, W, 2), values of held states (V, W, 2), plan (5 W).
+        """Return rows (W, N, V), bounds (W, 2, V), values of held states (W, 2, V), plan (5 W).
 
         The plan has the limit switch that each guard is (W), the next mode (W, 2) and the state
         that is held then (W, 2), each below and above.
         """
         plant, W = self.plant, self.guards
-        variants, _, size = generator.shape
-        rows = np.zeros((variants, W, size))
-        bounds = np.full((variants, W, 2), (-np.inf, np.inf))
-        values = np.zeros((variants, W, 2))
+        size = generator.shape[1]
+        rows = np.zeros((W, size, self.lanes))
+        bounds = np.zeros((W, 2, self.lanes))
+        bounds[:, 0], bounds[:, 1] = -np.inf, np.inf
+        values = np.zeros((W, 2, self.lanes))
         switch = np.full(W, -1, dtype=np.int64)
         to = np.full((W, 2), mode, dtype=np.int64)
         holds = np.full((W, 2), -1, dtype=np.int64)
@@ -198,42 +223,24 @@ class Modes:
                 kind = plant.guard_kind[e, m, g]
                 switch[w] = plant.guard_switch[e, m, g]
                 if kind != 0:
-                    bounds[:, w, 0] = plant.guard_low[:, e, m, g]
-                    bounds[:, w, 1] = plant.guard_high[:, e, m, g]
-                    rows[:, w] = plant.guard_row[:, e, m, g]
+                    bounds[w] = plant.guard_low[e, m, g], plant.guard_high[e, m, g]
+                    rows[w] = plant.guard_row[e, m, g]
                 if kind == NET_GUARD:
                     # The force on a held state, whatever else is held, before it is taken out.
-                    net = plant.net_scale[:, e, m, None]
-                    rows[:, w] = net * generator[:, plant.holds[e, m]]
+                    rows[w] = plant.net_scale[e, m] * generator[plant.holds[e, m]]
                 for side, next_mode in enumerate(plant.guard_to[e, m, g]):
                     if next_mode >= 0:
                         to[w, side] = mode + (next_mode - m) * radix
                         holds[w, side] = plant.holds[e, next_mode]
-                        values[:, w, side] = plant.held_at[:, e, next_mode]
-                bounds[:, w] -= rows[:, w, -1:]
-                rows[:, w, -1] = 0.0
+                        values[w, side] = plant.held_at[e, next_mode]
+                bounds[w] -= rows[w, -1]
+                rows[w, -1] = 0.0
                 w += 1
             radix *= int(plant.modes[e])
         return rows, bounds, values, np.concatenate((switch, to.ravel(), holds.ravel()))
 
-    def _of_length(
-        self, generator: FloatArray, guard: FloatArray, time_s: float
-    ) -> dict[tuple[object, ...], FloatArray]:
-        """Return the rows that belong to one advance.
 
-        Of a guard, a third of what its rate makes in that time: to its inner Bezier points.
-        """
-        n = generator.shape[1]
-        rows: dict[tuple[object, ...], FloatArray] = {}
-        _put(rows, ("step",), propagator(generator, time_s, self.rate))
-        rate = _product(np.ascontiguousarray(guard[:, :, :n]), generator) if self.guards else guard
-        _put(rows, ("third",), rate * (time_s / 3.0))
-        return rows
-
-
-def _put(
-    rows: dict[tuple[object, ...], FloatArray], name: tuple[object, ...], values: FloatArray
-) -> None:
-    for i in range(values.shape[1]):
-        for j in range(values.shape[2]):
-            rows[(*name, i, j)] = values[:, i, j]
+def _put(rows: dict[tuple[object, ...], FloatArray], name: str, values: FloatArray) -> None:
+    for i, row in enumerate(values):
+        for j, numbers in enumerate(row):
+            rows[name, i, j] = numbers

@@ -198,13 +198,16 @@ def _fastest_rate(piece: PiecewiseLinear) -> float:
     start = piece.base.copy()
     for element in piece.elements:
         start += element.direction[:, :, None] * element.modes[0].law[:, None, :]
-    laws = [
-        (element.direction, mode.law - element.modes[0].law)
-        for element in piece.elements
-        for mode in element.modes
-    ]
+    laws = [(np.zeros((1, n)), np.zeros((1, start.shape[2])))]
+    for element in piece.elements:
+        # Modes that differ in constants alone have the same rates.
+        known = [element.modes[0].law[:, :n]]
+        for mode in element.modes[1:]:
+            if not any(np.array_equal(mode.law[:, :n], law) for law in known):
+                known.append(mode.law[:, :n])
+                laws.append((element.direction, mode.law - element.modes[0].law))
     fastest = 1e-3
-    for direction, law in laws or [(np.zeros((1, n)), np.zeros((1, start.shape[2])))]:
+    for direction, law in laws:
         generator = (start + direction[:, :, None] * law[:, None, :])[:, :, :n]
         fastest = max(fastest, float(np.abs(np.linalg.eigvals(generator)).max()))
     return fastest
@@ -365,7 +368,14 @@ def new_state(
         if name in layout.row:
             full = np.broadcast_to(values, (variants,))[which]
             work[:, layout[name]] = full.reshape(-1, width)
-    work[:, layout.fixed : layout.rows] = modes.meet(0)[:, : layout.of_mode]
+    table = modes.meet(0)
+    work[:, layout.fixed : layout.fixed + layout.copied] = table[:, : layout.copied]
+    if ("source",) in layout.row:
+        rows_before = layout.first_length - layout.fixed
+        first = table.ctypes.data + 8 * width * rows_before
+        work.view(np.int64)[:, layout["source",], 0] = (
+            first + np.arange(len(table)) * table[0].nbytes
+        )
     clock = np.zeros((blocks, HEADS + 2 * len(shape.controllers)), dtype=np.int64)
     clock[:, HEADS::2] = prepared.schedule.in_flight
     longest = int(prepared.schedule.in_flight.max(initial=0)) + 2

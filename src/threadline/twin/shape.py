@@ -107,7 +107,23 @@ AXIS_ROWS = ("worst", "lowest", "highest", "last", "scale")
 
 
 class Layout:
-    """Rows of the workspace by name; the rows of a mode come last, one run of numbers."""
+    """Rows of the workspace by name; the rows of a mode come last, those of an advance at the end.
+
+    With several distinct advances their rows stay in the tables of the modes: ``source`` is the
+    address of the first there, while all lanes are in one mode. Where they are not, the rows of one
+    advance at a time are put together in the workspace.
+
+    Attributes
+    ----------
+    fixed
+        Rows that do not belong to a mode.
+    of_mode, copied
+        Rows in the table of a mode, and the first of them that a change of modes copies.
+    per_length
+        Rows of one advance.
+    stride
+        Rows from one group of lanes to the next.
+    """
 
     def __init__(self, shape: Shape) -> None:
         self.row: dict[tuple[object, ...], int] = {}
@@ -131,6 +147,8 @@ class Layout:
         for s in range(shape.inputs):
             self._add("tripped", s)
         self._add("mode")
+        if shape.lengths > 1:
+            self._add("source")
         changing = len(self.row)
         for c, controller in enumerate(shape.controllers):
             for name in NUMBERS:
@@ -155,6 +173,9 @@ class Layout:
         for d, pattern in enumerate(shape.drives):
             for j in pattern:
                 self._add("current", d, j)
+        for i, pattern in enumerate(shape.matrix if shape.guards else ()):
+            for j in pattern:
+                self._add("matrix", i, j)
         self.first_length = len(self.row)
         for i, pattern in enumerate(reach):
             for j in pattern:
@@ -162,14 +183,11 @@ class Layout:
         for w, pattern in enumerate(shape.rates()):
             for j in pattern:
                 self._add("third", w, j)
-        self.per_length = len(self.row) - self.first_length
-        self.later_lengths = self.first_length + shape.lengths * self.per_length
-        self.rows = self.later_lengths
-        if shape.guards:
-            for i, pattern in enumerate(shape.matrix):
-                for j in pattern:
-                    self.row["matrix", i, j] = self.rows
-                    self.rows += 1
+        self.rows = len(self.row)
+        self.per_length = self.rows - self.first_length
+        common = self.first_length - self.fixed
+        self.of_mode = common + shape.lengths * self.per_length
+        self.copied = common + (self.per_length if shape.lengths == 1 else 0)
 
         # A load waits for an earlier store whose address is alike in its last twelve bits: what
         # changes must not look like anything that is read of the vector of lanes after it.
@@ -197,11 +215,6 @@ class Layout:
 
     def __getitem__(self, name: tuple[object, ...]) -> int:
         return self.row[name]
-
-    @property
-    def of_mode(self) -> int:
-        """Rows that change with the mode."""
-        return self.rows - self.fixed
 
 
 def aligned(shape: tuple[int, ...]) -> FloatArray:

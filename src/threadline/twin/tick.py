@@ -93,16 +93,17 @@ def write_peaks(rows: Lanes) -> None:
         rows["peak", d] = code.choose(code.call("fabs", now) > code.call("fabs", kept), now, kept)
 
 
-def write_advance(rows: Lanes, events: Any, call: list[Value]) -> None:
+def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) -> None:
     """Write the advance to the next instant.
 
     Parameters
     ----------
-    events
-        The function for lanes whose modes change, None where there are none.
+    functions
+        For lanes whose modes change, and for those in several modes; None where there are none.
     call
-        Its arguments: those before the mask, and those behind ``whole``.
+        Rows of the lanes, their number among all such groups, length, counts, context.
     """
+    events, gather = functions
     code, shape = rows.code, rows.shape
 
     def leave(mask: Value, whole: int) -> None:
@@ -119,6 +120,7 @@ def write_advance(rows: Lanes, events: Any, call: list[Value]) -> None:
     if events is not None:
         for i in range(shape.states):
             rows["old", i] = rows["z", i]
+    rows.choose_length(gather, call[1], call[2], call[4])
     after = rows.advanced()
     if events is None:
         for i in range(shape.states):
