@@ -25,7 +25,7 @@ _FREQUENCIES = 40
 _HIGHEST_HZ = 200.0
 _SWEEP_COUNTS = 60.0
 _RUN_RAD_S = 20.0
-_STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16, 32, 64, -2, -4, -6)
+_STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16, 32, 64, -2, -3, -4, -6)
 """Back as well: a belt whose runs fall slack answers otherwise one way than the other."""
 _RUN_S = 0.8
 _LONG_RUN_S = 3.0
