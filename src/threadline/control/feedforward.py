@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Followed, Motion, inverse_of
@@ -92,6 +91,8 @@ def feed_forward(
     MachineError
         If the axis or its filter has no stable inverse.
     """
+    from scipy.signal import lfilter
+
     inverse = inverse_of(machine, axis, model)
     loop = inverse.loop
     timing = timing_of(machine, axis, inverse)

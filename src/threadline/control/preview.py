@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from scipy.linalg import expm
-from scipy.signal import lfilter
 
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Inverse, inverse_of
@@ -164,6 +163,8 @@ class AxisPreview:
         now, early
             (k, orders) ladder of the load's motion at these ticks, and ``early_s`` later.
         """
+        from scipy.signal import lfilter
+
         sensed = self.inverse.outputs(time_s, now, self._sensed.feed(now), self._sensed.start_si)
         driven = self.inverse.outputs(
             time_s + self.timing.early_s, early, self._driven.feed(early), self._driven.start_si

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from threadline.arrays import FloatArray, read_only
 from threadline.errors import OptionError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,6 +82,8 @@ def smooth_motion(
     OptionError
         If a width is not above zero.
     """
+    from scipy.interpolate import PPoly
+
     widths = read_only(widths_s, "widths_s", ndim=1)
     if (widths <= 0).any():
         raise OptionError(f"widths of moving averages must be above 0 s, got {widths.tolist()}")

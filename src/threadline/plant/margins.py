@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from scipy.optimize import brentq
 
 from threadline.arrays import FloatArray
 from threadline.plant.loop import ComplexArray, Loop, Model
@@ -154,6 +153,8 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    from scipy.optimize import brentq
+
     first, last = function(low), function(high)
     if first == 0.0:
         return low

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import qmc
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.search.design_evaluate import Evaluator, Tried
@@ -28,8 +27,11 @@ def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
 
     The settings alone: of the machine as it is and of each known answer.
     """
+    from scipy.stats import qmc
+
     dims, effort = len(space.low), evaluator.effort
-    points, levels = [], []
+    points: list[FloatArray] = []
+    levels: list[int] = []
     for level in range(len(space.levels)):
         cube = qmc.Sobol(dims, seed=SEED + level).random_base2(effort.sample_log2)
         points.append(qmc.scale(cube, space.low, np.maximum(space.high, space.low + 1e-12)))
@@ -63,6 +65,8 @@ def known_points(space: Space) -> dict[str, FloatArray]:
 
 def with_settings(space: Space, parameters: FloatArray, log2: int) -> FloatArray:
     """Return points with the same parameters and a Sobol sample of the settings."""
+    from scipy.stats import qmc
+
     settings = len(space.low) - space.parameters
     if not settings:
         return parameters[None]

@@ -11,7 +11,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
@@ -160,6 +159,8 @@ def identify(sweep: Sweep) -> Identified:
     Magnitude gives gain, natural frequency and damping; the phase that is left over, which must
     fall in proportion to the frequency, gives the dead time.
     """
+    from scipy.optimize import least_squares
+
     omega = 2 * np.pi * sweep.frequency_hz
     size = np.abs(sweep.response)
 

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
@@ -218,6 +217,8 @@ def _amplitudes(
     times_s: FloatArray, frequency_hz: FloatArray, damping_ratio: FloatArray, *, positive: bool
 ) -> FloatArray:
     """Amplitudes of sum 1 with the least sum of V squared for given times."""
+    from scipy.optimize import lsq_linear
+
     delay = times_s - times_s[-1]
     rows = np.array(
         [

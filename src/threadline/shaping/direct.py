@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
@@ -247,6 +246,8 @@ class _Problem:
         return a, t
 
     def _shortest(self, x: FloatArray, n: int, checked: list[list[float]]) -> FloatArray:
+        from scipy.optimize import minimize
+
         bounds: list[tuple[float, float | None]] = [(1e-4, None)] * (n - 1)
         bounds += [(0.0, 1.0)] * n
         # scipy's stubs do not know a Jacobian beside constraints.

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linprog
 
 from threadline.arrays import FloatArray
 from threadline.shaping.types import ShaperError
@@ -46,6 +45,8 @@ def minimise(
     ShaperError
         If the solver fails otherwise.
     """
+    from scipy.optimize import linprog
+
     problem: dict[str, Any] = {"A_eq": equal[0], "b_eq": equal[1], "bounds": bounds}
     if below is not None:
         problem["A_ub"], problem["b_ub"] = below

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
 
 from threadline.arrays import FloatArray, read_only
 from threadline.errors import OptionError
@@ -112,6 +111,8 @@ def insensitivity(shaper: Shaper, mode: FlexibleMode, tolerance: float = 0.05) -
 def _first_crossing(
     shaper: Shaper, zeta: float, grid: FloatArray, limit: float, *, excess_of: object
 ) -> float:
+    from scipy.optimize import brentq, minimize_scalar
+
     excess = excess_of
     assert callable(excess)
     v = residual_vibration(shaper, grid, zeta)

@@ -19,8 +19,6 @@ from __future__ import annotations
 
 import math
 
-from scipy.optimize import minimize_scalar
-
 
 def corner_error_m(
     speed_m_s: float,
@@ -46,6 +44,8 @@ def corner_error_m(
     ValueError
         If an acceleration is not above 0 or the angle is outside 0 to pi.
     """
+    from scipy.optimize import minimize_scalar
+
     _check(acceleration_m_s2, turn_rad)
     if deceleration_m_s2 is None or deceleration_m_s2 == acceleration_m_s2:
         return speed_m_s**2 * math.sin(turn_rad / 2.0) / (4.0 * acceleration_m_s2)

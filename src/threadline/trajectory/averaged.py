@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from math import ceil
 
 import numpy as np
-from scipy.interpolate import BSpline, PPoly
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
@@ -42,6 +41,8 @@ def averaging_weights() -> FloatArray:
 
 def spline_basis() -> FloatArray:
     """Return the (DEGREE + 1, DEGREE + 1) matrix from control points to powers of u in [0, 1]."""
+    from scipy.interpolate import BSpline, PPoly
+
     element = BSpline.basis_element(np.arange(DEGREE + 2.0))
     pieces = PPoly.from_spline((element.t, element.c, element.k))
     start = int(np.searchsorted(pieces.x, 0.0))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import JobError, Place
@@ -122,6 +121,8 @@ def _partners(
     file: str,
 ) -> IntArray:
     """Return (2 n,) the end that each end meets, -1 for none."""
+    from scipy.spatial import cKDTree
+
     count = len(strokes)
     partner = np.full(2 * count, -1, dtype=np.int64)
     index = np.flatnonzero(free)

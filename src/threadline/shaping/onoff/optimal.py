@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from threadline.arrays import FloatArray
 from threadline.shaping.newton import newton
@@ -57,6 +56,8 @@ def time_optimal(move: RestToRest) -> TimeOptimal:
     ShaperError
         If the polished command fails its simulation or its proof of optimality.
     """
+    from scipy.optimize import brentq
+
     shortest = move.rigid_duration_s
     longest = shortest + sum(1.5 * m.damped_period_s for m in move.modes)
 
@@ -122,6 +123,8 @@ class _Costate:
 
     def switches(self, weights: FloatArray, duration: float) -> tuple[FloatArray, float]:
         """Roots as times from the start, (n,), and the sign before the first."""
+        from scipy.optimize import brentq
+
         grid = np.linspace(-duration, 0.0, _PROOF_SAMPLES + 1)
         value = self.value(weights, grid)
         roots = []

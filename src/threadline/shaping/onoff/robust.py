@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
@@ -118,6 +117,8 @@ def robust_optimum(
     ShaperError
         If a linear program fails.
     """
+    from scipy.optimize import brentq
+
     if not tolerance > 0.0:
         raise OptionError(f"robust move: tolerance must be positive, got {tolerance!r}")
     band = _Band(move, relative)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from threadline.errors import OptionError
 from threadline.shaping.onoff.model import (
@@ -79,6 +78,8 @@ def switched_command(
     Command or None
         None if none was found within the nodes given; that is no proof that there is none.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
     if ticks < 2 or not tick_s > 0.0 or not tolerance > 0.0:
         raise OptionError(
             f"on/off command: ticks {ticks!r}, tick_s {tick_s!r} and tolerance {tolerance!r} "
