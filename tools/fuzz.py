@@ -28,6 +28,7 @@ from itertools import islice
 from pathlib import Path
 from types import FrameType
 
+import ezdxf.filemanagement  # noqa: F401 - a case must not wait for it
 from fuzz_files import fuzz_targets
 
 from threadline.errors import ThreadlineError
@@ -36,13 +37,18 @@ from threadline.machine import load_machine
 from threadline.machine.par import read_parameters
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.units import parse_exact_time_s, parse_quantity
+from threadline.verdict import load_spec
 
 ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = ROOT / "examples"
 LIBRARY = ROOT / "src" / "threadline" / "machine" / "library"
 MAX_OPERATIONS = 2000
 HANG_S = 10
 _SHOWN = 5
 WINDER = load_machine("lathe-winder")
+STITCHER = load_machine("stitcher")
+PLACER = load_machine("letter-placer")
+STITCHING = {"stitch_length": "2.5 mm", "needle_speed": "50 stitch/s"}
 
 # --- cases ---
 
@@ -175,11 +181,26 @@ def quantity(rng: random.Random) -> bytes:
     return mutate(rng, data) if rng.random() < 0.5 else data
 
 
+def seam_file(kind: str) -> Callable[[random.Random], bytes]:
+    return lambda rng: mutate(rng, rng.choice(SEEDS[kind]))
+
+
 # --- readers ---
 
 
 def read_program(path: Path) -> None:
     for _ in islice(read_job(path, WINDER), MAX_OPERATIONS):
+        pass
+
+
+def read_seam_job(path: Path) -> None:
+    options = {} if path.suffix == ".toml" else STITCHING
+    for _ in islice(read_job(path, STITCHER, **options), MAX_OPERATIONS):
+        pass
+
+
+def read_move_list(path: Path) -> None:
+    for _ in islice(read_job(path, PLACER), MAX_OPERATIONS):
         pass
 
 
@@ -225,6 +246,12 @@ READERS: dict[str, Reader] = {
     "par": Reader("fw-cnc.par", parameter_file, lambda p: read_parameters(p, WINDER), 12),
     "units": Reader("unit.txt", quantity, read_quantity, 24),
     "machine": Reader("a.toml", machine_file, load_machine, 4),
+    "spec": Reader("a.toml", seam_file("spec"), lambda p: load_spec(p, WINDER), 4),
+    "moves": Reader("a.toml", seam_file("moves"), read_move_list, 4),
+    "seam-toml": Reader("a.seam.toml", seam_file("seam-toml"), read_seam_job, 1),
+    "seam-csv": Reader("a.csv", seam_file("seam-csv"), read_seam_job, 1),
+    "seam-svg": Reader("a.svg", seam_file("seam-svg"), read_seam_job, 1),
+    "seam-dxf": Reader("a.dxf", seam_file("seam-dxf"), read_seam_job, 1),
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
 }
 
@@ -244,6 +271,13 @@ SEEDS: dict[str, list[bytes]] = {
     ],
     "par": [_PAR, _PAR + b"3 ; axes\n2 ; Kp\n4 ; Kd\n"],
     "machine": [p.read_bytes() for p in sorted(LIBRARY.glob("*.toml")) if ".spec." not in p.name],
+    "spec": [p.read_bytes() for p in sorted(LIBRARY.glob("*.spec.toml"))],
+    "moves": [(EXAMPLES / "letter-cycle.toml").read_bytes()],
+    "seam-toml": [p.read_bytes() for p in sorted(EXAMPLES.glob("*.seam.toml"))],
+    **{
+        f"seam-{kind}": [p.read_bytes() for p in sorted(EXAMPLES.glob(f"*.{kind}"))]
+        for kind in ("csv", "svg", "dxf")
+    },
 }
 
 # --- running ---

@@ -348,3 +348,16 @@ def test_toml_large_arc_and_full_circle() -> None:
     assert large == pytest.approx(0.015 * np.pi + np.sqrt(2) * 0.01, abs=1e-12)
     assert full == pytest.approx(0.01 * np.pi, abs=1e-12)
     assert [s.line for s in drawing.strokes] == [4, 7]
+
+
+def test_what_ezdxf_leaves_out_is_a_warning(
+    examples: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """An end without a begin among the blocks: ezdxf drops it and says so to its log only."""
+    lines = (examples / "pocket.dxf").read_text().splitlines()
+    at = lines.index("BLOCKS") + 1
+    file = tmp_path / "a.dxf"
+    file.write_text("\n".join([*lines[:at], "  0", "ENDBLK", "  8", "0", *lines[at:]]) + "\n")
+    drawing = read_dxf(file.read_bytes(), str(file))
+    assert [w for w in drawing.warnings if "ENDBLK" in w and w.startswith("a.dxf: ")]
+    assert capfd.readouterr().err == ""

@@ -25,7 +25,8 @@ def leaving_on_interrupt() -> Iterator[None]:
     An exception would not do: a package may catch it half-way through its own import, and say so
     at length.
     """
-    if threading.current_thread() is not threading.main_thread():
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as a shell asks of a background
+    if ignored or threading.current_thread() is not threading.main_thread():
         yield
         return
     before = signal.signal(signal.SIGINT, _leave)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from threadline.units import unit_factor
 _TEXTS = ("TEXT", "MTEXT", "ATTRIB", "ATTDEF", "ARCTEXT", "ACAD_PROXY_TEXT")
 _SILENT = ("VIEWPORT", "SEQEND")  # of the sheet, not of the drawing
 _MAX_DEPTH = 32
+_MAX_SAID, _LONGEST_SAID = 5, 200  # of ezdxf's log
 _BYLAYER, _BYBLOCK = 256, 0
 
 
@@ -40,12 +43,15 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
     place = Place(file)
     if re.match(rb"AC10\d\d", content):
         raise JobError("this is a DWG file", place=place, remedy="Save the drawing as DXF.")
-    document = _load(file)
+    said = _Said()
+    with said.listening():
+        document = _load(file)
     factor = _metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
     walk = _Walk(file, document, entity_lines(content))
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
     try:
-        walk.entities(document.modelspace(), root, 0)
+        with said.listening():
+            walk.entities(document.modelspace(), root, 0)
     except JobError:
         raise
     except Exception as error:  # damaged entities are met only when they are looked at
@@ -58,8 +64,34 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
         file=file,
         strokes=tuple(walk.strokes),
         refusals=tuple(walk.refusals),
-        warnings=tuple(walk.warnings),
+        warnings=(*walk.warnings, *(f"{place}: {text}" for text in said.texts)),
     )
+
+
+class _Said(logging.Handler):
+    """What ezdxf leaves out or mends of a file, which it says to its log only."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a message, once, and not more than some."""
+        text = " ".join(record.getMessage().split())[:_LONGEST_SAID]
+        if len(self.texts) < _MAX_SAID and text not in self.texts:
+            self.texts.append(text)
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Hear what is said within the block, and keep it from the terminal."""
+        log = logging.getLogger("ezdxf")
+        before, log.propagate = log.propagate, False
+        log.addHandler(self)
+        try:
+            yield
+        finally:
+            log.removeHandler(self)
+            log.propagate = before
 
 
 def _load(file: str) -> Any:
