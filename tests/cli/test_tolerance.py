@@ -13,7 +13,7 @@ from threadline.path import interpolation_names
 from threadline.path.plan import KEEPING_TOLERANCE
 
 # Long moves at an angle: a polynomial in time that passes the corner moving leaves the chords, and
-# a B-spline cuts the corner by a sixth of the way to the middle of the next points.
+# a B-spline cuts the corner by a third of the way to the middle of its neighbours.
 CORNER = "G21 G90\nG1 X60 Y10 F1500\nX90 Y60\nX180 Y70\nM30\n"
 SAYS = re.compile(
     r"warning: ([\w-]+) does not keep the tolerance of 0\.1 mm: the planned path is "

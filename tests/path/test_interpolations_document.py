@@ -1,0 +1,50 @@
+"""The document on interpolations says of each what the planner does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.path import interpolation_names
+from threadline.path.plan import KEEPING_TOLERANCE
+from threadline.pipeline import Options, plan_job
+from threadline.verdict.deviation import measure_path_deviation
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (ROOT / "docs" / "interpolations.md").read_text(encoding="utf-8")
+ROWS = {
+    cells[0].strip("` "): [cell.strip() for cell in cells]
+    for cells in (line.strip("|").split("|") for line in TEXT.splitlines())
+    if len(cells) == 5 and cells[0].strip().startswith("`")
+}
+
+
+def test_each_has_its_row_and_its_paragraph() -> None:
+    assert set(ROWS) == set(interpolation_names())
+    assert set(re.findall(r"^## `([\w-]+)`$", TEXT, re.MULTILINE)) == set(interpolation_names())
+
+
+@pytest.mark.parametrize("name", sorted(interpolation_names()))
+def test_a_row_says_what_the_planner_does(name: str) -> None:
+    """On the printed winder program: duration and deviation to the last digit that is written."""
+    _, limits, tolerance, _, figures = ROWS[name]
+    machine = load_machine("lathe-winder")
+    job = read_job(ROOT / "examples" / "cone-dome-cylinder.prg", machine)
+    plan = plan_job(job, machine, Options(interpolation=name))
+    path = plan.path
+    (found,) = measure_path_deviation(plan)
+    deviation_m = found.value
+    assert deviation_m is not None
+
+    assert (limits == "historical") == path.historical
+    assert (tolerance == "keeps it everywhere") == (name in KEEPING_TOLERANCE)
+    if name in KEEPING_TOLERANCE:
+        assert deviation_m <= 1e-4
+    seconds, millimetres = re.findall(r"([\d.]+) (?:s|mm off)", figures)
+    assert plan.trajectory.duration_s == pytest.approx(float(seconds), abs=0.051)
+    digits = len(millimetres.partition(".")[2])
+    assert deviation_m * 1e3 == pytest.approx(float(millimetres), abs=0.6 * 10**-digits)
