@@ -51,6 +51,9 @@ def path_deviation(
     Both ways count: from the planned path to the nearest programmed chord, and from each vertex
     to the nearest place of the planned path. Only moves near in order are looked at, because
     paths cross and retrace themselves.
+
+    The planner reports it of its own paths. The judge does not take its word, and has a measure of
+    its own (``threadline.verdict.deviation``).
     """
     del machine  # the radii travel with the paths
     return _Comparison(programmed, planned).run()

@@ -23,6 +23,9 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
 
     Both ways, as for the contour error: from the planned path to the chords of its operation and
     the two beside them, and from each programmed vertex to the planned path there.
+
+    This is the judge's own measure, made of its contour error: the planner measures its paths
+    with another (``threadline.path.deviation``), and does not mark its own work.
     """
     contour = Contour(plan.programmed.radius_m)
     pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.path if len(b))
