@@ -22,6 +22,7 @@ from threadline.shaping import (
     ShaperKind,
     design,
     direct_shaper,
+    direct_unit_magnitude,
     residual_vibration,
     specified_insensitivity,
 )
@@ -93,6 +94,9 @@ def run() -> list[dict[str, Any]]:
     two = [Requirement(MODE), Requirement(FlexibleMode(9.1, 0.01))]
     took = best_s(lambda: direct_shaper(two), 1)
     results.append(alone("shaper design, two modes at once", took, "linear programs, then exact"))
+    took = best_s(lambda: direct_unit_magnitude(two), 1)
+    name = "shaper design, two modes at once, unit magnitude"
+    results.append(alone(name, took, "linear programs, then exact"))
     rng = np.random.default_rng(4)
     f, z = rng.uniform(1.0, 6.0, CASES), rng.uniform(0.0, 0.2, CASES)
     shaper = design("um-2ei", MODE)

@@ -22,6 +22,7 @@ from threadline.shaping import (
     convolve,
     design,
     direct_shaper,
+    direct_unit_magnitude,
     insensitivity,
     klipper_export,
     specified_insensitivity,
@@ -139,7 +140,12 @@ def robustness() -> None:
     joined = convolve(*(design("zv", m) for m in two))
     rows = [
         [name, f"{s.duration_s:.5f}", " ".join(f"{vibration_of(s, m):.1e}" for m in two)]
-        for name, s in (("two ZV convolved", joined), ("direct", direct))
+        for name, s in (
+            ("two ZV convolved", joined),
+            ("direct", direct),
+            ("two UM-ZV convolved", convolve(*(design("um-zv", m) for m in two))),
+            ("unit magnitude, direct", direct_unit_magnitude([Requirement(m) for m in two])),
+        )
     ]
     table("Two modes, 3.04 Hz and 9.1 Hz", ("design", "duration s", "V of each"), rows)
 

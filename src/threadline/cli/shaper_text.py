@@ -15,13 +15,14 @@ from threadline.shaping import (
     convolve,
     design,
     direct_shaper,
+    direct_unit_magnitude,
     parse_mode_hz,
     residual_vibration,
     specified_insensitivity,
 )
 from threadline.units import parse_quantity
 
-KINDS = (*ShaperKind, "si", "direct")
+KINDS = (*ShaperKind, "si", "direct", "um-direct")
 SUSPICIOUS_DAMPING = 0.1
 """Frames, belts and beams have damping ratios of some hundredths."""
 
@@ -53,7 +54,7 @@ def modes_of(
 
 
 def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: float) -> Shaper:
-    """Return the shaper: ``si`` and ``direct`` for all modes at once, others convolved.
+    """Return the shaper: ``si``, ``direct``, ``um-direct`` for all modes at once, others convolved.
 
     Raises
     ------
@@ -68,6 +69,8 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
         return direct_shaper([Requirement(m, tolerance, band) for m in modes], name="si")
     if kind == "direct":
         return direct_shaper([Requirement(m) for m in modes])
+    if kind == "um-direct":
+        return direct_unit_magnitude([Requirement(m) for m in modes])
     if kind not in list(ShaperKind):
         raise OptionError(f"shaper kind {kind!r} is unknown", remedy=f"Kinds: {', '.join(KINDS)}.")
     return (

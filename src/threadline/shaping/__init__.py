@@ -10,6 +10,7 @@ from threadline.shaping.controller import ControllerLimits, Realised, realise
 from threadline.shaping.designs import ShaperKind, design
 from threadline.shaping.deviation import ShapingDeviation, shaping_deviation
 from threadline.shaping.direct import Requirement, direct_shaper, specified_insensitivity
+from threadline.shaping.direct_unit import direct_unit_magnitude
 from threadline.shaping.higher_modes import HigherModes, check_higher_modes
 from threadline.shaping.klipper import KlipperExport, klipper_export
 from threadline.shaping.robustness import (
@@ -44,6 +45,7 @@ __all__ = [
     "convolve",
     "design",
     "direct_shaper",
+    "direct_unit_magnitude",
     "insensitivity",
     "klipper_export",
     "longest_delay_s",

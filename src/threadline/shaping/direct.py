@@ -10,7 +10,6 @@ step that puts the active constraints at 1e-11.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,13 +22,14 @@ from threadline.shaping.closed import Train
 from threadline.shaping.newton import newton
 from threadline.shaping.oscillator import prove
 from threadline.shaping.program import minimise
-from threadline.shaping.response import Rows, pole, response, response_gradient
+from threadline.shaping.response import Rows, pole, response, response_gradient, zero_rows
 from threadline.shaping.types import FlexibleMode, Shaper, ShaperError
 
 _GRIDS = (160, 210, 120, 300)
 _POLYGON = 16
-_BAND_GRID = 25
+_BAND_GRID = 13
 _MERGE = 1.5
+_SETTLED = 1e-7  # Newton's method takes it from there
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ class _Problem:
     def __init__(self, requirements: Sequence[Requirement], unit: float) -> None:
         self._zero = [
             (r.mode.frequency_hz * unit, pole(r.mode.damping_ratio), order)
-            for r in requirements
+            for r in dict.fromkeys(requirements)
             if r.tolerance == 0.0
             for order in range(r.derivatives + 1)
         ]
@@ -157,7 +157,7 @@ class _Problem:
                 pole(r.mode.damping_ratio),
                 r.tolerance,
             )
-            for r in requirements
+            for r in dict.fromkeys(requirements)
             if r.tolerance > 0.0
         ]
         self._longest = 0.75 * sum(
@@ -170,9 +170,7 @@ class _Problem:
         times = np.linspace(0.0, duration, points)
         directions = np.exp(2j * np.pi * np.arange(_POLYGON) / _POLYGON)
         rows, bounds, slack = [], [], []
-        for f, s, order in self._zero:
-            delay = times - duration
-            row = (s * delay) ** order * np.exp(s * f * delay) / (2.0 * math.pi) ** order
+        for row in zero_rows(self._zero, times - duration):
             for d in directions[::4]:
                 rows.append((row * d).real)
                 bounds.append(0.0)
@@ -204,7 +202,7 @@ class _Problem:
             low, high = high, 1.5 * high
         else:
             raise ShaperError(f"direct shaper: no positive train within {high:.3g} periods")
-        while high - low > 3e-3 * high:
+        while high - low > 1e-2 * high:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if self._least(middle, points)[0] <= small else (middle, high)
         _, weights, times = self._least(high, points)
@@ -222,8 +220,11 @@ class _Problem:
         fixed = [list(np.linspace(b[0], b[1], 9 if b[1] > b[0] else 1)) for b in self._bands]
         checked = fixed
         for _ in range(6):
+            before = x
             x = self._shortest(x, n, checked)
             x, n = _pruned(x, n)
+            if x.shape == before.shape and float(np.abs(x - before).max()) < _SETTLED:
+                break
             peaks = self._peaks(x, n)
             checked = [[*grid, *tops] for grid, tops in zip(fixed, peaks, strict=True)]
         x = self._exact(x, n)

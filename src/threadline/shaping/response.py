@@ -8,6 +8,7 @@ V = |H|: the decay is counted back from the last impulse.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
+ZeroOf: TypeAlias = tuple[float, complex, int]
+"""A constraint H = 0: relative frequency, pole, order of the derivative."""
 
 
 def pole(damping_ratio: float) -> complex:
@@ -45,6 +48,24 @@ def response_gradient(
     by_times = by_delay.copy()
     by_times[-1] = -by_delay[:-1].sum()
     return by_times[1:], power * decay
+
+
+def zero_rows(zeros: Sequence[ZeroOf], delay: FloatArray) -> list[ComplexArray]:
+    """Return what an impulse at each ``delay`` before the end, (n,), adds to every constraint.
+
+    Constraints of modes that nearly coincide are replaced by their divided differences: two
+    small numbers would say the same thing twice, and a program would meet only one of them.
+    """
+    rows: list[ComplexArray] = []
+    before: tuple[complex, ComplexArray] | None = None
+    for f, s, order in sorted(zeros, key=lambda zero: (zero[2], zero[0], zero[1].real)):
+        row: ComplexArray = (s * delay) ** order * np.exp(s * f * delay) / (2.0 * np.pi) ** order
+        plain = (s * f, row)
+        if order == 0 and before is not None and 0.0 < abs(before[0] - s * f) < 1.0:
+            row = (row - before[1]) / abs(before[0] - s * f)
+        before = plain if order == 0 else None
+        rows.append(row)
+    return rows
 
 
 class Rows:
