@@ -31,7 +31,8 @@ MachineOption = Annotated[
     typer.Option(
         "--machine",
         "-m",
-        help="Machine file (.toml) or library name, overlays after a plus: lathe-winder+physical.",
+        help="Machine file (.toml) or library name (threadline machines lists them), overlays after "
+        "a plus: lathe-winder+physical.",
     ),
 ]
 SpecOption = Annotated[
@@ -52,7 +53,10 @@ FeedOption = Annotated[
     str | None, typer.Option(help='Replaces every programmed feed: "10 count/tick", "36 mm/s".')
 ]
 ToleranceOption = Annotated[
-    str, typer.Option(help='Largest deviation from the programmed path: "0.1 mm".')
+    str,
+    typer.Option(
+        help='Largest deviation from the programmed path, kept by auto and parabolic: "0.1 mm".'
+    ),
 ]
 LimitsOption = Annotated[
     str,
