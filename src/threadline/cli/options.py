@@ -31,8 +31,8 @@ MachineOption = Annotated[
     typer.Option(
         "--machine",
         "-m",
-        help="Machine file (.toml) or library name (threadline machines lists them), overlays after "
-        "a plus: lathe-winder+physical.",
+        help="Machine file (.toml) or library name (threadline machines lists them), "
+        "overlays after a plus: lathe-winder+physical.",
     ),
 ]
 SpecOption = Annotated[
