@@ -33,7 +33,7 @@ def never(*_: object) -> None:
     [
         (["--report", "FILE"], "is not a folder"),
         (["--report", "FILE/deep/report"], "is not a folder"),
-        (["--recording", "none/r.npz"], "does not exist"),
+        (["--recording", "FILE/r.npz"], "is not a folder"),
         (["--recording", "FOLDER"], "it is a folder"),
     ],
 )
@@ -64,9 +64,20 @@ def test_a_report_that_fails_takes_the_recording_with_it(
     monkeypatch.setattr(prove, "write_report", fails)
     old = tmp_path / "old.npz"
     old.write_text("old")
-    for file in (old, tmp_path / "new.csv"):
+    for file in (old, tmp_path / "new.csv", tmp_path / "made" / "for" / "it.npz"):
         code, err = stopped(capsys, "--recording", file, "--report", tmp_path / "report")
         assert (code, err.count("\n")) == (2, 1)
         assert "No space left" in err
     assert [path.name for path in tmp_path.iterdir()] == ["old.npz"]
     assert old.read_text() == "old"
+
+
+def test_the_folder_of_an_output_is_made_and_taken_away_if_nothing_comes(tmp_path: Path) -> None:
+    table = tmp_path / "reports" / "deep" / "ticks.csv"
+    words = ["compile", JOB, "-m", "lathe-winder", "--interpolation", "linear", "-o", table]
+    for target, status in (("csw", 2), ("csv", 0)):
+        with pytest.raises(SystemExit) as caught:
+            main([*map(str, words), "--target", target])
+        assert (caught.value.code or 0) == status
+        assert (tmp_path / "reports").exists() is (status == 0)
+    assert [path.name for path in table.parent.iterdir()] == ["ticks.csv"]

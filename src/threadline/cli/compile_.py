@@ -27,6 +27,7 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import print_json
+from threadline.cli.outputs import check_outputs, folder_of
 from threadline.cli.tolerance import tolerance_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
@@ -73,9 +74,12 @@ def compile_(
     """
     chosen = machine_from(machine, par)
     keep_inputs(out, job, chosen.file, par)
+    check_outputs(file=out)
     if chosen.cylinders:
         shaping = shaping_of(chosen, shaper, mode=mode, damping_ratio=damping)
-        files = write(compile_schedule(read_job(job, chosen), chosen, shaping), target, out)
+        scheduled = compile_schedule(read_job(job, chosen), chosen, shaping)
+        with folder_of(out):
+            files = write(scheduled, target, out)
         for warning in files[0].warnings:
             typer.echo(f"warning: {warning}", err=True)
     else:
@@ -97,7 +101,8 @@ def compile_(
             chosen, plan.job, [*feed_forward_warnings(plan.feed_forward), *tolerance_warnings(plan)]
         )
         check_limits(plan.trajectory, chosen)
-        files = write(plan, target, out)
+        with folder_of(out):
+            files = write(plan, target, out)
     if json:
         print_json({"files": [{"file": str(f.path), "sha256": f.sha256} for f in files]})
     else:

@@ -23,7 +23,7 @@ from threadline.cli.options import (
     options_of,
 )
 from threadline.cli.output import print_json, print_table, progress_bar
-from threadline.cli.outputs import check_outputs
+from threadline.cli.outputs import check_outputs, folder_of
 from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine
@@ -116,7 +116,8 @@ def design(
         )
     written = []
     if output is not None and result.found is not None:
-        written = write_design(result, result.found, output)
+        with folder_of(output):
+            written = write_design(result, result.found, output)
     page = None if report is None else write_design_report(result, report)
     if json:
         print_json(_content(result, [str(p) for p in written], page))

@@ -107,7 +107,7 @@ def _check(folder: Path) -> None:
     if folder.is_dir():
         check_outputs(folder=folder)
     else:
-        check_outputs(file=folder)
+        check_outputs(file=folder, make=False)
 
 
 def _write(folder: Path, contents: Mapping[str, str]) -> None:

@@ -5,21 +5,25 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from threadline.errors import OptionError
 
 
-def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> None:
+def check_outputs(
+    *, file: Path | None = None, folder: Path | None = None, make: bool = True
+) -> None:
     """Refuse outputs that could not be written, before hours of work go into them.
 
     Parameters
     ----------
     file
-        A file to be written; its folder must be there.
+        A file to be written; its folder may have to be made.
     folder
         A folder to be written into; it may have to be made.
+    make
+        False where the folder of ``file`` must be there.
 
     Raises
     ------
@@ -29,7 +33,7 @@ def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> No
     if file is not None:
         if file.is_dir():
             raise OptionError(f"cannot write {str(file)!r}: it is a folder", remedy="Name a file.")
-        _check_folder(file.parent, file, made=False)
+        _check_folder(file.parent, file, made=make)
     if folder is not None:
         _check_folder(folder, folder, made=True)
 
@@ -51,6 +55,22 @@ def _check_folder(folder: Path, wanted: Path, *, made: bool) -> None:
 
 
 @contextmanager
+def folder_of(file: Path | None) -> Iterator[None]:
+    """Make the folder of ``file`` for the block; a block that fails takes it away again."""
+    missing = []
+    if file is not None:
+        missing = [p for p in (file.parent, *file.parent.parents) if not os.path.lexists(p)]
+        file.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):  # something else has been put there
+                folder.rmdir()
+        raise
+
+
+@contextmanager
 def appearing(file: Path | None) -> Iterator[Path | None]:
     """Give a path to write to that becomes ``file`` when the block ends well, and not otherwise.
 
@@ -59,7 +79,10 @@ def appearing(file: Path | None) -> Iterator[Path | None]:
     if file is None:
         yield None
         return
-    with tempfile.TemporaryDirectory(dir=file.parent, prefix=f".{file.name[:80]}.") as made:
+    with (
+        folder_of(file),
+        tempfile.TemporaryDirectory(dir=file.parent, prefix=f".{file.name[:80]}.") as made,
+    ):
         temporary = Path(made) / file.name
         yield temporary
         temporary.replace(file)
