@@ -175,11 +175,11 @@ def design(
         If the input is wrong, or the machine as it is cannot be told to do the job.
     """
     space = design_space(machine, smoothing_s)
-    job = (
-        read_job(job_file, machine)
-        if needle_speed is None
-        else read_job(job_file, machine, needle_speed=needle_speed)
-    )
+
+    def read(for_machine: Machine) -> Job:
+        if needle_speed is None:
+            return read_job(job_file, for_machine)
+        return read_job(job_file, for_machine, needle_speed=needle_speed)
 
     def report(what: str, low: float, high: float) -> Callable[[float], None]:
         def at(fraction: float) -> None:
@@ -189,7 +189,7 @@ def design(
         return at
 
     evaluator = Evaluator(
-        space, job, spec, options, tolerances, effort or (FEW if smoothing_s else THOROUGH)
+        space, read, spec, options, tolerances, effort or (FEW if smoothing_s else THOROUGH)
     )
     tried = first_sample(space, evaluator, report("sampling", 0.0, 0.25))
     tried = least_change(space, evaluator, tried, report("narrowing", 0.25, 0.55))
@@ -197,7 +197,7 @@ def design(
         at = 0.55 + 0.2 * turn / len(TARGETS)
         step = report("trading cost for margin", at, at + 0.2 / len(TARGETS))
         tried = least_change(space, evaluator, tried, step, target=target)
-    found, refused = _proved(space, evaluator, tried, job, spec)
+    found, refused = _proved(space, evaluator, tried, spec)
     nearest = _nearest(space, tried)
     centre = tried.points[nearest] if found is None else _point(space, found)
     level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
@@ -215,7 +215,7 @@ def design(
     )
     return DesignResult(
         machine=machine,
-        job=job,
+        job=read(machine),
         space=space,
         found=found,
         pareto=tuple(_candidate(space, evaluator, tried, i) for i in front.tolist()),
@@ -286,7 +286,7 @@ def _level(space: Space, candidate: Candidate) -> int:
 
 
 def _proved(
-    space: Space, evaluator: Evaluator, tried: Tried, job: Job, spec: Spec
+    space: Space, evaluator: Evaluator, tried: Tried, spec: Spec
 ) -> tuple[Found | None, tuple[str, ...]]:
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     good = np.flatnonzero(tried.ratio <= 1.0)
@@ -299,7 +299,7 @@ def _proved(
                 continue
             candidate = _candidate(space, evaluator, once, 0)
             try:
-                found = _prove(space, evaluator, point, candidate, job, spec)
+                found = _prove(space, evaluator, point, candidate, spec)
             except PlanError as error:
                 refused.append(error.message)
                 continue
@@ -327,7 +327,6 @@ def _prove(
     evaluator: Evaluator,
     point: FloatArray,
     candidate: Candidate,
-    job: Job,
     spec: Spec,
 ) -> Found:
     """Prove one candidate, and its corners, by the whole pipeline.
@@ -341,15 +340,13 @@ def _prove(
     gains = {k: float(v[0]) for k, v in evaluator.gains(point[None])[0].items()}
     numbers = {k: float(v[0]) for k, v in space.numbers(point[None]).items()}
     numbers = {k: v for k, v in numbers.items() if v != number_at(machine, k).si} | gains
-    if candidate.acceleration != 1.0:
-        for name, axis in machine.axes.items():
-            numbers[f"axes.{name}.acceleration"] = axis.acceleration.si * candidate.acceleration
-            if axis.jerk is not None:
-                numbers[f"axes.{name}.jerk"] = axis.jerk.si * candidate.acceleration
+    numbers |= space.slower(candidate.acceleration)
     redesigned = with_numbers(machine, numbers)
     asked = with_delay(spec, candidate.delay_s)
     check_loops(redesigned)
-    plan = plan_job(job, redesigned, evaluator.options_at(_level(space, candidate)))
+    plan = plan_job(
+        evaluator.read(redesigned), redesigned, evaluator.options_at(_level(space, candidate))
+    )
     assert isinstance(plan.commands, TickTable)
     machines = [redesigned]
     if evaluator.tolerances:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, PlanError
 from threadline.jobs.operations import Job
+from threadline.machine import Machine
 from threadline.machine.numbers import with_numbers
 from threadline.pipeline import Options, plan_job
 from threadline.search.design_gains import design_gains
@@ -109,8 +111,10 @@ class Evaluator:
     ----------
     space
         What may be changed.
-    job, spec, options
-        What the machine shall do, and how well.
+    read
+        Reads the job for a machine.
+    spec, options
+        How well the machine shall do it, and how it is planned.
     tolerances
         Whether a candidate counts over the corners of the tolerances.
     """
@@ -118,7 +122,7 @@ class Evaluator:
     def __init__(
         self,
         space: Space,
-        job: Job,
+        read: Callable[[Machine], Job],
         spec: Spec,
         options: Options,
         tolerances: bool,
@@ -126,22 +130,18 @@ class Evaluator:
     ) -> None:
         self.space, self.effort = space, effort
         self.tolerances = tolerances and space.corner_count > 1
-        self._job, self._spec, self._options = job, spec, options
+        self.read, self._spec, self._options = read, spec, options
         self.simulated = 0
         self.judges: tuple[QuickJudge, ...] = ()
         if space.ahead:
             return
-        self.judges = tuple(
-            quick_judge(
-                plan_job(
-                    job, space.machine, replace(options, limit_share=options.limit_share * share)
-                ),
-                space.machine,
-                spec,
-                space.delays_s,
-            )
-            for share in space.levels
-        )
+        judges = []
+        for share in space.levels:
+            # The reader of a seam asks the machine for its acceleration: it is read anew.
+            machine = with_numbers(space.machine, space.slower(share))
+            plan = plan_job(read(machine), machine, options)
+            judges.append(quick_judge(plan, machine, spec, space.delays_s))
+        self.judges = tuple(judges)
 
     def delay_s(self, level: int, delay: int) -> float | None:
         """Return a needle delay; None where the job has no stitches."""
@@ -195,7 +195,7 @@ class Evaluator:
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
             machine = with_numbers(self.space.machine, numbers)
             try:
-                plan = plan_job(self._job, machine, self.options_at(width))
+                plan = plan_job(self.read(machine), machine, self.options_at(width))
                 judge = quick_judge(plan, machine, self._spec, self.space.delays_s)
             except (PlanError, MachineError):
                 continue

@@ -66,8 +66,10 @@ def region_of(
     if names is None or not evaluator.effort.side:
         return None
     first, second = (space.names.index(name) for name in names)
+    side = evaluator.effort.side
     lines = [
-        np.linspace(space.low[k], space.high[k], evaluator.effort.side) for k in (first, second)
+        _line(float(space.low[k]), float(space.high[k]), float(centre[k]), side)
+        for k in (first, second)
     ]
     slices = {}
     for turn, base in enumerate((centre, _unchanged(space, centre))):

@@ -11,7 +11,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import MachineError, OptionError, Place
 from threadline.machine import Machine
-from threadline.machine.controllers import LeadController
+from threadline.machine.controllers import LeadFilter
 from threadline.machine.design import Design, DesignParameter
 from threadline.machine.numbers import number_at
 from threadline.units import parse_quantity
@@ -82,6 +82,17 @@ class Space:
             for k, paths in enumerate(self.paths)
             for path in paths
         }
+
+    def slower(self, share: float) -> dict[str, float]:
+        """Return the numbers of a machine with a share of its acceleration and jerk."""
+        if share == 1.0:
+            return {}
+        numbers = {}
+        for name, axis in self.machine.axes.items():
+            numbers[f"axes.{name}.acceleration"] = axis.acceleration.si * share
+            if axis.jerk is not None:
+                numbers[f"axes.{name}.jerk"] = axis.jerk.si * share
+        return numbers
 
     def corners(self, points: FloatArray) -> FloatArray:
         """Return (n * C, dims) the corners of the tolerances of (n, dims) points, in turn."""
@@ -184,7 +195,7 @@ def _gain_bounds(
     if settings.crossover is None or settings.phase_margin is None:
         return [], []
     for axis in machine.axes.values():
-        if not isinstance(machine.controllers[axis.controller], LeadController):
+        if not isinstance(machine.controllers[axis.controller], LeadFilter):
             raise MachineError(
                 f"design.settings.crossover: the controller {axis.controller!r} is no lead filter",
                 place=place,
