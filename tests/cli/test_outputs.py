@@ -8,6 +8,7 @@ import pytest
 
 from threadline.cli import prove
 from threadline.cli.main import main
+from threadline.cli.output import print_table
 
 JOB = Path(__file__).resolve().parents[2] / "examples" / "x-180.prg"
 
@@ -81,3 +82,17 @@ def test_the_folder_of_an_output_is_made_and_taken_away_if_nothing_comes(tmp_pat
         assert (caught.value.code or 0) == status
         assert (tmp_path / "reports").exists() is (status == 0)
     assert [path.name for path in table.parent.iterdir()] == ["ticks.csv"]
+
+
+def test_notes_are_wrapped_well_or_stand_below(capsys: pytest.CaptureFixture[str]) -> None:
+    """A column of 13 characters breaks every note; 40 are enough to wrap one."""
+    long = "the recording ends before this point and goes no further than that"
+    print_table("a", ["criterion", "axis", "note"], [["x" * 90, "Y", long], ["y", "", ""]])
+    narrow = capsys.readouterr().out
+    assert "note" not in narrow
+    assert narrow.endswith(f"  {'x' * 90} Y: {long}\n")
+
+    print_table("a", ["criterion", "axis", "note"], [["x" * 60, "Y", long]])
+    wide = capsys.readouterr().out
+    assert "note" in wide
+    assert "the recording ends before this point" in wide

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from threadline import __version__
 from threadline.errors import SpecError
+from threadline.jobs import read_job
+from threadline.pipeline import Options, plan_job
 from threadline.signals import ChannelKind
 from threadline.verdict import (
     Criterion,
@@ -21,7 +25,7 @@ from threadline.verdict import (
     verdict_rows,
 )
 
-from .builders import follow, plan_through, record, spec_of
+from .builders import follow, plan_through, record, spec_of, winder
 
 
 def a_verdict():
@@ -73,10 +77,50 @@ def test_rows_show_the_worst_axis_in_millimetres() -> None:
     verdict, _ = a_verdict()
     header, rows = verdict_rows(verdict)
     assert all(len(row) == len(header) for row in rows)
-    turning = next(row for row in rows if row[0] == "turning point error")
+    turning = next(row for row in rows if row[0] == "turning_point_error")
     assert turning[1:5] == ["Y", "0.6 mm", "0.5 mm", "failed"]
     _, every = verdict_rows(verdict, every_axis=True)
-    assert len([row for row in every if row[0] == "turning point error"]) == 2
+    assert len([row for row in every if row[0] == "turning_point_error"]) == 2
+
+
+def test_people_read_the_room_left_and_degrees() -> None:
+    """50 mm inside the travel exceed it by nothing; pi rad/s^2 are 180 deg/s^2."""
+    inside = Result(
+        name="travel", axis="Y", measured=-0.05, limit=0.0, unit="m", status=Status.PASSED,
+        note="room left",
+    )  # fmt: skip
+    outside = replace(inside, measured=0.002, status=Status.FAILED, note="beyond")
+    fast = replace(inside, name="acceleration", axis="A", measured=np.pi, unit="rad/s^2", note="")
+    _, rows = verdict_rows(Verdict(results=(inside,), simulated=True))
+    assert (rows[0][2], rows[0][3], rows[0][-1]) == ("0 mm", "0 mm", "50 mm of room left")
+    _, rows = verdict_rows(Verdict(results=(outside, fast), simulated=True))
+    assert (rows[0][2], rows[0][-1]) == ("2 mm", "beyond")
+    assert rows[1][2] == "180 deg/s^2"
+
+
+def test_the_line_of_a_subroutine_says_the_pass(tmp_path: Path) -> None:
+    """The third of four strokes of 10 mm is missed by 1 mm."""
+    program = tmp_path / "passes.prg"
+    program.write_text("O9\nG91 G1 X 10 F 600\nM99\nO1\nM98 P9 L4\nG90 G1 X 0\nM30\n")
+    machine = winder()
+    plan = plan_job(read_job(program, machine), machine, Options(interpolation="linear"))
+    commanded, operation = [], []
+    for block in plan.commands:
+        commanded.append(block.counts)
+        operation.append(block.operation)
+    position = np.cumsum(np.concatenate(commanded), axis=0) / plan.commands.counts_per_unit
+    rows = np.concatenate(operation)
+    third = np.flatnonzero(rows == 2)
+    position[third[len(third) // 2], 2] += 1e-3
+    made = record(plan.commands.axes, {ChannelKind.LOAD: position}, rows, job_sha256="")
+    verdict = judge([made], plan, spec_of(Criterion(name="contour_error"), lag_s=0.0))
+
+    found = verdict.result("contour_error")
+    assert found.measured == pytest.approx(1e-3, abs=1e-6)
+    assert (found.job_line, found.passes) == (2, (3,))
+    header, (row, *_) = verdict_rows(verdict)
+    assert row[header.index("line")] == "2 (pass 3)"
+    assert verdict_json(verdict, plan)["criteria"][0]["passes"] == [3]
 
 
 def result(status, measured=1.0, limit=None, required=False, axis="X"):

@@ -72,6 +72,12 @@ def test_a_file(tmp_path: Path) -> None:
     assert dict(named(spec, "residual_vibration", "Y")[0].options) == {"after": 0.02}
 
 
+@pytest.mark.parametrize("written", ["contour error", "contour-error"])
+def test_a_criterion_may_be_written_as_people_say_it(tmp_path: Path, written: str) -> None:
+    spec = read(tmp_path, GOOD.replace("contour_error", written))
+    assert spec.criteria == read(tmp_path, GOOD).criteria
+
+
 def test_hard_limits_and_reported_measures_are_always_there(tmp_path: Path) -> None:
     spec = read(tmp_path, GOOD)
     machine = winder()
@@ -108,7 +114,8 @@ def test_one_axis_overrides_every_axis(tmp_path: Path) -> None:
         (('lag = "40 ms"', 'lagg = "40 ms"'), 2, "Did you mean 'lag'"),
         (('"+-0.2 mm"', '"0.2 s"'), 6, "limit"),
         (('"+-0.2 mm"', '"-0.2 mm"'), 6, "negative"),
-        (('"+-0.2 mm"', "0.2"), 6, "no unit"),
+        (('"+-0.2 mm"', "0.2"), 6, 'has no unit.*limit = "0.2 mm"'),
+        (('"+-0.2 mm"', '"0.8"'), 6, 'has no unit.*limit = "0.8 mm"'),
         (('"+-0.2 mm"', '"1e400 mm"'), 6, "finite"),
         (('"+-0.2 mm"', '"machine"'), 6, "machine has no limit"),
         (('"+-0.2 mm"', '["0.2 mm"]'), 6, "no unit"),

@@ -17,6 +17,7 @@ from rich.table import Table
 from threadline.pipeline import Progress as ProgressCall
 
 _SHOW_AFTER_S = 1.0
+_WRAPPED = 40  # characters: a narrower column breaks a note too often
 _FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
 
 
@@ -28,6 +29,11 @@ def print_json(content: Any) -> None:
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table; all columns but the first and a last one called note are aligned right."""
     console = Console() if sys.stdout.isatty() else Console(width=_FILE_WIDTH)
+    notes: list[tuple[str, str]] = []
+    if header[-1] == "note" and not _fits(header, rows, console.width):
+        named = 2 if len(header) > 1 and header[1] == "axis" else 1
+        notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
+        header, rows = header[:-1], [row[:-1] for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for index, name in enumerate(header):
         text = index == 0 or name == "note"
@@ -40,6 +46,15 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     for row in rows:
         table.add_row(*row)
     console.print(table)
+    for subject, said in notes:
+        console.print(f"  {subject}: {said}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:
+    """Say whether the last column has room for its longest text, or enough to be wrapped well."""
+    lines = [header, *rows]
+    others = sum(max(len(line[k]) for line in lines) + 2 for k in range(len(header) - 1))
+    return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
 
 
 def note(text: str) -> None:

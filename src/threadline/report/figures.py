@@ -232,7 +232,7 @@ def _legend_beside(panel: Axes) -> None:
 
 def _bars(proof: Proof, panel: Axes) -> None:
     limited = [r for r in proof.verdict.results if r.limit and r.measured is not None]
-    names = [f"{r.name} {r.axis}".strip().replace("_", " ") for r in limited]
+    names = [f"{r.name} {r.axis}".strip() for r in limited]
     used = [abs(r.measured or 0.0) / (r.limit or 1.0) * 100.0 for r in limited]
     colours = ["#D55E00" if r.status is Status.FAILED else "0.7" for r in limited]
     hatches = ["////" if r.status is Status.FAILED else "" for r in limited]

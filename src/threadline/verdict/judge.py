@@ -23,6 +23,7 @@ from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import Finding, Measure, MeasureKind, Setting
+from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
 from threadline.verdict.switch_judge import judge_switching
 from threadline.verdict.types import Criterion, Result, Spec, Verdict
@@ -86,7 +87,7 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
         for result in _results(criterion, findings, plan)
     ]
     return Verdict(
-        results=tuple(_with_lines(results, plan.programmed)),
+        results=tuple(with_passes(tuple(_with_lines(results, plan.programmed)), plan.job)),
         simulated=all(recording.simulated for recording in recordings),
     )
 

@@ -16,6 +16,8 @@ _SHOWN = {
     "m/s": (1e3, "mm/s"),
     "rad": (180.0 / math.pi, "deg"),
     "rad/s": (180.0 / math.pi, "deg/s"),
+    "rad/s^2": (180.0 / math.pi, "deg/s^2"),
+    "rad/s^3": (180.0 / math.pi, "deg/s^3"),
     "s": (1e3, "ms"),
 }
 
@@ -84,6 +86,7 @@ def _criterion(result: Result) -> dict[str, Any]:
         "status": result.status.value,
         "time_s": result.time_s,
         "job_line": result.job_line,
+        "passes": list(result.passes),
         "operation": result.operation,
         "position": None if result.position is None else list(result.position),
         "required": result.required,
@@ -141,16 +144,27 @@ def verdict_rows(
 
 
 def _row(result: Result) -> list[str]:
+    measured, note = result.measured, result.note
+    if result.name == "travel" and measured is not None and measured < 0.0:
+        # For people a travel that is kept is exceeded by nothing.
+        measured, note = 0.0, f"{_shown(-measured, result.unit)} of room left"
     return [
-        result.name.replace("_", " "),
+        result.name,
         result.axis,
-        "-" if result.measured is None else _shown(result.measured, result.unit),
+        "-" if measured is None else _shown(measured, result.unit),
         "-" if result.limit is None else _shown(result.limit, result.unit),
         result.status.value + (" (required)" if _lacking(result) else ""),
         "-" if result.time_s is None else f"{result.time_s:.3f} s",
-        "-" if result.job_line is None else str(result.job_line),
-        f"{result.step}: {result.note}".removesuffix(": ") if result.step else result.note,
+        _line(result),
+        f"{result.step}: {note}".removesuffix(": ") if result.step else note,
     ]
+
+
+def _line(result: Result) -> str:
+    if result.job_line is None:
+        return "-"
+    passes = f" (pass {'.'.join(map(str, result.passes))})" if result.passes else ""
+    return f"{result.job_line}{passes}"
 
 
 def step_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
@@ -161,7 +175,7 @@ def step_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
     told = [r for r in verdict.results if r.step]
     columns = list(dict.fromkeys((r.name, r.axis) for r in told))
     cells = {(r.step, r.name, r.axis): r for r in told}
-    header = ["step", *(" ".join((n.replace("_", " "), a)).strip() for n, a in columns)]
+    header = ["step", *(" ".join((n, a)).strip() for n, a in columns)]
     rows = []
     for step in dict.fromkeys(r.step for r in told):
         row = [step]

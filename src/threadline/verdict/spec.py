@@ -34,6 +34,7 @@ _ALWAYS_ON_OFF = (
     "switching_error",
 )
 _LIMITS_ON_OFF = ("travel", *SWITCHING_LIMITS)
+_USUAL = {"m": "mm", "m/s": "mm/s", "s": "ms", "rad": "deg", "rad/s": "deg/s"}
 _OWN = "machine"  # a limit that is the machine's own
 _LAG_S = 0.1
 _MOST_LAG_S = 3600.0
@@ -181,6 +182,8 @@ class _Reader:
 
     def _criteria(self, row: Mapping[str, Any], index: int | None) -> Iterator[Criterion]:
         name = row.get("name")
+        if isinstance(name, str) and name not in MEASURES:
+            name = re.sub(r"[ -]+", "_", name.strip())  # as people write it
         if not isinstance(name, str):
             self._refuse("a criterion has no name", index, "name", 'Write name = "contour_error".')
         kind = MEASURES.get(name)
@@ -274,6 +277,11 @@ class _Reader:
         example = (
             f'Write it like {key} = "{ {"m": "0.5 mm", "s": "100 ms"}.get(unit, f"1 {unit}") }".'
         )
+        written = text if isinstance(text, str) else repr(text)
+        if unit and re.fullmatch(r"[0-9.]+", written.strip()):
+            # Nobody means 0.8 m; a number alone is of the unit that people work in.
+            example = f'Write it like {key} = "{written.strip()} {_USUAL.get(unit, unit)}".'
+            self._refuse(f"{key} = {text!r} has no unit", index, key, example)
         if not isinstance(text, str):
             if isinstance(text, int | float) and not isinstance(text, bool) and not unit:
                 text = repr(text)

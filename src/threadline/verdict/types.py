@@ -90,6 +90,8 @@ class Result:
         When the worst value occurred, from the start of the job.
     operation, job_line
         Where in the job; None where there is no such place.
+    passes
+        Passes of the subroutines around that line, the outermost first; empty in the main program.
     position
         (axes of the job,) commanded position there, m or rad; for a programmed point that was
         missed, the point; None where there is no such place.
@@ -112,6 +114,7 @@ class Result:
     position: tuple[float, ...] | None = None
     note: str = ""
     step: str = ""
+    passes: tuple[int, ...] = ()
 
     @property
     def severity(self) -> tuple[int, float]:
