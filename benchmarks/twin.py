@@ -6,119 +6,58 @@ supply binds at every jump of the reference) and ``contact`` (the axis sticks an
 - scipy: ``solve_ivp`` (RK45, rtol 1e-8) from tick to tick, stick and slip with its events.
 - python-control: ``input_output_response``. Linear: the whole loop as one discrete system over
   the exact sampled plant, its fastest form. The others: the continuous plant, tick by tick.
-- JAX: ``vmap``-ed ``lax.scan`` in float64 over all ticks, variants innermost, matrices unrolled to
-  scalars, its fastest form found. It has no events: the limits switch at fixed substeps, as many as
-  bring it within 1 um of the event-located answer (the note has both numbers).
+- JAX: see ``_twin_jax``. Ours and every formulation of JAX run in turn, on the same two cores, and
+  medians are compared, by the clock; the note has the processor's time as well. There are two
+  entries for the cases with events: against formulations that work for any plant, and against the
+  formulas of this very plant.
+- The stitcher: 10 000 variants of the whole machine over a path of two corners, against
+  ``solve_ivp`` (RK45, rtol 1e-6) on one variant's linear equations from instant to instant.
 
-The twin's kernels are compiled before the clock runs, as are JAX's; building the variants' matrices
-counts for the twin and not for JAX.
+Kernels are compiled before the clock runs, as are JAX's; building the variants' matrices counts for
+the twin and not for JAX.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from statistics import median
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
+from benchmarks._twin_cases import (
+    BATCH_TICKS,
+    CASES,
+    COUNTS,
+    VARIANTS,
+    inertias,
+    machine_of,
+    rows_of,
+    seconds,
+    table_of,
+)
+from benchmarks._twin_peers import control_run, scipy_run
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
-from threadline.signals import Stream, TickBlock, TickTable
+from threadline.plant.network import linear_model
 from threadline.twin import simulate, simulate_batch
 
-H, COUNTS, R, KT = 5e-3, 4000 / (2 * np.pi), 0.4, 0.082
-KE = 8.6 / (1000 * 2 * np.pi / 60)
-J, GAIN, VOLT = 3.606e-4, 0.45, 20 / 4096
-LIMIT, SLIDE, BREAK = 4.0, 0.05, 0.06
-VARIANTS = 1000
 SUBSTEPS = (1, 4, 16, 64, 256)
 WITHIN_UM = 1.0
-CASES = ("linear-quantised", "saturated", "contact")
-BATCH_TICKS = dict.fromkeys(CASES, 20_000)
+ACCURACY_TICKS = 3000
+ROUNDS = 9
+STITCHERS = 10_000
 
 
-def machine_of(case: str, *, reversal: bool = True) -> Machine:
-    """Return the X axis of the winder, alone and without travel switches.
-
-    Comparisons without quantisers leave out the zero tick on reversal too: at rest the sign of a
-    level of 1e-13 would decide on it.
-    """
-    whole = load_machine("lathe-winder" + ("+stiction" if case == "contact" else ""))
-    drive = whole.drives["x"]
-    if case != "saturated":
-        amplifier = dataclasses.replace(drive.amplifier, current_limit=None)
-        drive = dataclasses.replace(drive, amplifier=amplifier)
-    controller = whole.controllers["x"]
-    dac = dataclasses.replace(controller.dac, zero_on_reversal=reversal)
-    return dataclasses.replace(
-        whole,
-        bodies={"x": whole.bodies["x"]},
-        drives={"x": drive},
-        sensors={"x": whole.sensors["x"]},
-        controllers={"x": dataclasses.replace(controller, dac=dac)},
-        axes={"X": whole.axes["X"]},
-        inputs={},
-    )
-
-
-def rows_of(case: str, ticks: int) -> np.ndarray:
-    """Return counts per tick: to and fro at 30 counts per tick, or in jumps that saturate."""
-    if case == "saturated":
-        once = np.zeros(400, dtype=np.int64)
-        once[[0, 200]] = 2000, -2000
-    else:
-        once = np.concatenate((np.full(330, 30), np.zeros(40), np.full(330, -30), np.zeros(40)))
-    return np.resize(once.astype(np.int64), ticks)
-
-
-def table_of(machine: Machine, rows: np.ndarray) -> TickTable:
-    block = TickBlock(first_tick=0, counts=rows[:, None], operation=np.zeros(len(rows), np.int64))
-    return TickTable(
-        clock=machine.tick_clock,
-        axes=machine.axis_names,
-        counts_per_unit=machine.counts_per_unit,
-        start_counts=np.zeros(1, dtype=np.int64),
-        blocks=Stream.of([block]),
-        job_sha256="",
-        machine_sha256=machine.sha256,
-    )
-
-
-class Loop:
-    """The controller as a peer's user writes it: PD on counts, 12-bit DAC, zero on reversal."""
-
-    def __init__(self, quantised: bool = True) -> None:
-        self.error = self.level = 0.0
-        self.quantised = quantised
-
-    def volts(self, reference: float, theta: float) -> float:
-        read = theta * COUNTS
-        if self.quantised:
-            read = np.floor(read + 0.5)
-        error = reference - read
-        level = 2 * error + 4 * (error - self.error)
-        if self.quantised:
-            level = np.rint(level)
-        level = min(max(level, -2048.0), 2047.0)
-        if self.quantised and level * self.level < 0:
-            level = 0.0
-        self.error, self.level = error, level
-        return level * VOLT * GAIN
-
-
-def seconds(call: Callable[[], Any], repeats: int = 9) -> float:
-    """Return the shortest of some runs: the one that was disturbed least."""
-    best = np.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        best = min(best, time.perf_counter() - start)
-    return best
+def entry(
+    name: str, ours: float, peer: str, value: float | None, unit: str, note: str
+) -> dict[str, Any]:
+    ratio = None if value is None else value / ours
+    return {"name": name, "ours": ours, "peer": peer, "peer_value": value, "ratio": ratio,
+            "unit": unit, "note": note}  # fmt: skip
 
 
 def ours_per_tick(case: str) -> float:
@@ -133,232 +72,6 @@ def ours_per_tick(case: str) -> float:
     return seconds(run) / 100_000
 
 
-def clipped(case: str, volts: float, omega: float) -> float:
-    current = (volts - KE * omega) / R
-    return min(max(current, -LIMIT), LIMIT) if case == "saturated" else current
-
-
-def scipy_run(case: str, ticks: int, quantised: bool, rtol: float = 1e-8) -> np.ndarray:
-    """Return (ticks,) angles in rad at the ticks."""
-    rows, loop = rows_of(case, ticks), Loop(quantised)
-    x, reference, sign, angles = np.zeros(2), 0.0, 0, []
-    for row in rows:
-        angles.append(x[0])
-        volts = loop.volts(reference, x[0])
-        if case != "contact":
-
-            def slope(_t: float, y: np.ndarray, u: float = volts) -> list[float]:
-                return [y[1], KT * clipped(case, u, y[1]) / J]
-
-            x = solve_ivp(slope, (0, H), x, rtol=rtol, atol=1e-10).y[:, -1]
-        else:
-            x, sign = _slip(x, sign, volts, rtol)
-        reference += row
-    return np.array(angles)
-
-
-def _slip(x: np.ndarray, sign: int, volts: float, rtol: float) -> tuple[np.ndarray, int]:
-    left = H
-    while left > 0:
-        if sign == 0:
-            torque = KT * volts / R
-            if abs(torque) <= BREAK:
-                return np.array([x[0], 0.0]), 0
-            sign = 1 if torque > 0 else -1
-
-        def slope(_t: float, y: np.ndarray, s: int = sign) -> list[float]:
-            return [y[1], (KT * (volts - KE * y[1]) / R - s * SLIDE) / J]
-
-        def stops(_t: float, y: np.ndarray, s: int = sign) -> float:
-            return s * y[1]
-
-        stops.terminal, stops.direction = True, -1  # type: ignore[attr-defined]
-        done = solve_ivp(slope, (0, left), x, rtol=rtol, atol=1e-10, events=stops)
-        x, left = done.y[:, -1], left - done.t[-1]
-        if done.status == 1:
-            x, sign = np.array([x[0], 0.0]), 0
-    return x, sign
-
-
-def control_run(case: str, ticks: int) -> np.ndarray:
-    import control
-
-    rows = rows_of(case, ticks)
-    references = np.concatenate(([0], np.cumsum(rows)[:-1])).astype(float)
-    if case == "linear-quantised":
-        generator = np.zeros((3, 3))
-        generator[0, 1], generator[1, 1], generator[1, 2] = 1.0, -KT * KE / (R * J), KT / (R * J)
-        E = expm(generator * H)
-
-        def update(_t: float, x: np.ndarray, r: np.ndarray, _p: dict[str, Any]) -> np.ndarray:
-            error = r[0] - np.floor(x[0] * COUNTS + 0.5)
-            level = min(max(np.rint(2 * error + 4 * (error - x[2])), -2048.0), 2047.0)
-            if level * x[3] < 0:
-                level = 0.0
-            u = level * VOLT * GAIN
-            return np.array(
-                [
-                    E[0, 0] * x[0] + E[0, 1] * x[1] + E[0, 2] * u,
-                    E[1, 0] * x[0] + E[1, 1] * x[1] + E[1, 2] * u,
-                    error,
-                    level,
-                ]
-            )
-
-        whole = control.nlsys(
-            update, lambda _t, x, _u, _p: x[:1], inputs=1, outputs=1, states=4, dt=H
-        )
-        times = np.arange(ticks) * H
-        done = control.input_output_response(whole, times, references, np.zeros(4))
-        return np.asarray(done.outputs).ravel()
-
-    def slope(_t: float, x: np.ndarray, u: np.ndarray, _p: dict[str, Any]) -> np.ndarray:
-        torque = KT * clipped(case, u[0], x[1])
-        if case == "contact":
-            # It has no events: friction opposes the speed, and holds below the breakaway torque.
-            if abs(x[1]) < 1e-6 and abs(torque) <= BREAK:
-                return np.array([0.0, -x[1] / H])
-            torque -= SLIDE * np.sign(x[1] if abs(x[1]) >= 1e-6 else torque)
-        return np.array([x[1], torque / J])
-
-    plant = control.nlsys(slope, None, inputs=1, states=2)
-    loop, x, angles = Loop(), np.zeros(2), []
-    span = np.array([0.0, H])
-    for reference in references:
-        angles.append(x[0])
-        volts = loop.volts(reference, x[0])
-        done = control.input_output_response(plant, span, np.full(2, volts), x)
-        x = np.asarray(done.states)[:, -1]
-    return np.array(angles)
-
-
-def inertias() -> np.ndarray:
-    return J * (1 + 0.1 * np.linspace(-1.0, 1.0, VARIANTS))
-
-
-def ours_batch(case: str) -> tuple[float, np.ndarray, float]:
-    """Return s per tick and variant, loads of every 100th variant unquantised, the slow share."""
-    machine = machine_of(case)
-    commands = table_of(machine, rows_of(case, BATCH_TICKS[case]))
-    variants = {"bodies.x.inertia": inertias()}
-
-    def run(**more: Any) -> Any:
-        return simulate_batch(
-            commands, machine, variants, settle_s=0.0, watch_current=False, **more
-        )
-
-    result = run()
-    few = {"bodies.x.inertia": inertias()[::100]}
-    smooth = simulate_batch(
-        commands,
-        machine_of(case, reversal=False),
-        few,
-        settle_s=0.0,
-        channels=("X.load",),
-        quantised=False,
-    ).samples["X.load"]
-    slow = result.slow_ticks / (BATCH_TICKS[case] * VARIANTS)
-    return seconds(run) / (BATCH_TICKS[case] * VARIANTS), smooth, slow
-
-
-def jax_batch(  # noqa: PLR0915
-    case: str, substeps: int
-) -> tuple[Callable[[], float], np.ndarray]:
-    """Return what measures s per tick and variant, and every 100th variant's load, unquantised."""
-    import jax
-    import jax.numpy as jnp
-    from jax import lax
-
-    jax.config.update("jax_enable_x64", True)
-    # Per mode: matrices of one substep, (2, 4, V), columns angle, speed, volts, 1.
-    constants = {"linear-quantised": (0.0,), "saturated": (0.0, LIMIT, -LIMIT),
-                 "contact": (0.0, SLIDE, -SLIDE)}[case]  # fmt: skip
-    tables = []
-    for index, constant in enumerate(constants):
-        columns = []
-        for inertia in inertias():
-            Z = np.zeros((4, 4))
-            Z[0, 1] = 1.0
-            if case == "saturated" and index:
-                Z[1, 3] = KT * constant / inertia
-            else:
-                Z[1] = 0.0, -KT * KE / (R * inertia), KT / (R * inertia), -constant / inertia
-            columns.append(expm(Z * H / substeps)[:2])
-        stacked = np.moveaxis(np.array(columns), 0, -1)
-        tables.append([[jnp.asarray(stacked[i, j]) for j in range(4)] for i in range(2)])
-    rows = rows_of(case, BATCH_TICKS[case])
-    references = jnp.asarray(np.concatenate(([0], np.cumsum(rows))).astype(float))
-
-    def linear(m: int, theta: Any, omega: Any, u: Any) -> tuple[Any, Any]:
-        P = tables[m]
-        return tuple(P[i][0] * theta + P[i][1] * omega + P[i][2] * u + P[i][3] for i in range(2))  # type: ignore[return-value]
-
-    def substep(theta: Any, omega: Any, u: Any) -> tuple[Any, Any]:
-        if case == "linear-quantised":
-            return linear(0, theta, omega, u)
-        if case == "saturated":
-            current = (u - KE * omega) / R
-            picks = current > LIMIT, current < -LIMIT
-            options = [linear(m, theta, omega, u) for m in range(3)]
-            return tuple(
-                jnp.where(
-                    picks[0], options[1][i], jnp.where(picks[1], options[2][i], options[0][i])
-                )
-                for i in range(2)
-            )  # type: ignore[return-value]
-        torque = KT * u / R
-        way = jnp.where(
-            omega != 0, jnp.sign(omega), jnp.where(abs(torque) > BREAK, jnp.sign(torque), 0.0)
-        )
-        forth, back = linear(1, theta, omega, u), linear(2, theta, omega, u)
-        moved = [jnp.where(way > 0, forth[i], back[i]) for i in range(2)]
-        speed = jnp.where(moved[1] * way < 0, 0.0, moved[1])
-        return jnp.where(way == 0, theta, moved[0]), jnp.where(way == 0, 0.0, speed)
-
-    def run_of(quantised: bool) -> Any:
-        def tick(carry: Any, reference: Any) -> tuple[Any, None]:
-            theta, omega, before, last, worst = carry
-            start = theta
-            read = theta * COUNTS
-            read = jnp.floor(read + 0.5) if quantised else read
-            error = reference - read
-            level = 2 * error + 4 * (error - before)
-            level = jnp.clip(jnp.round(level) if quantised else level, -2048, 2047)
-            if quantised:
-                level = jnp.where(level * last < 0, 0.0, level)
-            u = level * (VOLT * GAIN)
-            if substeps == 1:
-                theta, omega = substep(theta, omega, u)
-            else:
-                theta, omega = lax.fori_loop(
-                    0, substeps, lambda _, x: substep(x[0], x[1], u), (theta, omega)
-                )
-            kept = None if quantised else start[::100]
-            return (theta, omega, error, level, jnp.maximum(worst, abs(error))), kept
-
-        zero = jnp.zeros(VARIANTS)
-        return jax.jit(lambda refs: lax.scan(tick, (zero,) * 5, refs))
-
-    quantised, smooth = run_of(True), run_of(False)
-    driven = references[: BATCH_TICKS[case]]
-    loads = np.asarray(smooth(driven)[1]) * COUNTS / 55.358e3
-
-    def measure() -> float:
-        jax.block_until_ready(quantised(driven))
-        taken = seconds(lambda: jax.block_until_ready(quantised(driven)))
-        return taken / (BATCH_TICKS[case] * VARIANTS)
-
-    return measure, loads
-
-
-def entry(
-    name: str, ours: float, peer: str, value: float | None, unit: str, note: str
-) -> dict[str, Any]:
-    ratio = None if value is None else value / ours
-    return {"name": name, "ours": ours, "peer": peer, "peer_value": value, "ratio": ratio,
-            "unit": unit, "note": note}  # fmt: skip
-
-
 def difference_um(case: str, other: np.ndarray) -> float:
     """Return the largest difference of the twin from a peer's angles, unquantised, in um."""
     machine = machine_of(case, reversal=False)
@@ -366,6 +79,147 @@ def difference_um(case: str, other: np.ndarray) -> float:
     load = simulate(commands, machine, quantised=False, settle_s=0.0).samples("X.load")[1]
     scale = COUNTS / machine.axes["X"].counts.si
     return float(np.abs(load[: len(other)] - other * scale).max() * 1e6)
+
+
+def both(call: Callable[[], Any]) -> tuple[float, float]:
+    """Return seconds by the clock and of the processor."""
+    wall, busy = time.perf_counter(), time.process_time()
+    call()
+    return time.perf_counter() - wall, time.process_time() - busy
+
+
+def in_turn(calls: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, tuple[float, float]]:
+    """Return the medians by clock and processor of calls that take turns."""
+    for call in calls.values():
+        call()
+    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            taken[name].append(both(call))
+    return {
+        name: (median(w for w, _ in times), median(b for _, b in times))
+        for name, times in taken.items()
+    }
+
+
+def smooth_loads(case: str) -> np.ndarray:
+    """Return (ticks, variants / 100) event-located loads without quantisers, in m."""
+    machine = machine_of(case, reversal=False)
+    return simulate_batch(
+        table_of(machine, rows_of(case, ACCURACY_TICKS)),
+        machine,
+        {"bodies.x.inertia": inertias()[::100]},
+        settle_s=0.0,
+        channels=("X.load",),
+        quantised=False,
+    ).samples["X.load"][:ACCURACY_TICKS]
+
+
+def against_jax(case: str) -> list[dict[str, Any]]:
+    """Measure a batch, JAX with as few substeps as bring it near enough."""
+    name = f"twin batch vs jax, {case}"
+    machine = machine_of(case)
+    commands = table_of(machine, rows_of(case, BATCH_TICKS))
+
+    def ours() -> Any:
+        variants = {"bodies.x.inertia": inertias()}
+        return simulate_batch(commands, machine, variants, settle_s=0.0, watch_current=False)
+
+    per = BATCH_TICKS * VARIANTS
+    slow = ours().slow_ticks / per
+    try:
+        from benchmarks._twin_jax import formulations
+
+        loads = smooth_loads(case)
+        for substeps in SUBSTEPS:
+            tried = formulations(case, substeps)
+            apart = {f.name: float(np.abs(f.loads(ACCURACY_TICKS) - loads).max()) * 1e6
+                     for f in tried}  # fmt: skip
+            if apart[tried[0].name] < WITHIN_UM:
+                break
+    except ImportError:
+        taken = in_turn({"ours": ours}, ROUNDS)["ours"][0] / per
+        return [entry(name, taken, "jax", None, "s/tick/variant", "jax isn't installed")]
+    calls: dict[str, Callable[[], Any]] = {"ours": ours}
+    labels = {}
+    for formulation in tried:
+        ways = {(u, d): formulation.run(u, d) for u in (1, 4) for d in (1, 2)}
+        quick = in_turn({str(way): call for way, call in ways.items()}, 3)
+        best = min(ways, key=lambda way: quick[str(way)][0])
+        calls[formulation.name] = ways[best]
+        labels[formulation.name] = f"scan unrolled {best[0]}x on {best[1]} device(s)"
+    medians = in_turn(calls, ROUNDS)
+    wall, busy = (x / per for x in medians["ours"])
+    found = []
+    for formulation in tried:
+        peer_wall, peer_busy = (x / per for x in medians[formulation.name])
+        how = f"{substeps} substeps" if formulation.name == "substeps" else formulation.name
+        own = ", closed form" if formulation.name == "closed form" else ""
+        found.append(
+            entry(
+                name + own, wall, f"jax scan f64, {how}", peer_wall, "s/tick/variant",
+                f"{VARIANTS} variants, {wall * 1e9:.2f} against {peer_wall * 1e9:.2f} ns by the "
+                f"clock, {busy * 1e9:.2f} against {peer_busy * 1e9:.2f} ns of processor; {slow:.1%}"
+                f" of our ticks with events; jax: {how}, {labels[formulation.name]}, "
+                f"{apart[formulation.name]:.2g} um from the event-located loads",
+            )
+        )  # fmt: skip
+    return found
+
+
+def stitcher_rows(machine: Machine) -> np.ndarray:
+    """Return (ticks, 2) counts: X 2.5 in, Y 2.5 in, X 2.5 in, at 7.5 in/s."""
+    inch, tick_s = 25.4e-3, float(machine.tick_clock.period_s)
+    way = np.minimum(np.arange(round(2.5 / 7.5 / tick_s) + 1) * 7.5 * inch * tick_s, 2.5 * inch)
+    leg = np.diff(np.rint(way * machine.axes["X"].counts.si)).astype(np.int64)
+    still = np.zeros_like(leg)
+    x, y = np.concatenate((leg, still, leg)), np.concatenate((still, leg, still))
+    return np.stack((x, y), axis=1)
+
+
+def stitchers() -> dict[str, Any]:
+    """Measure 10 000 variants of the stitcher, both axes, 1.5 s each."""
+    machine = load_machine("stitcher")
+    commands = table_of(machine, stitcher_rows(machine))
+    spread = np.random.default_rng(1).uniform(0.9, 1.1, (6, STITCHERS))
+    paths = ("bodies.x_head.inertia", "bodies.y_head.inertia", "bodies.frame.inertia",
+             "links.x_belt.stiffness", "links.y_belt.stiffness",
+             "links.frame_mount.stiffness")  # fmt: skip
+    variants = {}
+    for path, factors in zip(paths, spread, strict=True):
+        table, part, number = path.split(".")
+        variants[path] = getattr(getattr(machine, table)[part], number).si * factors
+
+    def ours() -> Any:
+        return simulate_batch(commands, machine, variants, settle_s=0.5, watch_current=False)
+
+    result = ours()
+    wall, busy = (median(x) for x in zip(*(both(ours) for _ in range(3)), strict=True))
+    # What a peer has to do for one variant: its linear equations, from one action to the next.
+    step_s, advances = 68e-6, 200
+    peer = 0.0
+    for model in linear_model(machine):
+        A, B = model.A, model.B[:, 0]
+
+        def slope(_t: float, x: np.ndarray, A: Any = A, B: Any = B) -> np.ndarray:
+            return A @ x + B * 0.5
+
+        def one(A: Any = A, slope: Any = slope) -> None:
+            x = np.zeros(len(A))
+            for _ in range(advances):
+                x = solve_ivp(slope, (0.0, step_s), x, rtol=1e-6, atol=1e-9).y[:, -1]
+
+        peer += seconds(one, 2) / advances / step_s * (result.ticks * 1e-3)
+    return entry(
+        "twin batch of 10 000 stitcher variants",
+        wall / STITCHERS,
+        "scipy solve_ivp, one variant",
+        peer,
+        "s/variant",
+        f"{wall:.1f} s by the clock, {busy:.1f} s of processor for {STITCHERS} variants of both "
+        f"axes, {result.ticks} ms each, {result.events / STITCHERS:.0f} changes of modes per "
+        f"variant; scipy would take {peer:.1f} s for one, without limits and quantisers",
+    )
 
 
 def run() -> list[dict[str, Any]]:
@@ -389,31 +243,6 @@ def run() -> list[dict[str, Any]]:
             entry(name, scalar[case], "python-control", taken, "s/tick",
                   f"{scalar[case] * 1e9:.0f} ns against {taken * 1e6:.1f} us a tick")
         )  # fmt: skip
-    results += [against_jax(case) for case in CASES]
-    return results
-
-
-def against_jax(case: str) -> dict[str, Any]:
-    """Measure a batch, JAX with as few substeps as bring it near enough."""
-    name = f"twin batch vs jax, {case}"
-    ours, loads, slow = ours_batch(case)
-    apart_um = {}
-    try:
-        for substeps in SUBSTEPS:
-            measure, peer = jax_batch(case, substeps)
-            apart_um[substeps] = float(np.abs(loads[: len(peer)] - peer).max()) * 1e6
-            if apart_um[substeps] < WITHIN_UM:
-                break
-    except ImportError:
-        return entry(name, ours, "jax", None, "s/tick/variant", "jax isn't installed")
-    taken = measure()
-    return entry(
-        name,
-        ours,
-        "jax vmap+scan f64",
-        taken,
-        "s/tick/variant",
-        f"{VARIANTS} variants, {ours * 1e9:.2f} against {taken * 1e9:.2f} ns; {slow:.1%} of our "
-        f"ticks with events; {substeps} substeps of jax, {apart_um[substeps]:.2g} um apart without "
-        f"quantisers ({apart_um[1]:.2g} with one)",
-    )
+    for case in CASES:
+        results += against_jax(case)
+    return [*results, stitchers()]
