@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.options import JsonOption, ReportOption
-from threadline.cli.output import note, print_json, print_table
+from threadline.cli.output import note, print_json, print_table, progress_bar
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
     KINDS,
@@ -135,7 +135,15 @@ def shaper(
     if move is not None or acceleration is not None:
         made_for = rest_to_rest(move, acceleration, modes)
         tick_s = None if tick is None else seconds(tick, "--tick")
-        studied = study_move(made_for, made, relative=band or 0.2, tolerance=still, tick_s=tick_s)
+        with progress_bar(not json) as progress:
+            studied = study_move(
+                made_for,
+                made,
+                relative=band or 0.2,
+                tolerance=still,
+                tick_s=tick_s,
+                progress=progress,
+            )
     answer = _Answer(
         shaper=made,
         modes=modes,

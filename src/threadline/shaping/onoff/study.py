@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from threadline.shaping.onoff.model import Command, RestToRest
@@ -57,6 +58,7 @@ def study_move(
     relative: float,
     tolerance: float,
     tick_s: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> MoveStudy:
     """Return the study of ``move`` with ``shaper``.
 
@@ -68,6 +70,8 @@ def study_move(
         Half width of the band, in [0, 1), and the ringing allowed over it.
     tick_s
         Of the controller that is to switch; None leaves the search out.
+    progress
+        Called with what is being done and the fraction that is done.
 
     Raises
     ------
@@ -90,7 +94,10 @@ def study_move(
         last = math.floor(WITHIN * robust.duration_s / tick_s + 1e-9)
         bound = math.ceil(robust.duration_s / tick_s - 1e-9)
         coarse = range(first, bound, max(1, (bound - first) // 6))
-        for ticks in (*coarse, *range(bound, last + 1)):
+        durations = (*coarse, *range(bound, last + 1))
+        for done, ticks in enumerate(durations):
+            if progress is not None:
+                progress(f"searching on/off commands of {ticks} ticks", done / len(durations))
             front += residual_front(
                 move, relative=relative, tolerance=tolerance, tick_s=tick_s, ticks=[ticks]
             )
