@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +149,33 @@ def test_every_command_that_plans_gives_the_warnings(
 
     assert code == 0
     assert err.count("warning: inches.prg:2: F 90 is 38.1 mm/s, above the normal feed") == 1
+
+
+def test_fastest_prints_the_command_that_proves_its_answer(
+    examples: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Typed as it stands, it gives the same verdict; the search ends at --high, and says so."""
+    monkeypatch.chdir(tmp_path)
+    job = tmp_path / "a job.prg"
+    job.write_bytes((examples / "x-180.prg").read_bytes())
+    words = ["fastest", job.name, "-m", "lathe-winder", "--interpolation", "cubic"]
+    words += ["--low", "20 mm/s", "--high", "21.1 mm/s"]
+    code, out, _ = run(capsys, *words)
+    assert code == 0
+    assert "limited by the end of the search (--high)" in out
+    (command,) = re.findall(r"To prove it: threadline (.*)", out)
+    # All shares of the limits give the same job here: one row.
+    assert len(re.findall(r"100\.0% to [0-9.]+%\s+20\.00\s+21\.10", out)) == 1
+
+    _, found, _ = run(capsys, *words, "--json")
+    code, again, _ = run(capsys, *shlex.split(command), "--json")
+    assert code == 0
+    assert json.loads(again)["criteria"] == json.loads(found)["verdict"]["criteria"]
+    assert json.loads(found)["command"] == f"threadline {command}"
+    assert json.loads(found)["limited_by"] == "range"
 
 
 def test_a_recording_is_judged_as_the_run_was(

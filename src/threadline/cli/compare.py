@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.found import limit_words
 from threadline.cli.options import (
     DEFAULT_TOLERANCE_TEXT,
     JobArgument,
@@ -136,7 +137,7 @@ def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str
         f"{best / reference_m_s:.2f}" if reference_m_s else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",
-        rung.found.limited_by,
+        limit_words(rung.found.limited_by).removesuffix(" (--high)"),
     ]
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.fastest_seam import fastest_seam, needle_hz
+from threadline.cli.found import command_line, limit_words, merged
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -105,10 +106,30 @@ def fastest(
             high=None if high is None else _metres_per_second(high),
             progress=progress,
         )
+    best = result.best
+    again = (
+        None
+        if best.found.best is None
+        else command_line(
+            "prove",
+            job,
+            {
+                "-m": machine,
+                "-s": spec,
+                "--par": par,
+                "--interpolation": interpolation,
+                "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
+                "--feed": f"{best.found.best!r} m/s",
+                "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
+            },
+        )
+    )
     if json:
-        print_json(_content(result))
+        print_json(_content(result) | {"command": again})
     else:
         _show(result, f"{read.name} on {chosen.name}, {interpolation}")
+        if again is not None:
+            typer.echo(f"To prove it: {again}")
     raise typer.Exit(0 if result.best.found.best is not None else 1)
 
 
@@ -146,11 +167,11 @@ def _show(result: FastestJob, title: str) -> None:
                     f"{interval.low * 1e3:.2f}",
                     f"{interval.high * 1e3:.2f}",
                     f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
-                    rung.found.limited_by if first else "",
+                    limit_words(rung.found.limited_by) if first else "",
                 ]
             )
     header = ["limits used", "from mm/s", "to mm/s", "job s", "limited by"]
-    print_table(f"{title}: feeds in spec", header, rows)
+    print_table(f"{title}: feeds in spec", header, merged(rows))
     best = result.best
     tried = sum(rung.found.tried for rung in result.rungs)
     head, body = verdict_rows(best.found.verdict)
@@ -160,7 +181,8 @@ def _show(result: FastestJob, title: str) -> None:
         return
     typer.echo(
         f"fastest: {best.duration_s:.3f} s at {best.found.best * 1e3:.2f} mm/s with "
-        f"{best.share:.1%} of the limits, limited by {best.found.limited_by}; {tried} plans tried"
+        f"{best.share:.1%} of the limits, limited by {limit_words(best.found.limited_by)}; "
+        f"{tried} plans tried"
     )
     print_table("verdict at the fastest", head, body)
 

@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.found import limit_words
 from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.errors import OptionError, UnitError
 from threadline.machine import Machine
@@ -58,6 +59,11 @@ def fastest_seam(
         print_json(content)
     else:
         _show(found, title)
+        if found.best is not None:
+            typer.echo(
+                f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {job.name}, then '
+                "threadline prove with the same options"
+            )
         if cells:
             _show_mismatch(cells, title)
         if written is not None:
@@ -99,7 +105,7 @@ def _show(found: Fastest, title: str) -> None:
     rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
     print_table(f"{title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows)
     typer.echo(
-        f"fastest: {found.best:.2f} stitch/s, limited by {found.limited_by}; "
+        f"fastest: {found.best:.2f} stitch/s, limited by {limit_words(found.limited_by)}; "
         f"{found.tried} plans tried"
     )
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
@@ -113,7 +119,7 @@ def _show_mismatch(cells: list[Mismatch], title: str) -> None:
             names[cell.mass],
             names[cell.stiffness],
             "none" if cell.found.best is None else f"{cell.found.best:.2f}",
-            cell.found.limited_by,
+            limit_words(cell.found.limited_by),
         ]
         for cell in cells
     ]

@@ -17,6 +17,8 @@ from threadline.verdict import Status, Verdict
 Judged = Callable[[float], Verdict]
 SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
+RANGE = "range"
+"""What limits a search that ended before anything failed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +120,7 @@ def find_fastest(
         )
     best = intervals[0].high
     above = [feed for feed in seen if feed > best]
-    limited_by = _worst(seen[min(above)])[0] if above else "range"
+    limited_by = _worst(seen[min(above)])[0] if above else RANGE
     return Fastest(
         intervals=tuple(intervals),
         limited_by=limited_by,

@@ -1,0 +1,44 @@
+"""What a search found, in words for people."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from threadline.search.fastest import RANGE
+
+
+def limit_words(limited_by: str) -> str:
+    """Return what ended a search: a criterion by its name, or the search itself."""
+    return "the end of the search (--high)" if limited_by == RANGE else limited_by
+
+
+def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None]) -> str:
+    """Return a command as it can be typed; options that are None are left out, "" has no value.
+
+    >>> command_line("prove", Path("a b.prg"), {"-m": "lathe-winder", "--feed": "1 mm/s"})
+    "threadline prove 'a b.prg' -m lathe-winder --feed '1 mm/s'"
+    """
+    words = ["threadline", verb, str(job)]
+    for name, value in options.items():
+        if value is not None:
+            words += [name] if value == "" else [name, str(value)]
+    return shlex.join(words)
+
+
+def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return rows with those that follow each other and differ in their first cell alone as one.
+
+    >>> merged([["100 %", "a"], ["50 %", "a"], ["25 %", "b"]])
+    [['100 % to 50 %', 'a'], ['25 %', 'b']]
+    """
+    found: list[tuple[str, str, list[str]]] = []  # first and last of the first cells, the others
+    for head, *rest in rows:
+        if found and found[-1][2] == rest:
+            found[-1] = (found[-1][0], head, rest)
+        else:
+            found.append((head, head, rest))
+    return [
+        [first if first == last else f"{first} to {last}", *rest] for first, last, rest in found
+    ]
