@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import shlex
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -68,7 +69,8 @@ def new(
         print_json({"folder": str(folder), "files": sorted(contents), "prove": command})
         return
     typer.echo(f"{folder}: {', '.join(sorted(contents))}")
-    typer.echo(f"Next: cd {folder} && {command}")
+    there = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
+    typer.echo(f"Next: {there}{command}")
 
 
 def project_files(kind: str) -> dict[str, str]:
@@ -91,7 +93,7 @@ def _project(kind: str) -> Project:
         close = difflib.get_close_matches(kind, PROJECTS, n=1)
         hint = f"Did you mean {close[0]!r}? " if close else ""
         raise OptionError(
-            f"there is no project of a machine {kind[:40]!r}",
+            f"there is no project {kind[:40]!r}",
             remedy=f"{hint}There are: {', '.join(PROJECTS)}.",
         )
     return PROJECTS[kind]
