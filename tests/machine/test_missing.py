@@ -75,7 +75,7 @@ def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
         'gain = "1 A/V exact, assumed"',
         'counts = "100 count/mm exact, assumed"',
         'velocity = "1 m/s exact, assumed"',
-        'kind = "lead" or "p" or "pd"',
+        '"p" or "pd" or "pi"',
     ],
 )
 def test_a_missing_key_comes_with_a_value_that_would_do(tmp_path: Path, form: str) -> None:
