@@ -9,7 +9,7 @@ from typing import Any
 from threadline.twin.code import INTEGER, POINTER, Code, Number, Value
 from threadline.twin.shape import Layout, Pattern
 
-_OF_LENGTH = {"step", "third"}
+_OF_LENGTH = {"step", "third", "near low", "near high", "middle", "spread"}
 
 CONTEXT = (
     "work", "clock", "counts", "tables", "plans", "cells", "cell s", "meet",
@@ -77,6 +77,10 @@ class Lanes:
         lifted = Value(self.code, self.code.lift(value, self.code.vector))
         self.code.write_lanes(self.base, self.layout[name] * self.shape.width, lifted)
         self._known[name] = lifted
+
+    def leave_behind(self, name: tuple[object, ...], value: Value) -> None:
+        """Set a row for whoever reads it next; here its name goes on meaning what it was."""
+        self.code.write_lanes(self.base, self.layout[name] * self.shape.width, value)
 
     def forget(self) -> None:
         """Read everything anew from here on: other code may have changed it."""
@@ -166,6 +170,24 @@ class Lanes:
                 turns = [self.product(("third", w), rate), self.product(("third", w), rate, after)]
             found += self.outside(w, ends, turns)
         return self.code.any_negative(found)
+
+    def may_be_near(self) -> Value | None:
+        """Return where an advance might come near a guard, by a first look at its start alone.
+
+        The four Bezier points are rows times the columns at the start; all of them lie within
+        ``middle . z +- spread . |z|``.
+        """
+        found: list[Value] = []
+        for w, pattern in enumerate(self.shape.nearness()):
+            guard, code = self.shape.guards[w], self.code
+            sizes = {j: code.call("fabs", self["z", j]) for j in pattern}
+            middle = self.product(("middle", w), pattern)
+            spread = code.total([(self["spread", w, j], sizes[j]) for j in pattern])
+            if guard.bounded_above:
+                found.append(self["near high", w] - (middle + spread))
+            if guard.bounded_below:
+                found.append((middle - spread) - self["near low", w])
+        return self.code.any_negative(found) if found else None
 
     def jumped(self) -> Value:
         """Return where a guard is left already."""

@@ -183,9 +183,12 @@ class Modes:
         rate = _product(guard[:, :n], generator) if W else guard
         for x, time_s in enumerate(self.lengths_s):
             rows = {}
-            _put(rows, "step", propagators.over(time_s))
+            step = propagators.over(time_s)
+            _put(rows, "step", step)
             # Of a guard, a third of what its rate makes in that time: to its inner Bezier points.
             _put(rows, "third", rate * (time_s / 3.0))
+            if self.layout.shape.nearness():
+                _put_near(rows, bounds, (guard, rate * (time_s / 3.0)), step)
             self._place(table, rows, x * self.layout.per_length)
         table[self.layout.of_mode :] = held_values.reshape(2 * W, self.lanes)
         groups = table.reshape(len(table), -1, self.layout.shape.width)
@@ -238,6 +241,28 @@ class Modes:
                 w += 1
             radix *= int(plant.modes[e])
         return rows, bounds, values, np.concatenate((switch, to.ravel(), holds.ravel()))
+
+
+def _put_near(
+    rows: dict[tuple[object, ...], FloatArray],
+    bounds: FloatArray,
+    guard: tuple[FloatArray, FloatArray],
+    step: FloatArray,
+) -> None:
+    """Add what ``Lanes.may_be_near`` takes: the range of the rows of a guard's Bezier points."""
+    n, (row, third) = len(step), guard
+    points = [row, row + third]
+    for before in (row - third, row):
+        after = _product(before[:, :n], step)
+        after[:, n:] += before[:, n:]
+        points.append(after)
+    most, least = np.maximum.reduce(points), np.minimum.reduce(points)
+    middle, spread = 0.5 * (most + least), 0.5 * (most - least)
+    _put(rows, "middle", middle)
+    _put(rows, "spread", spread)
+    for w in range(len(row)):
+        rows["near low", w] = bounds[w, 0] - middle[w, -1] + spread[w, -1]
+        rows["near high", w] = bounds[w, 1] - middle[w, -1] - spread[w, -1]
 
 
 def _put(rows: dict[tuple[object, ...], FloatArray], name: str, values: FloatArray) -> None:

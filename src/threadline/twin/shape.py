@@ -14,6 +14,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 
 _LINE, _PAGE = 64, 4096
+_FEW = 3
 
 Pattern = tuple[int, ...]
 """Columns of a row that may differ from zero."""
@@ -96,6 +97,18 @@ class Shape(NamedTuple):
             rows = (self.matrix[j] for j in guard.row if j < self.states)
             found.append(tuple(sorted(set().union(*rows))))
         return tuple(found)
+
+    def nearness(self) -> tuple[Pattern, ...]:
+        """Return the patterns of the guards' rows that a cheap first look takes, or nothing.
+
+        It is worth its loads only where few columns reach a guard.
+        """
+        reach, _ = self.reach()
+        found = []
+        for guard in self.guards:
+            columns = set(guard.row).union(*(reach[j] for j in guard.row if j < self.states))
+            found.append(tuple(sorted(columns - {self.columns - 1})))
+        return tuple(found) if all(len(row) <= _FEW for row in found) else ()
 
 
 CHANGING = ("e1", "e2", "o1", "o2", "level", "held")
@@ -183,6 +196,12 @@ class Layout:
         for w, pattern in enumerate(shape.rates()):
             for j in pattern:
                 self._add("third", w, j)
+        for w, pattern in enumerate(shape.nearness()):
+            self._add("near low", w)
+            self._add("near high", w)
+            for j in pattern:
+                self._add("middle", w, j)
+                self._add("spread", w, j)
         self.rows = len(self.row)
         self.per_length = self.rows - self.first_length
         common = self.first_length - self.fixed

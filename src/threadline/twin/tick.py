@@ -126,10 +126,14 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
         for i in range(shape.states):
             rows["z", i] = after[i]
     else:
-        mask = rows.may_leave(after)
+        near = rows.may_be_near()
         for i in range(shape.states):
-            rows["z", i] = after[i]
-        leave(mask, 1)
+            rows.leave_behind(("z", i), after[i])
+        if near is None:
+            leave(rows.may_leave(after), 1)
+        else:
+            with code.when_seldom(code.any(near)):
+                leave(rows.may_leave(after) & near, 1)
         rows.forget()
     if shape.peak:
         write_peaks(rows)
