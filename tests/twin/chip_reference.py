@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import isqrt
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -106,6 +107,7 @@ def run(
     *,
     quantised: bool,
     delay: Fraction = DELAY,
+    profile: Callable[[int, int], float] | None = None,
 ) -> np.ndarray:
     """Return the (ticks, states) at every reference tick.
 
@@ -114,6 +116,8 @@ def run(
     law
         ``b0 b1 b2`` and ``a1 a2`` of ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''``; the word is
         clamped to 8 bits, and the output that is remembered with it.
+    profile
+        Positions from the last reference and the one before it, asked for at every filter tick.
     """
     (b0, b1, b2), (a1, a2) = law
     end = REFERENCE * len(rows)
@@ -134,7 +138,12 @@ def run(
         if now % FILTER == 0:
             seen = axis.read(y)
             seen = np.floor(seen + 0.5) if quantised else seen
-            error = travelled[int(now // REFERENCE)] - seen
+            row = int(now // REFERENCE)
+            wanted = travelled[row]
+            if profile is not None:
+                wanted = profile(int(wanted), int(travelled[max(row - 1, 0)]))
+                wanted = np.floor(wanted) if quantised else wanted
+            error = wanted - seen
             out = b0 * error + b1 * e[0] + b2 * e[1] - a1 * u[0] - a2 * u[1]
             level = np.clip(np.rint(out) if quantised else out, -128, 127)
             e = [error, e[0]]
@@ -143,3 +152,45 @@ def run(
         volts = arriving.pop(now, volts)
         y = axis.advance(y, volts, float(then - now))
     return np.array(states)
+
+
+@dataclass
+class IntegralVelocity:
+    """Speed in counts per tick, reached with ``acceleration`` 256ths, and its sum."""
+
+    acceleration: int
+    whole: bool
+    speed: float = 0.0
+    at: float = 0.0
+
+    def __call__(self, reference: int, before: int) -> float:
+        wanted = (reference - before) * float(FILTER / REFERENCE)
+        if self.whole:
+            wanted = min(127, max(-128, round(wanted)))
+        most = self.acceleration / 256
+        self.speed = min(self.speed + most, max(self.speed - most, wanted))
+        self.at += self.speed
+        return self.at
+
+
+@dataclass
+class Trapezoid:
+    """To a target, in integers: 256ths of a count and of a count per tick."""
+
+    acceleration: int
+    velocity: int
+    speed: int = 0
+    at: int = 0
+    target: int = 0
+
+    def __call__(self, reference: int, _before: int) -> float:
+        if self.at == self.target:
+            self.target, self.speed = 256 * reference, 0
+        left = self.target - self.at
+        a, size = self.acceleration, abs(left)
+        # The most n with a + ... + n a <= left, the largest v with (n + 1)(v - n a/2) <= left.
+        n = (isqrt(1 + 8 * size // a) - 1) // 2
+        stoppable = (2 * size + n * (n + 1) * a) // (2 * (n + 1))
+        self.speed = min(self.speed + a, 256 * self.velocity, stoppable)
+        self.at += self.speed if left > 0 else -self.speed
+        return self.at / 256

@@ -13,7 +13,7 @@ from threadline.cli.output import note, print_json, print_table
 from threadline.control import LeadDesign, design_lead
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
-from threadline.machine.controllers import LeadController
+from threadline.machine.controllers import LeadFilter
 from threadline.plant.analysis import AxisAnalysis, analyse_axis
 from threadline.plant.loop import axis_loop
 from threadline.plant.measured import MeasuredResponse, read_response
@@ -152,7 +152,7 @@ def _designs(machine: Machine, axes: list[str], text: str) -> dict[str, tuple[Le
     found = {}
     for axis in axes:
         name = machine.axes[axis].controller
-        if not isinstance(machine.controllers[name], LeadController):
+        if not isinstance(machine.controllers[name], LeadFilter):
             raise OptionError(
                 f"--lead: controllers.{name} of axis {axis} is no lead filter",
                 remedy='Give it kind = "lead" in the machine file.',

@@ -16,7 +16,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Followed, Motion, inverse_of
 from threadline.control.preview import timing_of
+from threadline.errors import MachineError
 from threadline.machine import Machine
+from threadline.machine.controllers import ProfileController
 from threadline.plant.values import Values
 
 
@@ -93,6 +95,13 @@ def feed_forward(
     """
     from scipy.signal import lfilter
 
+    controller = machine.controllers[machine.axes[axis].controller]
+    if isinstance(controller, ProfileController):
+        raise MachineError(
+            f"axis {axis}: a controller of kind {controller.kind!r} makes its positions itself and "
+            f"cannot be given those of feed-forward",
+            remedy='Give it kind "lead".',
+        )
     inverse = inverse_of(machine, axis, model)
     loop = inverse.loop
     timing = timing_of(machine, axis, inverse)
@@ -101,7 +110,6 @@ def feed_forward(
     digital = loop.filters[loop.index]
     tick, step, held, early = timing.tick_s, timing.step_s, timing.held_s, timing.early_s
     lead = timing.lead_s
-    controller = machine.controllers[machine.axes[axis].controller]
     begin = start_s - lead
     # Twice as fine as the ticks: the volts are wanted in the middle of a hold.
     count = int(np.ceil((end_s + settle_s + lead - begin) / tick)) + 2

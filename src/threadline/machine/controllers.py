@@ -12,13 +12,22 @@ names it. With ``e`` the error at this tick and ``e'`` the one before:
 ========  =======================================================================
 
 ``proportional-velocity`` is another mode of that chip: ``u = K (r - r' - (y - y'))``, the gain
-alone on the speed in counts per tick; the same as ``K (e - e')``.
+alone on the speed in counts per tick; the same as ``K (e - e')``. Its two others run ``lead``
+behind positions that the chip makes itself on the filter's clock, in 256ths of a count:
+
+=====================  ==========================================================
+``integral-velocity``  the speed between the last two references, reached with
+                       ``acceleration``, summed up; 8-bit words of whole counts per tick
+``trapezoid``          to the reference with ``acceleration`` and at most ``velocity``; one that
+                       comes on the way is taken up when the last has been reached
+=====================  ==========================================================
 """
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
@@ -28,6 +37,10 @@ from threadline.machine.quantity import Quantity, Units
 Gain = Annotated[Quantity, Units(("dac/count",), not_negative=True)]
 COEFFICIENT_LOW, COEFFICIENT_HIGH = 1.0 / 256.0, 255.0 / 256.0
 """Smallest and largest A and B of the motion chip: eight bits behind the binary point."""
+ACCELERATION_MOST = 32767
+"""Largest acceleration of the motion chip, in 256ths of a count per tick squared."""
+VELOCITY_LOW, VELOCITY_HIGH = -128.0, 127.0
+"""Speeds that the motion chip's integral velocity control can be told, in counts per tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -73,14 +86,13 @@ class PidController:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class LeadController:
+class LeadFilter:
     """The motion chip's filter ``gain (z - zero) / (z + pole)`` with its 8-bit coefficients.
 
     ``zero`` (A) and ``pole`` (B) are bounded by 1/256 and 255/256: by Tustin's rule the pole is
     always further out than the zero, so that the filter can only lead.
     """
 
-    kind: Literal["lead"]
     clock: str
     sensor: str
     drive: str
@@ -91,7 +103,7 @@ class LeadController:
     reference_clock: str | None = None
 
     @model_validator(mode="after")
-    def _in_range(self) -> LeadController:
+    def _in_range(self) -> LeadFilter:
         for name, value in (("zero", self.zero.si), ("pole", self.pole.si)):
             if not COEFFICIENT_LOW <= value <= COEFFICIENT_HIGH:
                 raise ValueError(
@@ -99,6 +111,45 @@ class LeadController:
                     f"all that its eight bits hold"
                 )
         return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class LeadController(LeadFilter):
+    """The motion chip in position mode: references are positions."""
+
+    kind: Literal["lead"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ProfileController(LeadFilter):
+    """The motion chip where it makes the positions itself; acceleration in 256ths, 15 bits."""
+
+    acceleration: Annotated[Quantity, Units(("count/tick**2",), positive=True)]
+
+    @model_validator(mode="after")
+    def _has_acceleration(self) -> ProfileController:
+        value = self.acceleration.si
+        if not 1.0 <= np.rint(256.0 * value) <= ACCELERATION_MOST:
+            raise ValueError(
+                f"acceleration of a profile is {value:g} count/tick^2, outside 1/256 ... 127 "
+                f"255/256, which is all that its fifteen bits hold"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class IntegralVelocityController(ProfileController):
+    """The motion chip's integral velocity control: its references' speed, summed up."""
+
+    kind: Literal["integral-velocity"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class TrapezoidController(ProfileController):
+    """The motion chip's trapezoid profile: its references are where to go, ``velocity`` 7 bits."""
+
+    kind: Literal["trapezoid"]
+    velocity: Annotated[Quantity, Units(("count/tick",), positive=True, whole=True, most=127)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -115,7 +166,14 @@ class VelocityController:
 
 
 Controller = Annotated[
-    PController | PiController | PdController | PidController | LeadController | VelocityController,
+    PController
+    | PiController
+    | PdController
+    | PidController
+    | LeadController
+    | VelocityController
+    | IntegralVelocityController
+    | TrapezoidController,
     Field(discriminator="kind"),
 ]
 Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray, read_only
 from threadline.machine import Machine
 from threadline.machine.controllers import (
-    LeadController,
+    LeadFilter,
     PController,
     PiController,
     VelocityController,
@@ -85,7 +85,7 @@ def difference_equation(
     """
     controller, path = machine.controllers[name], f"controllers.{name}"
     numerator, denominator = np.zeros((values.count, 3)), np.zeros((values.count, 2))
-    if isinstance(controller, LeadController):
+    if isinstance(controller, LeadFilter):
         gain = values.at(f"{path}.gain", controller.gain)
         numerator[:, 0] = gain
         numerator[:, 1] = -np.asarray(gain) * values.at(f"{path}.zero", controller.zero)
@@ -125,7 +125,7 @@ def digital_filter(machine: Machine, name: str, values: Values | None = None) ->
     swing = np.ravel(used.at(f"controllers.{name}.dac.range", controller.dac.range))[0]
     volts = 2.0 * swing / 2.0**bits
     period = float(machine.clock(controller.clock).period_s)
-    if isinstance(controller, LeadController):
+    if isinstance(controller, LeadFilter):
         # s -> z by Tustin: b0 (z - A)/(z + B).
         top = [b0 - b1, (b0 + b1) * 2.0 / period]
         bottom = [1.0 - a1, (1.0 + a1) * 2.0 / period]

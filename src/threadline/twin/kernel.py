@@ -19,6 +19,7 @@ from llvmlite import ir
 from threadline.twin.code import INTEGER, POINTER, Code, Compiler, Value
 from threadline.twin.events import write_change, write_events, write_first_exit, write_gather
 from threadline.twin.lanes import COUNTS, Context, Lanes
+from threadline.twin.profile import write_goals
 from threadline.twin.schedule import ARRIVE, CONTROL, TICK
 from threadline.twin.shape import Layout, Shape
 from threadline.twin.tick import (
@@ -152,6 +153,7 @@ class _Run:
         used = {c for what, c in actions if what == CONTROL}
         if ticks and not shape.shared:
             used |= {axis.controller for axis in shape.axes}
+            used |= {c for c, controller in enumerate(shape.controllers) if controller.profile}
         scalars = {c: code.read(self.references, at + c) for c in sorted(used)}
         sent = self.sent(actions)
 
@@ -161,6 +163,7 @@ class _Run:
             ]
             if ticks and not shape.shared:
                 write_worst(rows, references)
+                write_goals(rows, references)
             places = {key: code.place(base, lane) for key, base in sent.items()}
             write_actions(rows, actions, references, places)
             if advances and not shape.guards:

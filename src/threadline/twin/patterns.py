@@ -53,6 +53,7 @@ def shape_of(
                 second=bool(control.numerator[:, k, 2].any() or control.denominator[:, k, 1].any()),
                 reversal=bool(control.zero_on_reversal[k]),
                 limited=bool(np.isfinite(control.limit[:, k]).any()),
+                profile=control.profile[k],
             )
             for k in range(len(control.drive))
         ),

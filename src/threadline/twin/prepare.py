@@ -11,6 +11,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError
 from threadline.machine import Machine
+from threadline.machine.controllers import ProfileController
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
 from threadline.twin.kernel import ADVANCE, HEADS, kernel
@@ -187,6 +188,7 @@ def _shared(machine: Machine, piece: PiecewiseLinear) -> bool:
     group, tick_s = piece.group, machine.tick_clock.period_s
     return [machine.axes[a].controller for a in group.axes] == list(group.controllers) and all(
         machine.axes[axis].load is None
+        and not isinstance(machine.controllers[name], ProfileController)
         and machine.clock(machine.controllers[name].clock).period_s == tick_s
         for axis, name in zip(group.axes, group.controllers, strict=True)
     )
@@ -326,6 +328,8 @@ def _numbers(
         found["gain", c] = control.volt_per_level[:, c] * control.gain[:, c]
         found["limit", c] = control.limit[:, c]
         found["phase", c] = phases[:, c]
+        found["acceleration", c] = control.acceleration[:, c]
+        found["fastest", c], found["per tick", c] = control.fastest[:, c], control.per_tick[:, c]
         for j, values in enumerate(control.sensor_row[:, c].T):
             found["sensor", c, j] = values
     for x, axis in enumerate(piece.group.axes):

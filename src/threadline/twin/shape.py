@@ -29,6 +29,7 @@ class ControllerShape(NamedTuple):
     second: bool  # it looks two ticks back
     reversal: bool  # a zero tick where its level changes sign
     limited: bool  # its drive's input has a limit of its own
+    profile: str = ""  # what it makes positions from: "speed", "target"; "" where it does not
 
 
 class AxisShape(NamedTuple):
@@ -111,10 +112,12 @@ class Shape(NamedTuple):
         return tuple(found) if all(len(row) <= _FEW for row in found) else ()
 
 
-CHANGING = ("e1", "e2", "o1", "o2", "level", "held")
-"""Of a controller: errors and outputs one and two ticks ago, level, level that has arrived."""
+CHANGING = ("e1", "e2", "o1", "o2", "level", "held", "at", "speed", "goal", "seen")
+"""Of a controller: errors and outputs one and two ticks ago, level, level that has arrived; of its
+profile: position, speed, speed or target that it goes to, the last reference.
+"""
 NUMBERS = ("b0", "b1", "b2", "a1", "a2", "level low", "level high", "volt", "gain", "limit",
-           "phase")  # fmt: skip
+           "phase", "acceleration", "fastest", "per tick")  # fmt: skip
 AXIS_ROWS = ("worst", "lowest", "highest", "last", "scale")
 """Largest |commanded - load|, least and greatest load of the window, last load, units per count."""
 
@@ -227,6 +230,12 @@ class Layout:
             unused.add("held")
         if not controller.limited:
             unused.add("limit")
+        if not controller.profile:
+            unused |= {"at", "speed", "goal", "acceleration"}
+        if controller.profile != "speed":
+            unused |= {"seen", "per tick"}
+        if controller.profile != "target":
+            unused.add("fastest")
         return unused
 
     def _add(self, *name: object) -> None:

@@ -8,12 +8,14 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
+from threadline.machine.controllers import ProfileController, TrapezoidController
 from threadline.plant.controllers import difference_equation
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
 
 ROW_GUARD, NET_GUARD = 1, 2
 _RELATIVE_SLACK = 1e-12
+_PROFILES = {"integral-velocity": "speed", "trapezoid": "target"}
 
 
 class PlantTables(NamedTuple):
@@ -57,6 +59,10 @@ class ControlTables(NamedTuple):
     limit: FloatArray  # (V, K) of the drive's input
     drive: IntArray  # (K,) index of the input
     zero_on_reversal: IntArray  # (K,)
+    profile: tuple[str, ...]  # (K,) as in ``shape``
+    acceleration: FloatArray  # (V, K) counts per tick squared, whole 256ths
+    fastest: FloatArray  # (V, K) counts per tick
+    per_tick: FloatArray  # (V, K) ticks of the references in one of the filter
 
 
 def plant_tables(piece: PiecewiseLinear) -> PlantTables:
@@ -128,6 +134,10 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
         limit=np.zeros((variants, count)),
         drive=np.zeros(count, dtype=np.int64),
         zero_on_reversal=np.zeros(count, dtype=np.int64),
+        profile=tuple(_PROFILES.get(machine.controllers[k].kind, "") for k in group.controllers),
+        acceleration=np.zeros((variants, count)),
+        fastest=np.zeros((variants, count)),
+        per_tick=np.zeros((variants, count)),
     )
     for k, name in enumerate(group.controllers):
         controller, path = machine.controllers[name], f"controllers.{name}"
@@ -146,4 +156,11 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
         tables.limit[:, k] = piece.input_limit[:, drive]
         tables.drive[k] = drive
         tables.zero_on_reversal[k] = controller.dac.zero_on_reversal
+        if isinstance(controller, ProfileController):
+            pushed = np.asarray(values.at(f"{path}.acceleration", controller.acceleration))
+            tables.acceleration[:, k] = np.rint(256.0 * pushed) / 256.0
+            filter_s = machine.clock(controller.clock).period_s
+            tables.per_tick[:, k] = float(filter_s / machine.tick_clock.period_s)
+        if isinstance(controller, TrapezoidController):
+            tables.fastest[:, k] = values.at(f"{path}.velocity", controller.velocity)
     return tables

@@ -6,6 +6,7 @@ from typing import Any
 
 from threadline.twin.code import Value
 from threadline.twin.lanes import Lanes
+from threadline.twin.profile import profiled
 from threadline.twin.schedule import ARRIVE, CONTROL
 
 
@@ -56,6 +57,8 @@ def _control(rows: Lanes, c: int, reference: Value) -> None:
         _keep(rows, ("worst", c), code.call("fabs", reference - read))
     if shape.quantised:
         read = code.call("floor", read + rows["phase", c])
+    if controller.profile:
+        reference = profiled(rows, c, reference)
     e = reference - read
     value = code.fma(rows["b0", c], e, rows["b1", c] * rows["e1", c])
     if controller.feedback:
