@@ -16,7 +16,7 @@ from threadline.plant.suspicions import suspicions
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "machines.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
 OURS = {"sha256", "file", "reference"}
-CONTROLLERS = ("p", "pd", "pi", "pid", "lead", "proportional-velocity")
+CONTROLLERS = tuple(field_node(("controllers", "x"))["discriminator"]["mapping"])
 
 PARTS = {
     "Top of the file": ("",),
