@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from fractions import Fraction
 from functools import cache
+from itertools import islice, product
 from typing import Any
 
 import pint
@@ -73,6 +75,14 @@ _MAX_TEXT = 120
 # a tower like 9**9**9, which pint works out to the last of its millions of digits.
 _UNIT_NUMBERS = re.compile(r"(?:\*\*|\^)\s*[-+]?\d(?!\s*(?:[\d.^]|\*\*))|^\s*1\s*/")
 _NUMBER_LEFT = re.compile(r"[\d^]|\*\*")
+_DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*(?![\d,.])")
+_RUN_TOGETHER = re.compile(r"[A-Za-z0-9 ·/]{2,16}")
+_KNOWN = (
+    "kg g km m cm mm um in ft s ms us min N kN mN A mA V kV mV ohm H mH uH W kW J Hz kHz rad deg "
+    "rev count tick bit dac bar Pa"
+)
+_PIECES = tuple(_KNOWN.split())
+_MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
 
 
@@ -94,6 +104,7 @@ def split_quantity(text: str) -> tuple[str, str]:
     UnitError
         If ``text`` does not begin with one decimal number.
     """
+    refuse_decimal_comma(text)
     match = _QUANTITY.fullmatch(text) if len(text) <= _MAX_TEXT else None
     if match is None:
         shown = text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
@@ -101,6 +112,52 @@ def split_quantity(text: str) -> tuple[str, str]:
             f"{shown!r} is not a number with a unit", remedy='Write it like "7.5 mm/s".'
         )
     return match["number"], (match["unit"] or "").strip()
+
+
+def refuse_decimal_comma(text: str) -> None:
+    """Refuse a quantity that begins like ``"0,6 ohm"``, which half of the world writes.
+
+    Raises
+    ------
+    UnitError
+        Saying how to write it.
+    """
+    match = _DECIMAL_COMMA.match(text[:_MAX_TEXT])
+    if match is not None:
+        raise UnitError(
+            f"{text[:_MAX_TEXT]!r} has a decimal comma", remedy=f"Write {match[1]}.{match[2]}."
+        )
+
+
+def respelt_unit(unit: str, target: str) -> str:
+    """Return ``unit`` with the blanks and carets that it lacks, in the kind of ``target``.
+
+    >>> respelt_unit("kgcm2", "kg*m^2"), respelt_unit("Nm/A", "N*m/A"), respelt_unit("zz", "m")
+    ('kg cm^2', 'N m/A', '')
+    >>> respelt_unit("Nms/rad", "N*m*s/rad")
+    'N m s/rad'
+    """
+    if _RUN_TOGETHER.fullmatch(unit) is None:
+        return ""
+    parts = [_cuts(part.replace("·", " ").replace(" ", "")) for part in unit.split("/")]
+    for cut in islice(product(*parts), _MOST_CUTS):
+        found = "/".join(" ".join(part) for part in cut)
+        if found != unit and same_dimension(found, target):
+            return found
+    return ""
+
+
+def _cuts(text: str) -> Iterator[list[str]]:
+    """Yield every way to cut ``text`` into known units with exponents."""
+    for piece in _PIECES:
+        if text.startswith(piece):
+            rest = text.removeprefix(piece)
+            power = rest[0] if rest[:1] in {"2", "3", "4"} else ""
+            named = f"{piece}^{power}" if power else piece
+            if rest == power:
+                yield [named]
+            else:
+                yield from ([named, *after] for after in _cuts(rest.removeprefix(power)))
 
 
 @cache
@@ -122,7 +179,9 @@ def unit_factor(unit: str, target: str) -> float:
             raise ValueError("a number that is no exponent of one digit")
         source = registry.parse_units(normal)
     except Exception as error:  # pint raises a dozen unrelated types on malformed text
-        raise UnitError(f"unknown unit {unit!r}", remedy=f"Use a unit like {target!r}.") from error
+        meant = respelt_unit(unit, target)
+        hint = f"Did you mean {meant!r}?" if meant else f"Use a unit like {target!r}."
+        raise UnitError(f"unknown unit {unit!r}", remedy=hint) from error
     wanted = registry.parse_units(_normalise(target))
     if source.dimensionality != wanted.dimensionality:
         raise UnitError(

@@ -208,7 +208,7 @@ VALUES = {
     "no unit": ('"4 A +- 10 %, printed', '"4 +- 10 %, printed', "'4' is not in 'A'"),
     "wrong unit": ('"3.606e-4 kg m^2', '"3.606e-4 kg', "inertia of a rotary body is in kg*m^2"),
     "other dimension": ('"3.606e-4 kg m^2', '"3.606e-4 s', "is not in 'kg' or 'kg*m^2'"),
-    "no tolerance": ('radius = "100 mm exact', 'radius = "100 mm', "no tolerance or no provenance"),
+    "no tolerance": ('radius = "100 mm exact', 'radius = "100 mm', "has no tolerance. The prov"),
     "plain number": (
         'radius = "100 mm exact, assumed: half the largest mandrel"',
         "radius = 100",

@@ -16,6 +16,7 @@ from threadline.machine.quantity import Provenance, parse_machine_quantity
     [
         ("4 kg +- 5 %, printed: section 6.2", ("kg",), 4.0, 0.2, "printed", "section 6.2"),
         ("4 kg ± 5%, measured", ("kg",), 4.0, 0.2, "measured", ""),
+        ("4 kg +/- 5%, measured", ("kg",), 4.0, 0.2, "measured", ""),
         ("-510 mm +- 2 mm, assumed", ("m", "rad"), -0.51, 0.002, "assumed", ""),
         ("90 deg +- 1 deg, assumed", ("m", "rad"), math.pi / 2, math.pi / 180, "assumed", ""),
         ("1 exact, printed", ("", "m/rad"), 1.0, 0.0, "printed", ""),
@@ -40,10 +41,14 @@ def test_times_keep_their_exact_fraction() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("4 kg", "has no tolerance or no provenance.*Write it like"),
-        ("4 kg, printed", "no tolerance or no provenance"),
-        ("4 kg +- 5 %", "no tolerance or no provenance"),
-        ("4 kg +- 5 %, guessed", "no tolerance or no provenance"),
+        ("4 kg", "has no tolerance and no provenance.*printed, checked, assumed or measured"),
+        ("4 kg, printed", "has no tolerance\\b(?! and)"),
+        ("4 kg +- 5 %", "has no provenance.*Write it like"),
+        ("4 kg exact", "has no provenance"),
+        ("4 kg +- 5 %, guessed", "has no provenance but 'guessed'"),
+        ("0,6 kg +- 10 %, printed", r"has a decimal comma.*Write 0\.6\."),
+        ("4 kg +- 0,5 %, printed", r"has a decimal comma.*Write 0\.5\."),
+        ("4 kgm2 exact, printed", r"unknown unit 'kgm2'.*Did you mean 'kg m\^2'"),
         ("4 kg +- -5 %, assumed", "the tolerance is negative"),
         ("4 kg +- 5 mm, assumed", "'mm' is not a unit of the kind of 'kg'"),
         ("4 exact, assumed", "'4' is not in 'kg'"),
@@ -52,9 +57,9 @@ def test_times_keep_their_exact_fraction() -> None:
         ("nan kg exact, assumed", "not a number with a unit"),
         ("1e999 kg exact, assumed", "not a finite number"),
         ("4 kg +- 1e999 kg, assumed", "not a finite number"),
-        ("", "no tolerance or no provenance"),
+        ("", "no tolerance and no provenance"),
     ],
 )
 def test_bad_numbers_say_what_and_how(text, message) -> None:
     with pytest.raises(UnitError, match=message):
-        parse_machine_quantity(text, ("kg",))
+        parse_machine_quantity(text, ("kg", "kg*m^2") if "kgm2" in text else ("kg",))

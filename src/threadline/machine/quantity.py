@@ -16,14 +16,22 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from threadline.errors import UnitError
-from threadline.units import parse_exact_time_s, parse_quantity, same_dimension, split_quantity
+from threadline.units import (
+    parse_exact_time_s,
+    parse_quantity,
+    refuse_decimal_comma,
+    respelt_unit,
+    same_dimension,
+    split_quantity,
+)
 
 _FORM = re.compile(
-    r"(?P<value>[^,]+?)\s+(?:exact|(?:\+-|±)\s*(?P<tolerance>[^,]+?))\s*,\s*"
+    r"(?P<value>[^,]+?)\s+(?:exact|(?:\+-|\+/-|±)\s*(?P<tolerance>[^,]+?))\s*,\s*"
     r"(?P<provenance>printed|checked|assumed|measured)(?:\s*:\s*(?P<note>.+))?",
     re.DOTALL,
 )
 _EXAMPLE = 'Write it like "4 kg +- 5 %, printed: section 6.2" or "5 ms exact, assumed".'
+_TOLERANCE = re.compile(r"(?:\s|^)exact\b|\+-|\+/-|±")
 
 
 class Provenance(StrEnum):
@@ -33,6 +41,9 @@ class Provenance(StrEnum):
     CHECKED = "checked"
     ASSUMED = "assumed"
     MEASURED = "measured"
+
+
+_WORDS = f"{', '.join(list(Provenance)[:-1])} or {list(Provenance)[-1]}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +86,7 @@ def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
     """
     match = _FORM.fullmatch(text.strip())
     if match is None:
-        raise UnitError(f"{text!r} has no tolerance or no provenance", remedy=_EXAMPLE)
+        raise _faulty(text)
     written = match["value"]
     unit = _matching_unit(written, units)
     value = parse_quantity(written, unit)
@@ -99,11 +110,32 @@ def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
     )
 
 
+def _faulty(text: str) -> UnitError:
+    """Return the error of a text that is no number of a machine: what it lacks, and how it goes."""
+    refuse_decimal_comma(text)
+    head, _, tail = text.partition(",")
+    tolerance = _TOLERANCE.search(head)
+    if tolerance is not None:
+        refuse_decimal_comma(text[tolerance.end() :])
+    word = tail.partition(":")[0].strip()
+    lacks = [] if tolerance else ["no tolerance"]
+    if word not in list(Provenance):
+        # A comma may have been forgotten before it, or the colon after it.
+        lacks.append("no provenance" if not word else f"no provenance but {word[:40]!r}")
+    return UnitError(
+        f"{text!r} has {' and '.join(lacks) or 'another form'}",
+        remedy=f"The provenance is {_WORDS}. {_EXAMPLE}",
+    )
+
+
 def _matching_unit(written: str, units: tuple[str, ...]) -> str:
     _, found = split_quantity(written)
     for unit in units:
         if (not found and not unit) or (found and same_dimension(found, unit)):
             return unit
+    meant = next(filter(None, (respelt_unit(found, unit) for unit in units)), "")
+    if meant:
+        raise UnitError(f"unknown unit {found!r}", remedy=f"Did you mean {meant!r}?")
     wanted = " or ".join(repr(unit) if unit else "a plain number" for unit in units)
     raise UnitError(f"{written!r} is not in {wanted}", remedy=f"Give it in {wanted}.")
 

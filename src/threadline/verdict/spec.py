@@ -288,7 +288,7 @@ class _Reader:
             else:
                 self._refuse(f"{key} = {text!r} has no unit", index, key, example)
         try:
-            value = parse_quantity(text.removeprefix("+-").strip(), unit)
+            value = parse_quantity(re.sub(r"^\s*(?:\+-|\+/-|±)", "", text).strip(), unit)
         except UnitError as error:
             self._refuse(f"{key}: {error.message}", index, key, error.remedy or example)
         if value < 0:
@@ -319,7 +319,7 @@ class _Reader:
 
 def _is_of(text: str, unit: str) -> bool:
     try:
-        _, found = split_quantity(text.removeprefix("+-").strip())
+        _, found = split_quantity(re.sub(r"^\s*(?:\+-|\+/-|±)", "", text).strip())
     except UnitError:
         return False
     return bool(found) and same_dimension(found, unit)

@@ -10,7 +10,7 @@ from threadline.signals.files.common import nearest
 from threadline.signals.recording import ChannelKind
 from threadline.units import same_dimension, unit_factor
 
-AXES = ("A", "B", "C", "X", "Y", "Z")
+AXES = ("A", "B", "C", "U", "V", "W", "X", "Y", "Z")
 TIME = "time"
 
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
