@@ -2,8 +2,8 @@
 
 What is written for LinuxCNC differs in two points: every G1 has its time as G93 F, because there
 a speed is along the path of X Y Z and here it is of the fastest axis; and G64 asks for blended
-corners. LinuxCNC takes O words only alone on a line and the main program only before its
-subroutines, so that is how both are written.
+corners, within a stated distance of the program. LinuxCNC takes O words only alone on a line and
+the main program only before its subroutines, so that is how both are written.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from threadline.machine import Machine
 from threadline.targets import nc_numbers as numbers
 from threadline.targets.nc_blocks import OutBlock, Wording, blocks_of
 from threadline.targets.nc_loops import Loop, fold
+from threadline.targets.planned_job import CHORD_TOLERANCE_M
 
 MAIN_LABEL = 1
 _N_STEP = 5
@@ -38,6 +39,7 @@ def part_program_lines(
     style: NcStyle | str = NcStyle.WINDER,
     subroutines: bool = False,
     feed: Feed | None = None,
+    blend_m: float = CHORD_TOLERANCE_M,
 ) -> Iterator[str]:
     """Return the lines of a part program, without line feeds.
 
@@ -52,6 +54,8 @@ def part_program_lines(
         written out.
     feed
         Replaces the programmed feeds; only for LinuxCNC.
+    blend_m
+        How far LinuxCNC may leave the program where it blends corners (G64 P).
 
     Raises
     ------
@@ -68,8 +72,8 @@ def part_program_lines(
     wording = Wording(incremental=subroutines, blank="" if linuxcnc else " ", timed=linuxcnc)
     blocks = blocks_of(job, machine, wording, feed)
     if subroutines:
-        return _Writer(style, incremental=True).lines(fold(blocks))
-    return _Writer(style, incremental=False).lines(blocks)
+        return _Writer(style, blend_m, incremental=True).lines(fold(blocks))
+    return _Writer(style, blend_m, incremental=False).lines(blocks)
 
 
 def write_part_program(
@@ -100,7 +104,8 @@ def write_part_program(
 
 
 class _Writer:
-    def __init__(self, style: NcStyle, *, incremental: bool) -> None:
+    def __init__(self, style: NcStyle, blend_m: float, *, incremental: bool) -> None:
+        self._blend = numbers.text(numbers.millimetres(blend_m))
         self._linuxcnc = style is NcStyle.LINUXCNC
         self._blank = "" if self._linuxcnc else " "
         self._end = "" if self._linuxcnc else ";"
@@ -119,7 +124,7 @@ class _Writer:
             self._words("G", 91 if self._incremental else 90), self._words("G", 21)
         )
         if self._linuxcnc:
-            yield self._numbered(self._words("G", 64))
+            yield self._numbered(self._words("G", 64), f"P{self._blend}")
         ended = False
         for item in items:
             if isinstance(item, Loop):

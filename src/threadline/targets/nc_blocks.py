@@ -129,7 +129,10 @@ class _Words:
         if duration_s == 0.0:
             # No travel: there is no time to give, and no motion to give it to.
             return OutBlock(0, words, comment=comment, passes=passes)
-        value = numbers.inverse_minutes(1.0 / duration_s)
+        if planned_s is None:
+            value = numbers.inverse_minutes(1.0 / duration_s)
+        else:
+            value = numbers.inverse_minutes_of(duration_s)
         return OutBlock(1, words, True, value, comment, passes)
 
     def _time_s(self, move: Move, before: list[float]) -> float:

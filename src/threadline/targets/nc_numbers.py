@@ -49,6 +49,7 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
 
 
 _MM = Fraction(1000)
+_COUNTING = 9  # digits: a move of a minute is off by 60 ns
 _MM_PER_MIN = Fraction(60_000)
 
 
@@ -70,6 +71,15 @@ def per_minute(speed_m_s: float) -> int:
 def inverse_minutes(rate_hz: float) -> int:
     """Return an inverse time as an exact number of 1/min."""
     return shortest(rate_hz, Fraction(60), lambda value: value / (60 * ONE))
+
+
+def inverse_minutes_of(duration_s: float) -> int:
+    """Return the inverse of a time as an exact number of 1/min with nine digits that count."""
+    digits = _COUNTING - 1 - math.floor(math.log10(60.0 / duration_s))
+    value = exact(f"{60.0 / duration_s:.{max(min(digits, MAX_DECIMALS), 0)}f}")
+    if value is None:
+        raise PlanError(f"a move takes {duration_s:g} s, too short for a part program")
+    return value
 
 
 def seconds(duration_s: float) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import ceil, comb, sqrt
+from math import ceil, comb, degrees, radians, sqrt
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from threadline.signals import Stream
 from threadline.trajectory.types import Trajectory
 
 CHORD_TOLERANCE_M = 1e-5
+_DECIMALS = 6  # of a millimetre or a degree: a nanometre is far below the chords' tolerance
+_PARTS_OF_UNIT = 1_000_000
 
 
 def planned_job(
@@ -34,19 +36,26 @@ def planned_job(
 
     Notes
     -----
+    Ends are rounded to 1e-6 mm and degrees, from where they are and not from each other.
     Linear interpolation over a step h is off by at most h^2 max|f''| / 8.
     """
     column = [machine.axis_names.index(axis) for axis in trajectory.axes]
     radius = machine.radius_m[column]
     order = [trajectory.axes.index(axis) for axis in job.axes]
+    linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
     return replace(
         job,
-        operations=Stream(lambda: _operations(job, trajectory, radius, order, tolerance_m)),
+        operations=Stream(lambda: _operations(job, trajectory, radius, order, linear, tolerance_m)),
     )
 
 
 def _operations(
-    job: Job, trajectory: Trajectory, radius: FloatArray, order: list[int], tolerance_m: float
+    job: Job,
+    trajectory: Trajectory,
+    radius: FloatArray,
+    order: list[int],
+    linear: list[bool],
+    tolerance_m: float,
 ) -> Iterator[Operation]:
     merged = _Merged(job)
     for block in trajectory:
@@ -64,8 +73,16 @@ def _operations(
             powers = u[:, None] ** np.arange(len(coefficients))
             feed = Feed(FeedMode.INVERSE_TIME, parts / duration_s)
             for target in (powers @ coefficients)[:, order].tolist():
-                yield Move(tuple(target), feed, merged.source)
+                rounded = tuple(map(_rounded, target, linear))
+                yield Move(rounded, feed, merged.source)
     yield from merged.rest()
+
+
+def _rounded(position_si: float, linear: bool) -> float:
+    """Return the nearest position that is a short decimal of mm or degrees."""
+    if linear:
+        return round(position_si * 1e3 * _PARTS_OF_UNIT) / (1000 * _PARTS_OF_UNIT)
+    return radians(round(degrees(position_si), _DECIMALS))
 
 
 def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> int:
