@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -116,3 +117,16 @@ def test_an_input_is_never_written_over(
     assert "would be written over" in err
     assert [path.read_text() for path, _ in files.values()] == [t for _, t in files.values()]
     assert link.is_symlink()
+
+
+def test_errors_are_text_on_stderr_with_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    """As --help says: one line with the code, and a standard output without a byte."""
+    for words in (["prove", "none.prg", "-m", "lathe-winder"], ["analyse", "no-such-machine"]):
+        with pytest.raises(SystemExit) as stopped:
+            main([*words, "--json"])
+        told = capsys.readouterr()
+        assert (stopped.value.code, told.out, told.err.count("\n")) == (2, "", 1)
+        assert re.match(r"error: \[[A-Z-]+\] ", told.err)
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "with --json too" in " ".join(capsys.readouterr().out.split())

@@ -43,7 +43,11 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")
     ] = False,
 ) -> None:
-    """Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault."""
+    """Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault.
+
+    An error is one line of text on standard error, "error: [CODE] file:line: what. Remedy.", with
+    --json too: standard output is then empty, so look at the exit status before reading it.
+    """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -62,7 +62,13 @@ LimitsOption = Annotated[
     str,
     typer.Option(help="Share of the acceleration and jerk limits that the planner uses."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
+JsonOption = Annotated[
+    bool,
+    typer.Option(
+        "--json",
+        help="Print one JSON object instead; errors stay text on stderr, stdout is then empty.",
+    ),
+]
 ReportOption = Annotated[
     Path | None, typer.Option(help="Folder for the report (HTML, PDF, PNG, SVG).")
 ]
