@@ -20,10 +20,17 @@ EXIT_FAULT = 3
 EXIT_NO_READER = 141  # 128 + SIGPIPE
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
+_EPILOG = (
+    "Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault. An error is one "
+    'line of text on standard error, "error: [CODE] file:line: what. Remedy.", with --json too: '
+    "standard output is then empty, so look at the exit status before reading it."
+)
+
 app = typer.Typer(
     name="threadline",
     cls=LazyGroup,
     help="How fast can this machine do this job and stay in spec, and can you prove it?",
+    epilog=_EPILOG,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -43,11 +50,7 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")
     ] = False,
 ) -> None:
-    """Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault.
-
-    An error is one line of text on standard error, "error: [CODE] file:line: what. Remedy.", with
-    --json too: standard output is then empty, so look at the exit status before reading it.
-    """
+    """Hold the options that stand before a command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
