@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import ezdxf
@@ -105,3 +106,30 @@ def test_the_head_travels_gently_and_settles(tmp_path: Path) -> None:
     assert isinstance(travel, Move) and travel.feed is not None
     assert (travel.feed.mode, travel.feed.value) == (FeedMode.PATH, pytest.approx(0.04))
     assert isinstance(rest, Dwell) and rest.duration_s == pytest.approx(0.3)
+
+
+def test_a_journey_left_to_the_program_keeps_the_contour(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """X at 11.93 Hz, Y at 16.5 and 30.9 Hz: half of 0.5 mm at 75 rad/s, ln 5 / 15 1/s."""
+    file = tmp_path / "two.seam.toml"
+    contours = "".join(
+        f'[[contour]]\nunit = "mm"\npoints = [[10, {y}], [40, {y}]]\n' for y in (0, 40)
+    )
+    plain = STITCHING + 'motion = "discrete"\n'
+    found = {}
+    for name, journey in (("left", ""), ("fast", 'travel_speed = "190 mm/s"\nsettle = "0 s"\n')):
+        file.write_text(plain + journey + contours)
+        _, out, _ = prove(capsys, str(file), "stitcher", "--json")
+        measured = {c["name"]: c["measured"] for c in json.loads(out)["criteria"]}
+        found[name] = measured["contour_error"]
+        if not journey:
+            travel, rest, *_ = read_job(file, load_machine("stitcher"))
+    assert found["left"] < 5e-4 < found["fast"]
+    assert isinstance(travel, Move) and travel.feed is not None
+    assert travel.feed.value == pytest.approx(0.5 * 5e-4 * 74.98, rel=1e-3)
+    # The slowest to decay decides: 30.9 Hz at 0.0225 if it swings enough, 11.93 Hz at 0.2.
+    swings = [(74.98, 0.2001), (103.96, 0.12825), (194.33, 0.02249)]
+    speed = travel.feed.value
+    longest = max(math.log(speed / (w * 5e-5)) / (z * w) for w, z in swings)
+    assert isinstance(rest, Dwell) and rest.duration_s == pytest.approx(longest, rel=1e-3)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.cli.feed_forward import feed_forward_lines, feed_forward_warnings
+from threadline.cli.needle import needle_warnings
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
@@ -127,7 +128,11 @@ def prove(
         warn(
             chosen,
             proof.plan.job,
-            [*feed_forward_warnings(proof.plan.feed_forward), *proof_warnings(proof)],
+            [
+                *feed_forward_warnings(proof.plan.feed_forward),
+                *proof_warnings(proof),
+                *needle_warnings(proof),
+            ],
         )
     if json:
         content = verdict_json(proof.verdict, proof.plan)

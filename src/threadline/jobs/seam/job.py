@@ -18,6 +18,7 @@ from threadline.jobs.seam.checks import (
 )
 from threadline.jobs.seam.choose import seam_choices, seam_contours
 from threadline.jobs.seam.drawing import Drawing, read_limited
+from threadline.jobs.seam.journeys import swinging_modes, with_journeys
 from threadline.jobs.seam.offset import offset_contour
 from threadline.jobs.seam.read_csv import read_csv
 from threadline.jobs.seam.read_dxf import read_dxf
@@ -75,12 +76,14 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
     place = Place(drawing.file)
     warnings = list(drawing.warnings)
     sewn: list[SewnContour] = []
+    modes = swinging_modes(machine, AXES)
     for choice in seam_choices(seam_file, drawing):
         settings = stitching(
             {**seam_file.settings, **choice.settings, **options},
             {**seam_file.places, **choice.places},
             Place(str(path)),
         )
+        settings = with_journeys(settings, modes)
         acceleration, found = head_acceleration_m_s2(settings, AXES, machine)
         warnings += [f"{place}: seam {choice.name!r}: {text}" for text in found]
         contours, found = seam_contours(drawing, choice, seam_file)

@@ -53,8 +53,8 @@ class Stitching:
     reverse
         Sew the contour against the direction in which it was drawn.
     travel_speed_m_s, settle_s
-        How fast the head goes to where a contour begins, None for as fast as it can, and how
-        long it then rests until the needle goes down: a springy machine swings after a journey.
+        How fast the head goes to where a contour begins, and how long it then rests until the
+        needle goes down; None for what the machine's slowest modes call for (see ``journeys``).
     """
 
     stitch_length_m: float
@@ -76,7 +76,7 @@ class Stitching:
     end_m: float | None = None
     reverse: bool = False
     travel_speed_m_s: float | None = None
-    settle_s: float = 0.0
+    settle_s: float | None = None
 
     @property
     def speed_m_s(self) -> float:

@@ -73,7 +73,7 @@ def _begin(contour: SewnContour) -> Iterator[Operation]:
     speed = contour.settings.travel_speed_m_s
     feed = _RAPID if speed is None else Feed(FeedMode.PATH, speed)
     yield Move((x, y), feed, source, {"kind": "travel", "seam": contour.seam})
-    if contour.settings.settle_s > 0.0:
+    if contour.settings.settle_s:
         yield Dwell(contour.settings.settle_s, source)
     yield ToolEvent("sew", 1.0, source)
 
