@@ -21,9 +21,9 @@ EXIT_NO_READER = 141  # 128 + SIGPIPE
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 _EPILOG = (
-    "Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault. An error is one "
-    'line of text on standard error, "error: [CODE] file:line: what. Remedy.", with --json too: '
-    "standard output is then empty, so look at the exit status before reading it."
+    "Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault. An error is "
+    'one line of text on standard error, "error: [CODE] file:line: what. Remedy.", with --json '
+    "too: standard output is then empty, so look at the exit status before reading it."
 )
 
 app = typer.Typer(

@@ -15,7 +15,9 @@ from threadline.plant.analysis import HERTZ, AxisAnalysis
 from threadline.plant.locus import root_locus
 from threadline.plant.measured import MeasuredResponse, speed_response
 from threadline.report.document import Document, Table, write_document
+from threadline.report.experiments import NOTHING_TRIED, experiment_figure, experiment_table
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
+from threadline.search.campaign import Campaign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +33,16 @@ def write_analysis(
     warnings: list[str],
     folder: Path,
     measured: MeasuredResponse | None = None,
+    tried: Mapping[str, Campaign] = NOTHING_TRIED,
 ) -> Path:
     """Write the report of ``analyses`` into ``folder``; return the path of the HTML page.
+
+    Parameters
+    ----------
+    measured
+        Frequency response that the model is drawn against.
+    tried
+        Experiments on the simulated machine, by axis.
 
     Raises
     ------
@@ -46,12 +56,16 @@ def write_analysis(
             for name, (figure, caption) in _figures(analysis, measured).items():
                 figures[f"{name}-{axis}"] = figure
                 captions[f"{name}-{axis}"] = f"Axis {axis}. {caption}"
+            if axis in tried:
+                figure, caption = experiment_figure(tried[axis])
+                figures[f"experiments-{axis}"] = figure
+                captions[f"experiments-{axis}"] = f"Axis {axis}. {caption}"
         document = Document(
             title=f"Analysis of {machine.name}",
             subtitle=machine.title,
             verdicts=[(a.verdict(), a.stable) for a in analyses.values()],
             warnings=tuple(warnings),
-            tables=analysis_tables(analyses),
+            tables=[*analysis_tables(analyses), *map(experiment_table, tried.values())],
             figures=figures,
             captions=captions,
             facts=[
@@ -162,10 +176,12 @@ def _bode(a: AxisAnalysis) -> Figure:
         hertz = data.grid_rad_s * HERTZ
         size.semilogx(hertz, _db(data.response), label=data.model, **style)
         turn.semilogx(hertz, np.degrees(np.unwrap(np.angle(data.response))), **style)
-    for crossover in a.sampled.margins.gain_crossovers:
-        turn.axvline(crossover.omega_rad_s * HERTZ, **LIMIT)
+    for number, crossover in enumerate(a.sampled.margins.gain_crossovers):
+        label = "" if number else "gain crossover: phase margin"
+        turn.axvline(crossover.omega_rad_s * HERTZ, label=label, **LIMIT)
     for crossing in a.sampled.margins.phase_crossovers[:1]:
-        size.axvline(crossing.omega_rad_s * HERTZ, **LIMIT)
+        label = "phase crossover: gain margin"
+        size.axvline(crossing.omega_rad_s * HERTZ, label=label, **LIMIT)
     size.axhline(0.0, color="black", lw=0.6)
     turn.axhline(-180.0, color="black", lw=0.6)
     size.set_ylim(-80, None)
@@ -176,6 +192,8 @@ def _bode(a: AxisAnalysis) -> Figure:
     turn.set_xlabel("frequency [Hz]")
     size.set_title(f"Axis {a.axis}: Bode plot of the open loop")
     size.legend(loc="lower left")
+    if a.sampled.margins.gain_crossovers:
+        turn.legend(loc="lower left")
     return figure
 
 
@@ -277,7 +295,7 @@ def _locus(a: AxisAnalysis) -> Figure:
     axes.set_xlabel("real part [1/s]")
     axes.set_ylabel("imaginary part [rad/s]")
     axes.set_title(f"Axis {a.axis}: root locus")
-    axes.legend(loc="upper left", fontsize=7)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=7)
     return figure
 
 

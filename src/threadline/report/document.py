@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PNG_DPI = 160
-_ROWS_PER_PAGE = 28
+_TOP, _BOTTOM = 0.95, 0.05  # of a page; so are the following
+_TITLE, _ROW, _BETWEEN = 0.045, 0.027, 0.03
+_FEWEST = 5  # rows of a table that are worth beginning it on a page
 _CHARACTERS_PER_LINE = 150
 _GAP = 0.012  # between a column on the right and one on the left beside it
 
@@ -132,31 +134,38 @@ def _pdf(document: Document, file: Path) -> None:
 
 
 def _pages(document: Document) -> list[Figure]:
-    """Return the title page and the tables as figures of A4 size."""
+    """Return the title page and the tables as figures of A4 size, as few as hold them."""
     from matplotlib.figure import Figure
 
     head = [document.subtitle, *(text for text, _ in document.verdicts)]
     head += [f"warning: {w}" for w in document.warnings]
     head = [line for text in head for line in textwrap.wrap(text, _CHARACTERS_PER_LINE) or [""]]
     facts = Table(title="What this was made from", header=("", ""), rows=document.facts)
-    pages = []
-    first = True
+    pages: list[Figure] = []
+
+    def new_page() -> float:
+        figure = Figure(figsize=(11.69, 8.27))
+        figure.set_layout_engine("none")
+        pages.append(figure)
+        return _TOP
+
+    top = new_page()
+    pages[0].text(0.05, top, document.title, fontsize=15, weight="bold", va="top")
+    pages[0].text(0.05, top - 0.05, "\n".join(head), fontsize=9, va="top")
+    top -= 0.08 + 0.022 * len(head)
     for table in [*document.tables, facts]:
-        for start in range(0, max(len(table.rows), 1), _ROWS_PER_PAGE):
-            figure = Figure(figsize=(11.69, 8.27))
-            figure.set_layout_engine("none")
-            top = 0.95
-            if first:
-                figure.text(0.05, top, document.title, fontsize=15, weight="bold", va="top")
-                text = "\n".join(head)
-                figure.text(0.05, top - 0.05, text, fontsize=9, va="top")
-                top -= 0.08 + 0.022 * len(head)
-                first = False
-            figure.text(0.05, top, table.title, fontsize=11, weight="bold", va="top")
-            rows = table.rows[start : start + _ROWS_PER_PAGE]
+        start = 0
+        while start == 0 or start < len(table.rows):
+            room = int((top - _TITLE - _BOTTOM) / _ROW) - 1  # below the header
+            if room < min(len(table.rows) - start, _FEWEST):
+                top = new_page()
+                continue
+            rows = table.rows[start : start + max(room, 1)]
+            pages[-1].text(0.05, top, table.title, fontsize=11, weight="bold", va="top")
             if rows:
-                _draw_table(figure, table.header, rows, top - 0.045)
-            pages.append(figure)
+                _draw_table(pages[-1], table.header, rows, top - _TITLE)
+            top -= _TITLE + _ROW * (len(rows) + 1) + _BETWEEN
+            start += max(len(rows), 1)
     return pages
 
 
@@ -168,7 +177,7 @@ def _draw_table(
     size = 8.0 if sum(widths) <= 130 else 8.0 * 130 / sum(widths)
     for number, row in enumerate([header, *rows]):
         at = 0.05
-        y = top - 0.027 * number
+        y = top - _ROW * number
         for column, cell in enumerate(row):
             width = 0.9 * widths[column] / total
             left = column == 0 or len(header) == 2 or header[column] == "note"

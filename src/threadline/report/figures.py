@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 DEGREES = 180.0 / np.pi
 
+_BAR_IN = 0.19  # inches of a bar with its label, which must not touch the next
+
 
 def display(proof: Proof, axis: str) -> tuple[float, str]:
     """Return the factor and unit in which positions of ``axis`` are shown."""
@@ -174,8 +176,10 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     """Draw contour and tracking error along the job, and each measured error by its limit."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 8.2))
-    contour, tracking, bars = figure.subplots(3, 1, height_ratios=[3, 3, 3])
+    limited = sum(1 for r in proof.verdict.results if r.limit and r.measured is not None)
+    height = max(2.0, _BAR_IN * limited)
+    figure = Figure(figsize=(7.2, 6.2 + height))
+    contour, tracking, bars = figure.subplots(3, 1, height_ratios=[2.0, 2.0, height])
     _contour_along(proof, traces, contour)
     radius = proof.plan.machine.radius_m
     for index, axis in enumerate(proof.plan.trajectory.axes):

@@ -13,7 +13,7 @@ from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.targets import calculate
-from threadline.verdict import verdict_rows
+from threadline.verdict import closing, verdict_rows
 
 
 def write_report(proof: Proof, folder: Path) -> Path:
@@ -37,7 +37,7 @@ def write_report(proof: Proof, folder: Path) -> Path:
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; interpolation {plan.path.interpolation}, "
             f"feed {plan.options.get('feed', 'programmed')}",
-            verdicts=[("IN SPEC" if proof.verdict.passed else "OUT OF SPEC", proof.verdict.passed)],
+            verdicts=[(closing(proof.verdict), proof.verdict.passed)],
             warnings=plan.job.warnings,
             tables=[
                 Table(title="Criteria", header=header, rows=rows),

@@ -30,12 +30,12 @@ WORST: dict[str, Any] = {
 AXES: tuple[dict[str, Any], ...] = (
     {"color": "#0072B2", "linestyle": "-", "linewidth": 1.0},
     {"color": "black", "linestyle": (0, (5, 1.5)), "linewidth": 1.0},
-    {"color": "0.6", "linestyle": (0, (1, 1.2)), "linewidth": 1.6},
+    {"color": "0.6", "linestyle": "-", "linewidth": 2.2},
     {"color": "#009E73", "linestyle": (0, (4, 1, 1, 1)), "linewidth": 1.2},
     {"color": "#CC79A7", "linestyle": (0, (8, 2)), "linewidth": 1.2},
-    {"color": "#56B4E9", "linestyle": (0, (2, 2)), "linewidth": 1.2},
+    {"color": "#56B4E9", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.2},
 )
-"""Of several axes in one picture."""
+"""Of several axes in one picture: in grey too, none may look like LIMIT, which is dotted."""
 
 _RC: dict[Any, Any] = {
     "figure.dpi": 110,

@@ -11,7 +11,7 @@ from threadline.report.document import Document, Table, write_document
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
-from threadline.verdict import step_rows, verdict_rows
+from threadline.verdict import closing, step_rows, verdict_rows
 
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
@@ -60,7 +60,7 @@ def write_switching(proof: SwitchProof, folder: Path) -> Path:
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; shaper {shaper or 'none'}",
-            verdicts=[("IN SPEC" if proof.verdict.passed else "OUT OF SPEC", proof.verdict.passed)],
+            verdicts=[(closing(proof.verdict), proof.verdict.passed)],
             warnings=(*plan.job.warnings, *plan.scheduled.warnings),
             tables=[Table(title="Criteria", header=header, rows=rows), *steps],
             figures=figures,

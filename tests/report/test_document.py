@@ -1,0 +1,86 @@
+"""The pages of a report and what stays apart on them, also when printed in grey."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.plant.analysis import analyse_axis
+from threadline.report.analysis import _figures
+from threadline.report.document import Document, Table, _pages
+from threadline.report.figures import error_figure
+from threadline.report.style import AXES, LIMIT, figure_style
+from threadline.report.traces import collect
+from threadline.verdict import load_spec
+
+HEADER = ("criterion", "axis", "line", "note")
+ROW = ("contour_error", "X", "23 (pass 12)", "programmed point missed")
+
+
+def pages_of(*lengths: int) -> list:
+    tables = [Table(title=f"table {n}", header=HEADER, rows=[ROW] * n) for n in lengths]
+    document = Document(
+        title="a",
+        subtitle="b",
+        verdicts=[("IN SPEC", True)],
+        tables=tables,
+        figures={},
+        captions={},
+        facts=[("key", "value")] * 8,
+    )
+    with figure_style():
+        return _pages(document)
+
+
+def test_short_tables_share_a_page_and_long_ones_go_on() -> None:
+    assert len(pages_of(3, 4)) == 1
+    pages = pages_of(3, 55, 2)
+    assert len(pages) == 3
+    printed = [text for page in pages for text in page.texts]
+    assert sum(text.get_text() == ROW[0] for text in printed) == 60
+    assert all(0.04 < text.get_position()[1] <= 0.95 for text in printed)
+
+
+def test_line_and_note_stand_apart() -> None:
+    page = pages_of(3)[0]
+    page.canvas.draw()
+    boxes = {text.get_text(): text.get_window_extent() for text in page.texts}
+    assert boxes[ROW[2]].x1 + 3 < boxes[ROW[3]].x0
+
+
+def test_no_axis_looks_like_a_limit_in_grey() -> None:
+    """The limit is dotted; no axis is, and none has another's dashes."""
+    dots = LIMIT["linestyle"][1]
+    dashes = [style["linestyle"] for style in AXES]
+    assert dots[0] <= 1
+    assert all(dash == "-" or dash[1][0] > 2 for dash in dashes)
+    assert len({str((style["linestyle"], style["linewidth"])) for style in AXES}) == len(AXES)
+
+
+def test_the_labels_of_many_bars_do_not_touch(tmp_path) -> None:
+    """Every criterion of three axes with a limit."""
+    machine = load_machine("lathe-winder")
+    job = tmp_path / "a.prg"
+    job.write_text("G91 G1 X 5 Y 3 A 40 F 600\nX -5 Y -3 A -40\nM30\n")
+    plan = plan_job(read_job(job, machine), machine, Options())
+    proof = prove_plan(plan, load_spec(None, machine))
+    with figure_style():
+        figure = error_figure(proof, collect(proof))
+        figure.canvas.draw()
+    labels = [label.get_window_extent() for label in figure.axes[2].get_yticklabels()]
+    assert len(labels) >= 12
+    assert all(abs(a.y0 - b.y0) >= a.height for a, b in pairwise(labels))
+
+
+def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:
+    analysis = analyse_axis(load_machine("stitcher"), "X")
+    with figure_style():
+        figures = {name: figure for name, (figure, _) in _figures(analysis, None).items()}
+    size, turn = figures["bode"].axes
+    named = [t.get_text() for panel in (size, turn) for t in panel.get_legend().get_texts()]
+    assert "phase crossover: gain margin" in named
+    assert "gain crossover: phase margin" in named
+    assert figures["locus"].axes[0].get_legend() is None
+    assert figures["locus"].legends
