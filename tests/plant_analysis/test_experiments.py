@@ -10,7 +10,8 @@ import pytest
 from threadline.errors import OptionError
 from threadline.machine import load_machine
 from threadline.plant.loop import axis_loop
-from threadline.search.campaign import run_experiments
+from threadline.report.experiments import experiment_figure, experiment_table
+from threadline.search.campaign import Campaign, run_experiments
 from threadline.search.experiments import (
     Sweep,
     constant_speed_gain,
@@ -142,3 +143,27 @@ def test_overlays_change_a_step(overlay: str) -> None:
         for name in ("stitcher", f"stitcher+{overlay}")
     )
     assert abs(plain.load_overshoot - other.load_overshoot) > 1e-3
+
+
+def test_steps_are_drawn() -> None:
+    """Every curve ends where its step asked for; the peaks stand at the limit of 27 A."""
+    machine = load_machine("stitcher")
+    sizes = (np.pi / 8, 3 * np.pi / 8, -3 * np.pi / 8)
+    steps = tuple((s, position_step(machine, "X", s * 29e-3 / 6, 0.6)) for s in sizes)
+    campaign = Campaign(axis="X", gain=37.0, delay_s=3e-3, fitted=None, steps=steps)
+
+    figure, caption = experiment_figure(campaign)
+
+    motor, load, current, overshoot = figure.axes
+    for axes in (motor, load):
+        curves = [line for line in axes.lines if "pi rad" in str(line.get_label())]
+        assert [line.get_label() for line in curves] == ["0.125 pi rad", "0.375 pi rad"]
+        # At rest an error of up to 24 counts, 0.04 of the smaller step, is rounded away.
+        assert all(line.get_ydata()[-1] == pytest.approx(1.0, abs=0.05) for line in curves)
+    drawn = {line.get_label(): line for line in current.lines}
+    assert drawn["forth"].get_ydata()[1] == pytest.approx(27.0)
+    assert drawn["back"].get_xdata() == pytest.approx([0.375])
+    assert drawn["limit"].get_ydata()[0] == pytest.approx(27.0)
+    assert overshoot.lines[0].get_ydata()[1] == pytest.approx(27.9, abs=0.5)  # as in the table
+    assert "limited from 1.178 rad on" in caption
+    assert len(experiment_table(campaign).rows) == 3

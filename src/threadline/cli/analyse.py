@@ -81,7 +81,9 @@ def analyse(
     warnings = suspicions(chosen)
     tried = {name: run_experiments(chosen, name) for name in names} if experiments else {}
     written = (
-        None if report is None else write_analysis(chosen, analyses, warnings, report, measured)
+        None
+        if report is None
+        else write_analysis(chosen, analyses, warnings, report, measured, tried)
     )
     if json:
         content = _content(chosen.name, analyses, warnings, measured, written)

@@ -15,7 +15,9 @@ from threadline.plant.analysis import HERTZ, AxisAnalysis
 from threadline.plant.locus import root_locus
 from threadline.plant.measured import MeasuredResponse, speed_response
 from threadline.report.document import Document, Table, write_document
+from threadline.report.experiments import NOTHING_TRIED, experiment_figure, experiment_table
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
+from threadline.search.campaign import Campaign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +33,16 @@ def write_analysis(
     warnings: list[str],
     folder: Path,
     measured: MeasuredResponse | None = None,
+    tried: Mapping[str, Campaign] = NOTHING_TRIED,
 ) -> Path:
     """Write the report of ``analyses`` into ``folder``; return the path of the HTML page.
+
+    Parameters
+    ----------
+    measured
+        Frequency response that the model is drawn against.
+    tried
+        Experiments on the simulated machine, by axis.
 
     Raises
     ------
@@ -46,12 +56,16 @@ def write_analysis(
             for name, (figure, caption) in _figures(analysis, measured).items():
                 figures[f"{name}-{axis}"] = figure
                 captions[f"{name}-{axis}"] = f"Axis {axis}. {caption}"
+            if axis in tried:
+                figure, caption = experiment_figure(tried[axis])
+                figures[f"experiments-{axis}"] = figure
+                captions[f"experiments-{axis}"] = f"Axis {axis}. {caption}"
         document = Document(
             title=f"Analysis of {machine.name}",
             subtitle=machine.title,
             verdicts=[(a.verdict(), a.stable) for a in analyses.values()],
             warnings=tuple(warnings),
-            tables=analysis_tables(analyses),
+            tables=[*analysis_tables(analyses), *map(experiment_table, tried.values())],
             figures=figures,
             captions=captions,
             facts=[

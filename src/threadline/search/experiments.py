@@ -59,7 +59,7 @@ class Identified:
     delay_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepRun:
     """One position step.
 
@@ -77,6 +77,12 @@ class StepRun:
         Shares of the step, at the sensor and of the load.
     load_si
         Where the load came to rest.
+    time_s
+        (k,).
+    share, load_share
+        (k,) positions of the sensor and of the load as shares of the step.
+    current_a
+        (k,) largest magnitude since the sample before.
     """
 
     size_si: float
@@ -86,6 +92,10 @@ class StepRun:
     overshoot: float
     load_overshoot: float
     load_si: float
+    time_s: FloatArray
+    share: FloatArray
+    load_share: FloatArray
+    current_a: FloatArray
 
 
 def at_filter_rate(machine: Machine) -> Machine:
@@ -237,6 +247,10 @@ def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.
         overshoot=max(0.0, float(share.max()) - 1.0),
         load_overshoot=max(0.0, float((load / size).max()) - 1.0),
         load_si=float(load[-1]),
+        time_s=times,
+        share=np.asarray(share),
+        load_share=np.asarray(load / size),
+        current_a=np.abs(current),
     )
 
 
