@@ -37,6 +37,7 @@ from threadline.shaping import (
 )
 from threadline.shaping.onoff.study import MoveStudy, study_move
 
+_STILL = 0.01  # of one full step: 1 %
 _SI_BAND = 0.2  # of the frequency to either side: what a machine's stiffness is usually known to
 
 
@@ -89,8 +90,9 @@ def shaper(
         str | None, typer.Option(help='Full acceleration of that move: "1 m/s^2".')
     ] = None,
     still: Annotated[
-        float, typer.Option(help="Ringing allowed after it, of one full step's: 0.01 is 1 %.")
-    ] = 0.01,
+        float | None,
+        typer.Option(help="Ringing allowed after it, of one full step's: 0.01, 1 %, unless given."),
+    ] = None,
     klipper: Annotated[bool, typer.Option("--klipper", help="Print Klipper's section.")] = False,
     report: ReportOption = None,
     json: JsonOption = False,
@@ -110,13 +112,27 @@ def shaper(
     --tick "10 ms"
     """
     modes = modes_of(mode, damping)
+    moving = move is not None or acceleration is not None
+    if still is not None and not moving:
+        raise OptionError(
+            "--still is of a move", remedy="Add --move and --acceleration, or leave it out."
+        )
+    if band is not None and not (moving or tick is not None or kind == "si"):
+        raise OptionError(
+            f"--band {band:g} says nothing of the kind {kind}",
+            remedy="Add --tick or --move, or choose --kind si.",
+        )
     if band is None:
         band = _SI_BAND if kind == "si" else 0.0
     made = designed(kind, modes, tolerance, band)
     realised = None
     if tick is None:
-        for name, given in (("--dwell", dwell), ("--max-impulses", max_impulses)):
-            if given is not None:
+        for name, given in (
+            ("--dwell", dwell is not None),
+            ("--max-impulses", max_impulses is not None),
+            ("--free", free),
+        ):
+            if given:
                 raise OptionError(f"{name} needs the controller's tick", remedy="Add --tick.")
     else:
         limits = ControllerLimits(
@@ -132,7 +148,7 @@ def shaper(
         others = [other for other in modes if other is not one]
         warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
     studied = None
-    if move is not None or acceleration is not None:
+    if moving:
         made_for = rest_to_rest(move, acceleration, modes)
         tick_s = None if tick is None else seconds(tick, "--tick")
         with progress_bar(not json) as progress:
@@ -140,7 +156,7 @@ def shaper(
                 made_for,
                 made,
                 relative=band or 0.2,
-                tolerance=still,
+                tolerance=_STILL if still is None else still,
                 tick_s=tick_s,
                 progress=progress,
             )

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.errors import OptionError
-from threadline.shaping.types import Shaper
+from threadline.shaping.types import Shaper, ShaperError
 
 COINCIDENT_S = 1e-12
 """Impulses closer than this are one: far below any tick, far above rounding."""
+
+MOST_IMPULSES = 100_000
+"""Trains multiply: without a bound, a few modes too many fill the memory."""
 
 
 def convolve(*shapers: Shaper, name: str = "") -> Shaper:
@@ -25,11 +28,18 @@ def convolve(*shapers: Shaper, name: str = "") -> Shaper:
     ------
     OptionError
         If there is none.
+    ShaperError
+        If the train would have more than ``MOST_IMPULSES``.
     """
     if not shapers:
         raise OptionError("convolution: at least one shaper is needed")
     amplitudes, times = shapers[0].amplitudes, shapers[0].times_s
     for other in shapers[1:]:
+        if len(times) * len(other.times_s) > MOST_IMPULSES:
+            raise ShaperError(
+                f"convolution of {len(shapers)} shapers: more than {MOST_IMPULSES} impulses",
+                remedy="Shape fewer modes, or all at once with the kind direct.",
+            )
         amplitudes = np.outer(amplitudes, other.amplitudes).ravel()
         times = np.add.outer(times, other.times_s).ravel()
         order = np.argsort(times, kind="stable")

@@ -22,6 +22,8 @@ from threadline.shaping.vibration import residual_vibration
 
 _BAND_SAMPLES = 9
 _ROUNDS = 40
+_LONGEST = 100  # ticks or dwells beyond this many trains leave nothing of the shaping
+_MOST_TICKS = 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +49,20 @@ class ControllerLimits:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.tick_s) and self.tick_s > 0.0):
-            raise OptionError(f"controller: tick_s must be positive, got {self.tick_s!r}")
+            raise OptionError(
+                f"controller: tick_s must be positive, got {self.tick_s!r}",
+                remedy="Give the period of its scan.",
+            )
         if not (math.isfinite(self.dwell_s) and self.dwell_s >= 0.0):
-            raise OptionError(f"controller: dwell_s must be >= 0, got {self.dwell_s!r}")
+            raise OptionError(
+                f"controller: dwell_s must be >= 0, got {self.dwell_s!r}",
+                remedy="Give the shortest time between two switchings.",
+            )
         if self.max_impulses is not None and self.max_impulses < 2:
-            raise OptionError(f"controller: max_impulses must be >= 2, got {self.max_impulses!r}")
+            raise OptionError(
+                f"controller: max_impulses must be >= 2, got {self.max_impulses!r}",
+                remedy="A train of one impulse shapes nothing.",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,13 +130,28 @@ def realise(
     Raises
     ------
     OptionError
-        If there is no mode.
+        If there is no mode, or a time of the controller is out of all proportion to them.
     ShaperError
         If no train of that many impulses is left.
     """
     if not modes:
         raise OptionError("controller: at least one mode is needed to judge the train by")
     amplitudes, times = _thinned(shaper, limits)
+    slowest_s = max(mode.damped_period_s for mode in modes)
+    longest_s = _LONGEST * (shaper.duration_s + slowest_s)
+    for name, value in (("tick_s", limits.tick_s), ("dwell_s", limits.dwell_s)):
+        if value > longest_s:
+            raise OptionError(
+                f"controller: {name} {value:g} is beyond {longest_s:.4g}, {_LONGEST} times "
+                "the train and the slowest period",
+                remedy="Check its unit: no train for this mode can be played so slowly.",
+            )
+    if longest_s / limits.tick_s > _MOST_TICKS:
+        raise OptionError(
+            f"controller: tick_s {limits.tick_s:g} divides the train into more than "
+            f"{_MOST_TICKS:g} ticks",
+            remedy="Check its unit.",
+        )
     gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
     spread = np.linspace(1.0 - relative, 1.0 + relative, _BAND_SAMPLES) if relative else np.ones(1)
     f = np.concatenate([m.frequency_hz * spread for m in modes])

@@ -8,6 +8,7 @@ time is found by bisection, so the optimum is the global one of the grid of inte
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,8 +120,11 @@ def robust_optimum(
     """
     from scipy.optimize import brentq
 
-    if not tolerance > 0.0:
-        raise OptionError(f"robust move: tolerance must be positive, got {tolerance!r}")
+    if not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise OptionError(
+            f"robust move: tolerance must be positive and finite, got {tolerance!r}",
+            remedy="Give the ringing allowed, of one full step's: 0.01.",
+        )
     band = _Band(move, relative)
     low = move.rigid_duration_s
 
