@@ -58,6 +58,8 @@ def test_table_and_warnings_of_the_motor(capsys: pytest.CaptureFixture[str]) -> 
         (("--needle-speed", "75 kg"), "--needle-speed"),
         ((), "nothing follows"),
         (("--speed", "1 m/s", *PRODUCT), "twice"),
+        (("--profile", "square", *PRODUCT), "no profile 'square'"),
+        (("--needle-speed", "1e300 stitch/s", "--stitch-length", "1 m"), "no machine has one"),
     ],
 )
 def test_wrong_input_is_one_line(

@@ -15,6 +15,7 @@ _MAY_BE_ZERO = (
     "dwell_s",
 )
 _NOT_NUMBERS = ("profile",)
+_BEYOND = 1e15  # squares and products of such numbers still are finite ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +83,13 @@ class Demands:
             if not (math.isfinite(value) and value >= least):
                 raise OptionError(
                     f"{part.name} is {value!r}; it must be finite and "
-                    f"{'not negative' if part.name in _MAY_BE_ZERO else 'above 0'}"
+                    f"{'not negative' if part.name in _MAY_BE_ZERO else 'above 0'}",
+                    remedy="Check its sign and unit.",
+                )
+            if value and not 1.0 / _BEYOND <= value <= _BEYOND:
+                raise OptionError(
+                    f"{part.name} is {value!r}; no machine has one beyond 1e-15 to 1e15",
+                    remedy="Check its unit.",
                 )
         if self.turn_rad > math.pi:
             raise OptionError(f"turn_rad is {self.turn_rad!r}; a corner turns by at most pi")

@@ -232,12 +232,12 @@ class _Sheet:
     def move(self) -> None:
         """A repeated move: speeds, torque and heat by profile."""
         g = self.given
-        if g.move_m is None or g.move_s is None:
-            return
-        try:
+        try:  # before a move is asked for: an option that is wrong is never passed over
             profile = SpeedProfile(name=g.profile, ramp=g.ramp)
         except ValueError as error:
             raise OptionError(str(error)) from error
+        if g.move_m is None or g.move_s is None:
+            return
         self.add(
             "profile efficiency",
             profile.efficiency,
