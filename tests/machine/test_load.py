@@ -286,6 +286,34 @@ def test_a_link_to_no_body(refused) -> None:
     assert f"mine.toml:{line_of(text, 'yy = ')}: " in message
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "unit"),
+    [
+        ("damping", "1 N s/m", "N*m*s/rad"),
+        ("preload", "1 N", "N*m"),
+        ("play", "1 mm", "rad"),
+        ("play", "1 rad", ""),
+    ],
+)
+def test_the_numbers_of_a_link_are_of_one_kind(refused, key, value, unit) -> None:
+    """A play of 1 mm on a torsion spring would be taken for 0.001 rad."""
+    text = WINDER + (
+        "\n[links.belt]\n"
+        'stretch = { x = "1 exact, assumed" }\n'
+        'stiffness = "1 N m/rad exact, assumed"\n'
+        f'{key} = "{value} exact, assumed"\n'
+    )
+    if not unit:
+        text += (
+            '[links.belt.eccentric]\nangle = { x = "1 exact, assumed" }\n'
+            'width = "1 mm exact, assumed"\nphase = "0 rad exact, assumed"\n'
+        )
+        key, unit = "eccentric.width", "rad"
+    message = refused(text)
+    assert f"{key} is in " in message
+    assert f"beside a stiffness in N*m/rad it is in {unit}" in message
+
+
 def test_what_is_missing_is_told(refused) -> None:
     text = edit('resistance = "0.4 ohm +- 10 %, printed: motor S19-1A"\n', "")
     message = refused(text)

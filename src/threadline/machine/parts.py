@@ -87,6 +87,19 @@ class Link:
 
     @model_validator(mode="after")
     def _consistent(self) -> Link:
+        linear = self.stiffness.unit == "N/m"
+        width = None if self.eccentric is None else self.eccentric.width
+        for name, part, wanted in (
+            ("damping", self.damping, "N*s/m" if linear else "N*m*s/rad"),
+            ("preload", self.preload, "N" if linear else "N*m"),
+            ("play", self.play, "m" if linear else "rad"),
+            ("eccentric.width", width, "m" if linear else "rad"),
+        ):
+            if part is not None and part.unit != wanted:
+                raise ValueError(
+                    f"{name} is in {part.unit}; beside a stiffness in {self.stiffness.unit} "
+                    f"it is in {wanted}"
+                )
         if self.first_run is not None and not (self.preload and self.first_run.si < 1.0):
             raise ValueError("first_run is a share between 0 and 1, of a belt with a preload")
         if self.eccentric is not None and (
