@@ -120,8 +120,8 @@ def test_text_tables_notice_every_cut(tmp_path, ending) -> None:
     lines = text.splitlines(keepends=True)
     for k in range(len(lines)):
         path.write_text("".join(lines[:k] + lines[k + 1 :]))
-        if lines[k].startswith(("4,", "0,,")):
-            continue  # the line of the events after the end: nothing counts them
+        if lines[k].startswith(("4,", "0,,", "# unit:")):
+            continue  # events after the end, which nothing counts; what is for people
         with pytest.raises(RecordingError):
             list(reader(path))
     for size in range(len(text) - 1):
@@ -457,6 +457,20 @@ def test_a_long_line_of_the_array_comes_in_parts(tmp_path) -> None:
     block = next(iter(read_table(tmp_path / "t.ticks")))
     assert len(block) == 65536
     assert (block.counts == 1).all()
+
+
+def test_the_scale_of_a_table_says_what_it_is_per(tmp_path) -> None:
+    """Older tables have no such line; another unit is refused, and not converted."""
+    path = tmp_path / "t.csv"
+    write_table_csv(table_of([[1, 2]]), path)
+    text = path.read_text()
+    line = '# unit: "count/m of a linear axis, count/rad of a rotary one"\n'
+    assert text.splitlines(keepends=True)[4] == line
+    path.write_text(text.replace(line, ""))
+    assert read_table_csv(path).axes == table_of([[1, 2]]).axes
+    path.write_text(text.replace("count/m of", "count/mm of"))
+    with pytest.raises(RecordingError):
+        read_table_csv(path)
 
 
 def test_writing_is_all_or_nothing(tmp_path) -> None:

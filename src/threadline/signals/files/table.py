@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
@@ -40,6 +40,9 @@ END = "# end after ticks: "
 """Begins the last line of a text table: without it a file that was cut off could pass."""
 
 
+_UNIT: Final = "count/m of a linear axis, count/rad of a rotary one"
+
+
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class TableMeta:
     """What a file says of a tick table beside its rows."""
@@ -50,6 +53,7 @@ class TableMeta:
     start_counts: tuple[Counts, ...]
     job_sha256: Hash
     machine_sha256: Hash
+    unit: Literal["count/m of a linear axis, count/rad of a rotary one"] = _UNIT
 
 
 _META = TypeAdapter(TableMeta)
@@ -61,6 +65,7 @@ def table_meta(table: TickTable) -> dict[str, Any]:
         "clock": [table.clock.name, fraction_text(table.clock.period_s)],
         "axes": list(table.axes),
         "counts_per_unit": table.counts_per_unit.tolist(),
+        "unit": _UNIT,
         "start_counts": table.start_counts.tolist(),
         "job_sha256": table.job_sha256,
         "machine_sha256": table.machine_sha256,
