@@ -10,7 +10,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LimitError, Place
 from threadline.jobs.seam.contour import Contour, point_text
 from threadline.jobs.seam.crossing import crossings, flatten
-from threadline.jobs.seam.settings import Stitching
+from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.sewing import SewnContour, StitchBlock
 from threadline.machine import Machine
 from threadline.sizing import corner_error_m, ramp_acceleration_m_s2
@@ -19,15 +19,17 @@ _SLACK_M = 1e-9
 _CROSSING_TOLERANCE_M = 1e-5
 
 
-def head_acceleration_m_s2(
+def head_accelerations_m_s2(
     settings: Stitching, axes: tuple[str, str], machine: Machine
-) -> tuple[float, list[str]]:
-    """Return the acceleration that a seam is planned with, and warnings about it.
+) -> tuple[Accelerations, list[str]]:
+    """Return the accelerations that a seam is planned with, and warnings about them.
 
     What is set, else the two-stitch rule; no more than the weaker axis can.
     """
     rule = ramp_acceleration_m_s2(settings.speed_m_s, settings.stitch_length_m)
-    wanted = settings.acceleration_m_s2 or rule
+    up = settings.acceleration_m_s2 or rule
+    down = settings.deceleration_m_s2 or up
+    wanted = max(up, down)
     warnings = []
     for axis in axes:
         limits = machine.axes[axis]
@@ -42,7 +44,8 @@ def head_acceleration_m_s2(
                 f"to be at speed within two stitches takes {wanted:.4g} m/s^2; axis {axis} does "
                 f"{limits.acceleration.si:.4g} m/s^2"
             )
-    return min([wanted, *(machine.axes[axis].acceleration.si for axis in axes)]), warnings
+    most = min(machine.axes[axis].acceleration.si for axis in axes)
+    return Accelerations(min(up, most), min(down, most)), warnings
 
 
 def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:

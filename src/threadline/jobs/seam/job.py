@@ -14,7 +14,7 @@ from threadline.jobs.seam.checks import (
     StitchCheck,
     corner_warnings,
     crossing_warnings,
-    head_acceleration_m_s2,
+    head_accelerations_m_s2,
 )
 from threadline.jobs.seam.choose import seam_choices, seam_contours
 from threadline.jobs.seam.drawing import Drawing, read_limited
@@ -84,14 +84,14 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
             Place(str(path)),
         )
         settings = with_journeys(settings, modes)
-        acceleration, found = head_acceleration_m_s2(settings, AXES, machine)
+        accelerations, found = head_accelerations_m_s2(settings, AXES, machine)
         warnings += [f"{place}: seam {choice.name!r}: {text}" for text in found]
         contours, found = seam_contours(drawing, choice, seam_file)
         warnings += found
         for contour in contours:
             warnings += crossing_warnings(contour, choice.name, drawing.file)
             for part in offset_contour(contour, settings, drawing.file):
-                sewn.append(sewn_contour(part, choice.name, drawing.file, settings, acceleration))
+                sewn.append(sewn_contour(part, choice.name, drawing.file, settings, accelerations))
                 limit = min(machine.axes[axis].acceleration.si for axis in AXES)
                 warnings += corner_warnings(sewn[-1], limit)
     for contour_sewn in sewn:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray
 from threadline.jobs.seam.arclength import ArcTable
 from threadline.jobs.seam.legs import Leg
-from threadline.jobs.seam.settings import Stitching
+from threadline.jobs.seam.settings import Accelerations, Stitching
 
 EXEMPT = 2  # stitches on each side of a corner that need not keep their length
 _SHARE = 0.5  # of the tolerance; the rest is left to the machine
@@ -18,7 +18,7 @@ _ROUNDS = 30
 
 
 def stitch_lengths(
-    length_m: float, settings: Stitching, acceleration_m_s2: float, rests: tuple[bool, bool]
+    length_m: float, settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]
 ) -> FloatArray:
     r"""Return the (n,) lengths of the stitches of a leg, in order; their sum is ``length_m``.
 
@@ -28,7 +28,7 @@ def stitch_lengths(
         Length of the leg.
     settings
         Stitch length and needle speed.
-    acceleration_m_s2
+    accelerations
         Of the head at the ends where it rests.
     rests
         The head rests at the beginning, at the end.
@@ -37,7 +37,8 @@ def stitch_lengths(
     -----
     With a needle of constant speed N a leg of n stitches takes n/N. A head that rests at r of
     its ends and accelerates with a runs at v = N l' in between and covers
-    :math:`n l' - r l'^2 N^2/(2a)`; n is chosen so that l' is nearest to the wanted length, and
+    :math:`n l' - r l'^2 N^2/(2a)`, with each end's own a where they differ; n is
+    chosen so that l' is nearest to the wanted length, and
     the stitch in which the head ramps comes out as long as the ramp makes it: 1/4, 3/4 of l'
     under the two-stitch rule.
 
@@ -45,19 +46,22 @@ def stitch_lengths(
     take half of the tolerance and the four exempt ones the rest.
     """
     wanted = settings.stitch_length_m
-    ramps = sum(rests)
-    loss = ramps * settings.needle_speed_hz**2 / (2.0 * acceleration_m_s2)  # 1/m
+    inverse = sum(rest / a for rest, a in zip(rests, accelerations, strict=True))
+    loss = settings.needle_speed_hz**2 * inverse / 2.0  # 1/m
     ideal = length_m / wanted + loss * wanted
     least = math.ceil(math.sqrt(4.0 * loss * length_m) - 1e-9)
     counts = {max(1, least, math.floor(ideal)), max(1, least, math.ceil(ideal))}
     even_m = {n: _even_m(n, length_m, loss) for n in counts}
     count = min(counts, key=lambda n: abs(math.log(even_m[n] / wanted)))
-    lengths = _ramped(count, even_m[count], settings, acceleration_m_s2, rests)
+    lengths = _ramped(count, even_m[count], settings, accelerations, rests)
     lengths *= length_m / lengths.sum()
-    ramp_stitches = even_m[count] * settings.needle_speed_hz**2 / acceleration_m_s2
     share = _SHARE * settings.tolerance
     middle = np.clip(even_m[count], wanted * (1.0 - share), wanted * (1.0 + share))
-    if count > 2 * EXEMPT and middle != even_m[count] and ramp_stitches <= EXEMPT * (1 + 1e-9):
+    resting = [a for rest, a in zip(rests, accelerations, strict=True) if rest]
+    ramp_stitches = middle * settings.needle_speed_hz**2 / min(resting, default=np.inf)
+    # A ramp that reaches a twentieth of a stitch further shortens it by a thousandth.
+    within = ramp_stitches <= EXEMPT * (1.0 + settings.tolerance)
+    if count > 2 * EXEMPT and middle != even_m[count] and within:
         rest = length_m - middle * (count - 2 * EXEMPT)
         exempt = exempt_mask(count)
         if rest > 0.0:
@@ -84,17 +88,17 @@ def _ramped(
     count: int,
     even_m: float,
     settings: Stitching,
-    acceleration_m_s2: float,
+    accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> FloatArray:
     """Return what the head covers in each needle period of a trapezoid of speed."""
-    a = acceleration_m_s2 / settings.needle_speed_hz**2  # m per period squared
-    ramp = even_m / a
     time = np.arange(count + 1, dtype=np.float64)
     covered = time * even_m
-    for rest, clock in ((rests[0], time), (rests[1], (count - time))):
+    for rest, si, clock in zip(rests, accelerations, (time, count - time), strict=True):
         if not rest:
             continue
+        a = si / settings.needle_speed_hz**2  # m per period squared
+        ramp = even_m / a
         # Distance lost against even speed until ``clock`` periods after (before) the rest.
         ramping = np.minimum(clock, ramp)
         lost = even_m * ramping - a * ramping**2 / 2.0
@@ -107,7 +111,7 @@ def place_leg(
     leg: Leg,
     closed: bool,
     settings: Stitching,
-    acceleration_m_s2: float,
+    accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> tuple[FloatArray, FloatArray]:
     """Return where on the contour each stitch of the leg begins and ends.
@@ -128,7 +132,7 @@ def place_leg(
     whole = leg.length_m
     chord_sum = whole
     for _ in range(3):
-        wanted = stitch_lengths(chord_sum, settings, acceleration_m_s2, rests)
+        wanted = stitch_lengths(chord_sum, settings, accelerations, rests)
         arcs = wanted * (whole / wanted.sum())
         at_m, points, chords = _measure(table, leg, closed, arcs)
         if abs(chords.sum() - chord_sum) <= 1e-3 * settings.stitch_length_m * len(chords):

@@ -6,7 +6,7 @@ import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
@@ -40,6 +40,8 @@ class Stitching:
         ``constant`` speed, or ``slowed`` with the head, so that stitches keep their length.
     acceleration_m_s2
         Of the head along the seam; None for the two-stitch rule, ``v^2 / (2 stitch length)``.
+    deceleration_m_s2
+        The same where it comes to rest or slows down; as the acceleration when None.
     needle_acceleration_hz_s
         Most that the sewing motor can do, stitch/s^2; infinite when it is not the limit.
     allowance_m, side, join, mitre_limit
@@ -65,6 +67,7 @@ class Stitching:
     motion: str = "interpolated"
     needle: str = "constant"
     acceleration_m_s2: float | None = None
+    deceleration_m_s2: float | None = None
     needle_acceleration_hz_s: float = math.inf
     allowance_m: float = 0.0
     side: str = "inside"
@@ -82,6 +85,13 @@ class Stitching:
     def speed_m_s(self) -> float:
         """Speed of the head at full needle speed: eq 2.3 of the stitcher thesis."""
         return self.stitch_length_m * self.needle_speed_hz
+
+
+class Accelerations(NamedTuple):
+    """Of the head along the seam, m/s^2: where it gets faster, and where it slows down."""
+
+    up: float
+    down: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +116,7 @@ _SETTINGS = {
     "motion": _Setting("motion", choices=("interpolated", "discrete")),
     "needle": _Setting("needle", choices=("constant", "slowed")),
     "acceleration": _Setting("acceleration_m_s2", "m/s^2", low=1e-3, high=1e6),
+    "deceleration": _Setting("deceleration_m_s2", "m/s^2", low=1e-3, high=1e6),
     "needle_acceleration": _Setting("needle_acceleration_hz_s", "stitch/s^2", low=0.1),
     "allowance": _Setting("allowance_m", "m"),
     "side": _Setting("side", choices=("inside", "outside", "left", "right")),

@@ -14,7 +14,7 @@ from threadline.jobs.seam.arclength import ArcTable, arc_table
 from threadline.jobs.seam.contour import Contour
 from threadline.jobs.seam.legs import Leg, seam_legs
 from threadline.jobs.seam.placement import exempt_mask, place_leg, wrap
-from threadline.jobs.seam.settings import Stitching
+from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.timing import end_speed_m_s, stitch_times_s
 
 MAX_STITCHES = 20_000_000  # of one contour: a leg of them takes 2 GB
@@ -66,7 +66,7 @@ class SewnContour:
         The curve, in the axes of the machine.
     legs
         In the order of sewing.
-    acceleration_m_s2
+    accelerations
         Of the head along the seam.
     """
 
@@ -76,7 +76,7 @@ class SewnContour:
     closed: bool
     legs: tuple[Leg, ...]
     settings: Stitching
-    acceleration_m_s2: float
+    accelerations: Accelerations
 
     def blocks(self) -> Iterator[StitchBlock]:
         """Yield the stitches of each leg."""
@@ -100,19 +100,17 @@ class SewnContour:
         slowed = settings.needle == "slowed"
         # A slowed needle waits for the head, so that no stitch is shortened by a ramp.
         ramps = (False, False) if slowed else halts
-        at_m, points = place_leg(
-            self.table, leg, self.closed, settings, self.acceleration_m_s2, ramps
-        )
+        at_m, points = place_leg(self.table, leg, self.closed, settings, self.accelerations, ramps)
         lengths = np.hypot(*np.diff(points, axis=0).T)
         arcs = np.abs(np.diff(at_m))
         on = wrap(at_m, self.table.length_m) if self.closed else at_m
         if slowed:
             ends = (
-                end_speed_m_s(leg.begin_turn_rad, settings, self.acceleration_m_s2),
-                end_speed_m_s(leg.end_turn_rad, settings, self.acceleration_m_s2),
+                end_speed_m_s(leg.begin_turn_rad, settings, self.accelerations),
+                end_speed_m_s(leg.end_turn_rad, settings, self.accelerations),
             )
             bend = self.table.curvature(on)
-            times = stitch_times_s(lengths, bend, settings, self.acceleration_m_s2, ends)
+            times = stitch_times_s(lengths, bend, settings, self.accelerations, ends)
         else:
             times = np.full(len(lengths), 1.0 / settings.needle_speed_hz)
         middle = at_m[1:] - 0.25 * np.diff(at_m)
@@ -131,7 +129,7 @@ class SewnContour:
 
 
 def sewn_contour(
-    contour: Contour, seam: str, file: str, settings: Stitching, acceleration_m_s2: float
+    contour: Contour, seam: str, file: str, settings: Stitching, accelerations: Accelerations
 ) -> SewnContour:
     """Return ``contour`` ready to be sewn.
 
@@ -157,5 +155,5 @@ def sewn_contour(
         closed=contour.closed,
         legs=tuple(seam_legs(table, contour.closed, settings, place)),
         settings=settings,
-        acceleration_m_s2=acceleration_m_s2,
+        accelerations=accelerations,
     )

@@ -9,26 +9,30 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.jobs.seam.settings import Stitching
-from threadline.sizing import corner_speed_m_s
+from threadline.jobs.seam.settings import Accelerations, Stitching
+from threadline.sizing import corner_error_m
 
 
-def end_speed_m_s(turn_rad: float | None, settings: Stitching, acceleration_m_s2: float) -> float:
+def end_speed_m_s(
+    turn_rad: float | None, settings: Stitching, accelerations: Accelerations
+) -> float:
     """Return the speed at which a leg may end: 0 at a rest, what the placement allows in a corner.
 
-    In interpolated motion the corner is passed by ``v^2 sin(turn / 2) / (4 a)``.
+    In interpolated motion the corner is passed by ``v^2 sin(turn / 2) / (4 a)``, or what
+    ``corner_error_m`` says where acceleration and deceleration differ.
     """
     if turn_rad is None or settings.motion == "discrete":
         return 0.0
-    fastest = corner_speed_m_s(settings.placement_m, acceleration_m_s2, turn_rad)
-    return min(settings.speed_m_s, fastest)
+    at_one = corner_error_m(1.0, accelerations.up, turn_rad, accelerations.down)
+    fastest = np.sqrt(settings.placement_m / at_one) if at_one > 0.0 else np.inf
+    return float(min(settings.speed_m_s, fastest))
 
 
 def stitch_times_s(
     lengths_m: FloatArray,
     bend_1_m: FloatArray,
     settings: Stitching,
-    acceleration_m_s2: float,
+    accelerations: Accelerations,
     ends_m_s: tuple[float, float],
 ) -> FloatArray:
     """Return the (n,) time of each stitch of a leg.
@@ -39,8 +43,8 @@ def stitch_times_s(
         (n,) lengths of the stitches.
     bend_1_m
         (n + 1,) curvature of the seam where the stitches begin and end; the head goes no faster
-        there than ``sqrt(a / curvature)``.
-    acceleration_m_s2
+        there than ``sqrt(a / curvature)``, a being the smaller of the accelerations.
+    accelerations
         Of the head; the needle's limit is in the settings.
     ends_m_s
         Speeds at the two ends of the leg.
@@ -48,12 +52,14 @@ def stitch_times_s(
     Notes
     -----
     The speeds between stitches are the fastest that the limits allow, by one pass forwards and
-    one backwards over ``v'^2 <= v^2 + 2 a l``. Each stitch then takes the least time between its
-    two speeds: up to a peak, at most the programmed speed, and down again.
+    one backwards over ``v'^2 <= v^2 + 2 a l``, a being the deceleration
+    backwards. Each stitch then takes the least time between its two speeds: up to a peak, at most
+    the programmed speed, and down again.
     """
-    a = min(acceleration_m_s2, settings.needle_acceleration_hz_s * settings.stitch_length_m)
+    needle = settings.needle_acceleration_hz_s * settings.stitch_length_m
+    a, d = (min(along, needle) for along in accelerations)
     limit = np.minimum(
-        settings.speed_m_s**2, acceleration_m_s2 / np.maximum(np.abs(bend_1_m), 1e-12)
+        settings.speed_m_s**2, min(accelerations) / np.maximum(np.abs(bend_1_m), 1e-12)
     )
     squared = limit.copy()
     squared[0] = min(squared[0], ends_m_s[0] ** 2)
@@ -61,15 +67,15 @@ def stitch_times_s(
     # min over j <= i of squared[j] + 2 a (s_i - s_j): a running minimum of squared - 2 a s.
     rise = 2.0 * a * np.concatenate([[0.0], np.cumsum(lengths_m)])
     squared = np.minimum.accumulate(squared - rise) + rise
-    fall = rise[-1] - rise
+    fall = (rise[-1] - rise) * (d / a)
     squared = np.minimum.accumulate((squared - fall)[::-1])[::-1] + fall
     squared = np.maximum(squared, 0.0)
     before, after = squared[:-1], squared[1:]
-    peak = (before + after) / 2.0 + a * lengths_m
+    peak = (d * before + a * after + 2.0 * a * d * lengths_m) / (a + d)
     peak = np.minimum(peak, np.maximum(np.minimum(limit[:-1], limit[1:]), _larger(squared)))
     top, v0, v1 = np.sqrt(peak), np.sqrt(before), np.sqrt(after)
-    ramps = (2.0 * peak - before - after) / (2.0 * a)
-    times = (2.0 * top - v0 - v1) / a + np.maximum(lengths_m - ramps, 0.0) / top
+    ramps = (peak - before) / (2.0 * a) + (peak - after) / (2.0 * d)
+    times = (top - v0) / a + (top - v1) / d + np.maximum(lengths_m - ramps, 0.0) / top
     return np.asarray(times)
 
 
