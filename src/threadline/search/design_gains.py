@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.control import lead_from_response
@@ -17,7 +18,9 @@ _ROUNDING = 1e-9
 _TERMS = 14  # of the series, for norms up to a half: 0.5^15 / 15! is below rounding
 
 
-def design_gains(space: Space, points: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
+def design_gains(
+    space: Space, points: FloatArray
+) -> tuple[dict[str, FloatArray], NDArray[np.bool_]]:
     """Return the lead filters of candidates, and which of them have one.
 
     Parameters
@@ -42,7 +45,7 @@ def design_gains(space: Space, points: FloatArray) -> tuple[dict[str, FloatArray
     omega = 2.0 * np.pi * crossover_hz
     values = Values.of(machine, space.numbers(points))
     numbers: dict[str, FloatArray] = {}
-    possible = np.ones(count, dtype=np.bool_)
+    possible: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
     for piece in piecewise_linear(machine, values):
         if not piece.group.axes:
             continue

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -194,7 +195,8 @@ class QuickJudge:
             running.append(kind.start(self.setting, options))
         for block in self.blocks:
             own = slice(block.first, block.first + len(block))
-            filled = replace(block, **{k: v[own, variant] for k, v in data.items()})
+            columns: dict[str, Any] = {k: v[own, variant] for k, v in data.items()}
+            filled = replace(block, **columns)
             for measure in running:
                 measure.feed(filled)
         found = []

@@ -107,7 +107,7 @@ class Space:
     @property
     def corner_count(self) -> int:
         """How many corners a point has."""
-        return 2 ** int((self.tolerance > 0).sum())
+        return 1 << int((self.tolerance > 0).sum())
 
 
 def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space:
