@@ -351,3 +351,25 @@ def test_wrong_questions_are_refused():
                 outputs=("sensors.x",),
             )
         )
+
+
+@pytest.mark.parametrize("gain", [0.01, 0.5, 2.0, 4.5, 20.0])
+def test_a_velocity_loop_is_stable_though_nothing_holds_its_position(gain, tmp_path):
+    """K (1 - 1/z) cancels the integrator of the position: the rest of the poles decide.
+
+    Eigenvalues of the sampled loop without the one at 1, which rounding puts on either side.
+    """
+    path = tmp_path / "velocity.toml"
+    path.write_text(
+        'base = "stitcher"\nname = "velocity"\n[controllers.x]\nkind = "proportional-velocity"\n'
+        f'gain = "{gain} dac/count exact, assumed"\nzero = "none"\npole = "none"\n'
+    )
+    machine = load_machine(path)
+    loop = axis_loop(machine, "X")
+    z = loop.closed().eigenvalues()
+    at_one = np.argmin(np.abs(z - 1.0))
+    assert abs(z[at_one] - 1.0) < 1e-11
+    rest = np.abs(np.delete(z, at_one))
+    assert unstable_count(loop) == np.count_nonzero(rest > 1.0)
+    assert loop_figures(loop, "sampled").unstable == np.count_nonzero(rest > 1.0)
+    assert len(unstable_loops(machine)) == (1 if rest.max() > 1.0 else 0)

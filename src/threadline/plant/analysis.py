@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.actuator import Actuator, actuator_of
 from threadline.plant.delayed import closed_poles
@@ -22,6 +23,9 @@ from threadline.plant.zeros import chain_of, zeros_of
 
 HERTZ = 1.0 / (2.0 * np.pi)
 _SCALE_RAD_S = 100.0
+# Under a velocity loop the position is integrated, open: an eigenvalue 1, within rounding, that is
+# no instability.
+_ON_THE_CIRCLE = 1.0 + 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,11 +199,17 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
     poles: ComplexArray
     if model == "sampled":
         z = loop.closed().eigenvalues()
-        unstable = int(np.count_nonzero(np.abs(z) >= 1.0))
+        unstable = int(np.count_nonzero(np.abs(z) > _ON_THE_CIRCLE))
         # Poles within a tenth of the origin are gone in a tick; their logarithm says nothing.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
-        unstable = unstable_count(loop)
+        try:
+            unstable = unstable_count(loop)
+        except ValueError as error:
+            raise MachineError(
+                f"axes.{loop.axis}: {error.args[0]}, so its loop is neither stable nor unstable",
+                remedy="Correct the numbers of its controller and its plant.",
+            ) from error
         poles = closed_poles(loop)
 
     def closed(omega: FloatArray) -> ComplexArray:
@@ -222,7 +232,7 @@ def unstable_loops(machine: Machine) -> list[str]:
     """Return one sentence, with the margin, for every axis whose sampled loop is unstable."""
     found = []
     for axis, loop in axis_loops(machine).items():
-        if loop.closed().spectral_radius >= 1.0:
+        if loop.closed().spectral_radius > _ON_THE_CIRCLE:
             found.append(analyse_axis(machine, axis).verdict())
     return found
 
