@@ -30,6 +30,8 @@ SEAM = """
 stitch_length = "0.1 in"
 needle_speed = "65 stitch/s"
 motion = "discrete"
+travel_speed = "fastest"
+settle = "0 s"
 
 [[contour]]
 unit = "mm"

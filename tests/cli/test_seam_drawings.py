@@ -119,12 +119,19 @@ def test_a_journey_left_to_the_program_keeps_the_contour(
     plain = STITCHING + 'motion = "discrete"\n'
     found = {}
     for name, journey in (("left", ""), ("fast", 'travel_speed = "190 mm/s"\nsettle = "0 s"\n')):
+        file.write_text(plain + 'travel_speed = "fastest"\n' + contours)
+        hurried = next(iter(read_job(file, load_machine("stitcher"))))
+        assert isinstance(hurried, Move) and hurried.feed is not None
+        assert hurried.feed.mode is FeedMode.RAPID
         file.write_text(plain + journey + contours)
         _, out, _ = prove(capsys, str(file), "stitcher", "--json")
         measured = {c["name"]: c["measured"] for c in json.loads(out)["criteria"]}
         found[name] = measured["contour_error"]
         if not journey:
             travel, rest, *_ = read_job(file, load_machine("stitcher"))
+    file.write_text(plain + contours.replace("10, 0", "0, 0"))
+    _, first, *_ = read_job(file, load_machine("stitcher"))
+    assert not isinstance(first, Dwell)  # where the head already is, it does not swing
     assert found["left"] < 5e-4 < found["fast"]
     assert isinstance(travel, Move) and travel.feed is not None
     assert travel.feed.value == pytest.approx(0.5 * 5e-4 * 74.98, rel=1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,13 +78,15 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
     warnings = list(drawing.warnings)
     sewn: list[SewnContour] = []
     modes = swinging_modes(machine, AXES)
+    fastest = min(machine.axes[axis].velocity.si for axis in AXES)
     for choice in seam_choices(seam_file, drawing):
         settings = stitching(
             {**seam_file.settings, **choice.settings, **options},
             {**seam_file.places, **choice.places},
             Place(str(path)),
         )
-        settings = with_journeys(settings, modes)
+        rests = settings.settle_s
+        settings = with_journeys(settings, modes, fastest)
         accelerations, found = head_accelerations_m_s2(settings, AXES, machine)
         warnings += [f"{place}: seam {choice.name!r}: {text}" for text in found]
         contours, found = seam_contours(drawing, choice, seam_file)
@@ -92,6 +95,10 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
             warnings += crossing_warnings(contour, choice.name, drawing.file)
             for part in offset_contour(contour, settings, drawing.file):
                 sewn.append(sewn_contour(part, choice.name, drawing.file, settings, accelerations))
+                if len(sewn) == 1 and not sewn[0].start().any():
+                    # The head is there already.
+                    still = replace(settings, settle_s=rests or 0.0)
+                    sewn[0] = replace(sewn[0], settings=still)
                 limit = min(machine.axes[axis].acceleration.si for axis in AXES)
                 warnings += corner_warnings(sewn[-1], limit)
     for contour_sewn in sewn:

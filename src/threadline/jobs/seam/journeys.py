@@ -17,13 +17,17 @@ from threadline.plant.modes import Oscillation, locked_modes
 _SWING, _LEFT = 0.5, 0.1
 
 
-def with_journeys(settings: Stitching, modes: tuple[Oscillation, ...]) -> Stitching:
+def with_journeys(
+    settings: Stitching, modes: tuple[Oscillation, ...], fastest_m_s: float
+) -> Stitching:
     """Return ``settings`` with speed and rest of a journey where they were left out.
 
     Parameters
     ----------
     modes
         Of the machine; one without modes goes as fast as it can and does not rest.
+    fastest_m_s
+        What the machine can do.
     """
     omegas = [2.0 * math.pi * mode.frequency_hz for mode in modes]
     speed = settings.travel_speed_m_s
@@ -33,7 +37,8 @@ def with_journeys(settings: Stitching, modes: tuple[Oscillation, ...]) -> Stitch
     if settle is None:
         settle = 0.0
         for omega, mode in zip(omegas, modes, strict=True):
-            swings = 0.0 if speed is None else speed / omega / (_LEFT * settings.placement_m)
+            reached = fastest_m_s if speed is None else min(speed, fastest_m_s)
+            swings = reached / omega / (_LEFT * settings.placement_m)
             if swings > 1.0 and mode.damping > 0.0:
                 settle = max(settle, math.log(swings) / (mode.damping * omega))
     return replace(settings, travel_speed_m_s=speed, settle_s=min(settle, MOST_SETTLE_S))

@@ -56,7 +56,8 @@ class Stitching:
         Sew the contour against the direction in which it was drawn.
     travel_speed_m_s, settle_s
         How fast the head goes to where a contour begins, and how long it then rests until the
-        needle goes down; None for what the machine's slowest modes call for (see ``journeys``).
+        needle goes down; None for what the machine's slowest modes call for (see ``journeys``),
+        infinite (``"fastest"``) for as fast as the machine can.
     """
 
     stitch_length_m: float
@@ -103,6 +104,7 @@ class _Setting:
     low: float = 0.0
     high: float = math.inf
     open_low: bool = False
+    endless: str = ""  # a word for without limit
 
 
 _SETTINGS = {
@@ -127,7 +129,7 @@ _SETTINGS = {
     "start": _Setting("start_m", "m"),
     "end": _Setting("end_m", "m", open_low=True),
     "reverse": _Setting("reverse", kind=bool),
-    "travel_speed": _Setting("travel_speed_m_s", "m/s", low=1e-4, high=10.0),
+    "travel_speed": _Setting("travel_speed_m_s", "m/s", low=1e-4, high=10.0, endless="fastest"),
     "settle": _Setting("settle_s", "s", high=60.0),
 }
 STITCHING_KEYS = tuple(_SETTINGS)
@@ -170,6 +172,8 @@ def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: P
 
 
 def _value(key: str, value: Any, setting: _Setting, place: Place) -> Any:
+    if setting.endless and value == setting.endless:
+        return math.inf
     if setting.choices:
         if value not in setting.choices:
             raise JobError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -71,7 +72,7 @@ def _begin(contour: SewnContour) -> Iterator[Operation]:
     source = Source(contour.place.file, contour.place.line)
     x, y = contour.start().tolist()
     speed = contour.settings.travel_speed_m_s
-    feed = _RAPID if speed is None else Feed(FeedMode.PATH, speed)
+    feed = _RAPID if speed is None or math.isinf(speed) else Feed(FeedMode.PATH, speed)
     yield Move((x, y), feed, source, {"kind": "travel", "seam": contour.seam})
     if contour.settings.settle_s:
         yield Dwell(contour.settings.settle_s, source)
