@@ -250,6 +250,22 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     )
 
 
+def refuse_axis_options(machine: Machine, options: Options) -> None:
+    """Refuse options that a schedule does not have; all but the shaper are such.
+
+    Raises
+    ------
+    OptionError
+        If one is given.
+    """
+    if replace(options, shaper=None) != Options():
+        raise OptionError(
+            f"{machine.name} switches on and off: it has no interpolation, feed, tolerance or "
+            "share of limits to choose",
+            remedy="Leave these options out; a shaper may be given.",
+        )
+
+
 def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
     """Plan ``job`` on an on/off machine: its schedule.
 
@@ -260,12 +276,7 @@ def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
     OptionError
         If an option is given that a schedule does not have.
     """
-    if replace(options, shaper=None) != Options():
-        raise OptionError(
-            f"{machine.name} switches on and off: it has no interpolation, feed, tolerance or "
-            "share of limits to choose",
-            remedy="Leave these options out; a shaper may be given.",
-        )
+    refuse_axis_options(machine, options)
     shaping = {} if options.shaper is None else shaping_of(machine, options.shaper)
     return SwitchPlan(
         scheduled=compile_schedule(job, machine, shaping),

@@ -104,6 +104,44 @@ def test_wrong_options_exit_with_two_and_one_line(
         assert word in err
 
 
+@pytest.mark.parametrize(
+    ("command", "job", "arguments", "words"),
+    [
+        ("compile", "letter-cycle.toml", ["--mode", "3 Hz"], ["Give --shaper too"]),
+        ("compile", "letter-cycle.toml", ["--shaper", "zv", "--mode", "0 Hz"], ["positive"]),
+        ("compile", "letter-cycle.toml", ["--limits", "50 %"], ["switches on and off"]),
+        ("compile", "x-180.prg", ["--shaper", "zv"], ["'zv' is of an on/off machine"]),
+        ("compile", "x-180.prg", ["--feed-forward", "--smoothing", ""], ["not a number"]),
+        ("fastest", "strap.seam.toml", ["--smoothing", "36 ms"], ["Give --feed-forward too"]),
+        ("fastest", "strap.seam.toml", ["--report", "file"], ["--mismatch alone"]),
+        ("fastest", "strap.seam.toml", ["--mismatch", "--report", "file"], ["not a folder"]),
+        ("fastest", "strap.seam.toml", ["--high", "1e6 stitch/s"], ["at most 1000", "--high"]),
+        ("design", "strap.seam.toml", ["--feed-forward", "--smoothing", ""], ["not a number"]),
+    ],
+)
+def test_options_that_do_not_fit_are_refused_before_the_work(
+    command: str,
+    job: str,
+    arguments: list[str],
+    words: list[str],
+    examples: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    machine = {".toml": "letter-placer", ".prg": "lathe-winder"}.get("".join(Path(job).suffixes))
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    out_file = ["--target", "st", "-o", "made.st"] if command == "compile" else []
+    code, out, err = run(
+        capsys, command, examples / job, "-m", machine or "stitcher", *out_file, *arguments
+    )
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    for word in words:
+        assert word in err
+
+
 def test_missing_job_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run(capsys, "prove", "no-such-job.prg", "-m", "lathe-winder")
     assert (code, out, err.count("\n")) == (2, "", 1)

@@ -32,7 +32,7 @@ from threadline.cli.tolerance import tolerance_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
-from threadline.pipeline import plan_job
+from threadline.pipeline import plan_job, refuse_axis_options
 from threadline.targets import write
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of
@@ -75,7 +75,23 @@ def compile_(
     chosen = machine_from(machine, par)
     keep_inputs(out, job, chosen.file, par)
     check_outputs(file=out)
+    if shaper == UNSHAPED_WORD and (mode is not None or damping is not None):
+        raise OptionError("--mode and --damping are of a shaper", remedy="Give --shaper too.")
+    if shaper != UNSHAPED_WORD and not chosen.cylinders:
+        raise OptionError(
+            f"--shaper {shaper[:60]!r} is of an on/off machine, which {chosen.name} is not",
+            remedy="Leave it out; threadline prove shapes the motion of axes.",
+        )
+    options = options_of(
+        interpolation,
+        feed,
+        tolerance,
+        limits,
+        feed_forward=feed_forward,
+        smoothing=smoothing,
+    )
     if chosen.cylinders:
+        refuse_axis_options(chosen, options)
         shaping = shaping_of(chosen, shaper, mode=mode, damping_ratio=damping)
         scheduled = compile_schedule(read_job(job, chosen), chosen, shaping)
         with folder_of(out):
@@ -83,14 +99,6 @@ def compile_(
         for warning in files[0].warnings:
             typer.echo(f"warning: {warning}", err=True)
     else:
-        options = options_of(
-            interpolation,
-            feed,
-            tolerance,
-            limits,
-            feed_forward=feed_forward,
-            smoothing=smoothing,
-        )
         if feed_forward and target not in TABLES:
             raise OptionError(
                 f"feed-forward gives a reference for every tick, which target {target!r} has not",

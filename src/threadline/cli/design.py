@@ -149,7 +149,7 @@ def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
                 f"--smoothing {text!r} is of feed-forward", remedy="Give --feed-forward too."
             )
         return ()
-    parts = (text or FEED_FORWARD).split(",")
+    parts = (FEED_FORWARD if text is None else text).split(",")
     widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
     if len(widths) > _MOST_WIDTHS:
         raise OptionError(f"{len(widths)} widths of the smoothing, at most {_MOST_WIDTHS}")

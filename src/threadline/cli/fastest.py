@@ -72,10 +72,10 @@ def fastest(
     """
     chosen = machine_from(machine, par)
     read = read_job(job, chosen)
-    warn(chosen, read)
     if job.name.lower().endswith(SEAM_SUFFIXES):
         fastest_seam(
             job,
+            read,
             chosen,
             load_spec(spec, chosen),
             options_of(
@@ -96,15 +96,13 @@ def fastest(
             "--feed-forward, --actual, --mismatch and --report are for needle speeds of a seam",
             remedy="Leave them out; threadline prove takes the first two for any job.",
         )
+    asked, options = load_spec(spec, chosen), options_of(interpolation, None, tolerance)
+    lowest = None if low is None else _metres_per_second(low)
+    highest = None if high is None else _metres_per_second(high)
+    warn(chosen, read)
     with progress_bar(not json) as progress:
         result = fastest_job(
-            read,
-            chosen,
-            load_spec(spec, chosen),
-            options_of(interpolation, None, tolerance),
-            low=None if low is None else _metres_per_second(low),
-            high=None if high is None else _metres_per_second(high),
-            progress=progress,
+            read, chosen, asked, options, low=lowest, high=highest, progress=progress
         )
     best = result.best
     again = (

@@ -9,7 +9,10 @@ import typer
 
 from threadline.cli.found import limit_words
 from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.outputs import check_outputs
+from threadline.cli.warn import warn
 from threadline.errors import OptionError, UnitError
+from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.pipeline import Options
 from threadline.report.mismatch import write_mismatch
@@ -20,6 +23,7 @@ from threadline.verdict import Spec, criteria_json, verdict_rows
 
 def fastest_seam(
     job: Path,
+    read: Job,
     machine: Machine,
     spec: Spec,
     options: Options,
@@ -34,6 +38,8 @@ def fastest_seam(
         raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
     if mismatch and actual is not None:
         raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
+    check_outputs(folder=report)
+    warn(machine, read)
     low, high = span
     cells: list[Mismatch] = []
     with progress_bar(not json) as progress:
@@ -73,6 +79,7 @@ def fastest_seam(
 
 _ABOVE = 1.1  # a machine off its file is rarely faster than by that
 _UNKNOWN_HZ = 100.0
+_NEEDLE_HZ = (1e-3, 1000.0)  # what a seam may ask for
 
 
 def _interval_content(found: Fastest) -> dict[str, Any]:
@@ -138,9 +145,17 @@ def needle_hz(text: str | None) -> float | None:
     if text is None:
         return None
     try:
-        return parse_quantity(text, "stitch/s")
+        found = parse_quantity(text, "stitch/s")
     except UnitError as error:
         raise OptionError(
             f"{text!r}: {error.message}",
             remedy='The search of a seam runs in stitches: "40 stitch/s".',
         ) from error
+    low, high = _NEEDLE_HZ
+    if not low <= found <= high:
+        raise OptionError(
+            f"{text!r} is no needle speed: it must be at least {low:g} and at most "
+            f"{high:g} stitch/s",
+            remedy="Correct --low or --high.",
+        )
+    return found

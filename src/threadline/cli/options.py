@@ -158,5 +158,7 @@ def options_of(
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,
-        feed_forward_s=parse_width_s(smoothing or FEED_FORWARD) if feed_forward else None,
+        feed_forward_s=parse_width_s(FEED_FORWARD if smoothing is None else smoothing)
+        if feed_forward
+        else None,
     )

@@ -61,7 +61,8 @@ def shaping_of(
         own_hz, own_damping = flow_mode(machine, axis)
         key = []
         for wanted in (_wanted(part.strip(), shaper) for part in text.split("*")):
-            hz = wanted.frequency_hz or frequency or own_hz
+            given = (wanted.frequency_hz, frequency, own_hz)
+            hz = next(value for value in given if value is not None)
             ratio = wanted.damping_ratio
             if ratio is None and wanted.frequency_hz is None:
                 ratio = damping_ratio if damping_ratio is not None else own_damping
