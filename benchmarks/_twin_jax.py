@@ -6,7 +6,7 @@ device and sharded over two (both cores), and the fastest is taken.
 
 - ``linear``: the exact sampled plant.
 - ``substeps``: ticks in which no variant switches take one exact step (``lax.cond``); in the others
-  every variant takes fixed substeps, as many as bring the loads within 1 um of the event-located
+  every variant takes fixed substeps, as many as bring the loads within 0.1 um of the event-located
   ones. It works for any plant.
 - ``closed form``: ticks with a switch are solved by the formulas of this very plant, one rigid body
   on one motor: at constant torque until the supply no longer limits, or the time of the stop by a

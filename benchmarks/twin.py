@@ -45,8 +45,9 @@ from threadline.machine.load import load_machine
 from threadline.plant.network import linear_model
 from threadline.twin import simulate, simulate_batch
 
-SUBSTEPS = (1, 4, 16, 64, 256)
-WITHIN_UM = 1.0
+SUBSTEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+# What the twin itself is held to against event-located references without quantisers.
+WITHIN_UM = 0.1
 ACCURACY_TICKS = 3000
 ROUNDS = 9
 STITCHERS = 10_000
