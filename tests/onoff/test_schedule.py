@@ -134,3 +134,13 @@ def test_a_broken_beam_shuts_everything_in_the_next_scan(examples: Path) -> None
     total = sum(recording.samples(name)[1] for name in made.commands.outputs)
     assert total[times < 2.345].max() >= 2
     assert (total[times >= 2.355] == 0).all()
+
+
+def test_a_long_move_list_is_read_in_one_pass(tmp_path: Path) -> None:
+    """A search from the top for every line number would take an hour for such a list."""
+    many = 50_000
+    path = tmp_path / "long.toml"
+    path.write_text('name = "long"\n' + '[[operation]]\ndwell = "1 ms"\n' * many)
+    operations = list(read_job(path, load_machine("letter-placer")).operations)
+    lines = [operation.source.line for operation in operations]
+    assert lines == list(range(2, 2 * many + 2, 2))

@@ -37,6 +37,7 @@ MAX_BYTES = 4 * 1024 * 1024
 STEP_EVENT = "step "
 """What the name of the ``ToolEvent`` that begins a step begins with."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+_HEADER = re.compile(r"\s*\[\[\s*operation\s*\]\]")
 
 
 def read_moves(path: str | Path, *, machine: Machine) -> Job:
@@ -112,11 +113,12 @@ class _Reader:
             self.refuse("there are no operations", None, "", "Write [[operation]] tables.")
         found: list[Operation] = []
         position = dict.fromkeys(self.machine.cylinders, 0.0)
+        headers = self._headers()
         for index, row in enumerate(rows):
             self._known(
                 row, ("step", *{k for keys in OPERATION_KEYS.values() for k in keys}), index
             )
-            source = Source(self.file, self._line(index, None))
+            source = Source(self.file, headers[index] if index < len(headers) else 0)
             if "step" in row:
                 step = row["step"]
                 if not isinstance(step, str) or not _NAME.fullmatch(step):
@@ -217,11 +219,16 @@ class _Reader:
     ) -> NoReturn:
         raise JobError(message, place=Place(self.file, self._line(index, key)), remedy=remedy)
 
+    def _headers(self) -> list[int]:
+        """Return the lines of all headers at once: a list may have a hundred thousand."""
+        lines = enumerate(self.text.splitlines(), start=1)
+        return [number for number, line in lines if _HEADER.match(line)]
+
     def _line(self, index: int | None, key: str | None) -> int:
         """Return the line of ``key`` in the operation ``index``, or of its header; 0 if neither."""
         inside, header = -1, 0
         for number, line in enumerate(self.text.splitlines(), start=1):
-            if re.match(r"\s*\[\[\s*operation\s*\]\]", line):
+            if _HEADER.match(line):
                 inside += 1
                 header = number if inside == index else header
             elif (
