@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import re
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from threadline.jobs.seam.shapes import bezier, chords, ellipse_arc
 from threadline.jobs.seam.svg_scan import CLONE, HIDDEN, LAYER, LINE, SvgScan, scan_svg
 from threadline.units import unit_factor
 
+_SHOWN = 60
 _PIXEL_M = 0.0254 / 96.0  # CSS: 96 pixels to the inch
 
 
@@ -77,6 +80,7 @@ def _load(scan: SvgScan, file: str) -> Any:
     try:
         root = SVG.parse(io.StringIO(scan.text), reify=False, ppi=96.0, on_error="raise")
     except Exception as error:  # svgelements raises a dozen unrelated types on malformed input
+        _refuse_path_data(scan, file, error)
         raise JobError(
             f"the SVG cannot be read: {one_line(error)}",
             place=Place(file),
@@ -85,6 +89,29 @@ def _load(scan: SvgScan, file: str) -> Any:
     if not isinstance(root, SVG) or not root.height or not root.width:
         raise JobError("the SVG has no size", place=Place(file), remedy="Give it a page size.")
     return root
+
+
+def _refuse_path_data(scan: SvgScan, file: str, error: Exception) -> None:
+    """Refuse the first path whose data cannot be read: svgelements names none. Else return."""
+    from svgelements import Path
+
+    # The scan has refused entities, and nesting without end.
+    for element in ElementTree.fromstring(scan.text).iter():  # noqa: S314
+        data = element.get("d")
+        if data is None:
+            continue
+        try:
+            Path(data)
+        except Exception:
+            no_number = re.search(r"nan|inf(?:inity)?", data, re.IGNORECASE)
+            shown = data if len(data) <= _SHOWN else data[:_SHOWN] + "..."
+            raise JobError(
+                f"{no_number[0]!r} in the data of a path is no number"
+                if no_number
+                else f"the data of a path is wrong: {shown!r}",
+                place=Place(file, int(element.get(LINE, 0))),
+                remedy="Correct it, or draw the path again and save as plain SVG.",
+            ) from error
 
 
 def _pixel(

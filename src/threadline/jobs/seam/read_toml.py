@@ -108,11 +108,19 @@ class _Reader:
                 )
         drawing = self._table(table.get("drawing", {}), _DRAWING, "drawing")
         contours = self._tables(table.get("contour", []), "contour")
-        if ("file" in drawing) == bool(contours):
+        if "file" in drawing and contours:
             raise JobError(
-                "a seam file has either [drawing] file or [[contour]] tables",
+                "a seam file has either [drawing] file or [[contour]] tables, this one has both",
                 place=self.place("drawing"),
-                remedy='Name a drawing, like [drawing] file = "collar.dxf".',
+                remedy="Take one of them out.",
+            )
+        if "file" not in drawing and not contours:
+            raise JobError(
+                "the file has neither [drawing] file = ... nor [[contour]] tables, one of which "
+                "says what is sewn",
+                place=self.place("drawing"),
+                remedy='Name a drawing, like [drawing] file = "collar.dxf", or give '
+                '[[contour]] unit = "mm" and points = [[0, 0], [30, 0]].',
             )
         settings = self._table(table.get("stitching", {}), STITCHING_KEYS, "stitching")
         unit = self._text(drawing, "unit", "drawing")
@@ -157,7 +165,13 @@ class _Reader:
 
     def _text(self, table: dict[str, Any], key: str, *location: str | int) -> str | None:
         value = table.get(key)
-        if value is not None and not (isinstance(value, str) and value):
+        if value == "":
+            raise JobError(
+                f"the key {key!r} has an empty text",
+                place=self.place(*location, key),
+                remedy="Write a text between the quotes, or take the key out.",
+            )
+        if value is not None and not isinstance(value, str):
             raise JobError(f"{key} is {value!r}, not a text", place=self.place(*location, key))
         return value
 
