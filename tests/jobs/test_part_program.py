@@ -45,6 +45,13 @@ def test_units_and_modes(tmp_path: Path) -> None:
     assert moves(job)[0].feed == Feed(FeedMode.FASTEST_AXIS, 60 * 0.0254 / 60)
 
 
+def test_a_machine_without_axes_takes_no_part_program(tmp_path: Path) -> None:
+    path = tmp_path / "a.nc"
+    path.write_text("G91 G1 F60 X1\nM30\n")
+    with pytest.raises(JobError, match=r"a\.nc: 'letter-placer' has no axes for part programs"):
+        read_job(path, load_machine("letter-placer"))
+
+
 def test_increments_are_summed_exactly(tmp_path: Path) -> None:
     """780 times 0.1 mm is 78 mm to the last bit; adding doubles gives 78.00000000000048."""
     job = read(tmp_path, "G91 G1 F60", "M98 P2 L780", "M30", "O2", "X0.1", "A0.1", "M99")

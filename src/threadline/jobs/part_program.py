@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from threadline.errors import BudgetError, JobError, MachineError
+from threadline.errors import BudgetError, JobError, MachineError, Place
 from threadline.jobs.blocks import Dialect
 from threadline.jobs.feeds import check_feed_mode, normal_feed_m_s
 from threadline.jobs.interpreter import PartProgram
@@ -43,13 +43,19 @@ def read_part_program(
     Raises
     ------
     JobError
-        With file and line, if the program cannot be read.
+        With file and line, if the program cannot be read, or the machine has no axes.
     BudgetError
         If it has more moves than the machine's tick budget.
     OptionError
         If the options do not fit together.
     """
     path = Path(path)
+    if not machine.axis_names:
+        raise JobError(
+            f"{machine.name!r} has no axes for part programs",
+            place=Place(str(path)),
+            remedy="Such a machine takes move lists (.toml); choose another job or machine (-m).",
+        )
     for name in machine.axis_names:
         if name in _RESERVED:
             raise MachineError(
