@@ -96,3 +96,19 @@ def test_notes_are_wrapped_well_or_stand_below(capsys: pytest.CaptureFixture[str
     wide = capsys.readouterr().out
     assert "note" in wide
     assert "the recording ends before this point" in wide
+
+
+@pytest.mark.parametrize("command", ["prove", "fastest", "compare"])
+def test_a_report_without_a_name_does_not_go_into_the_current_folder(
+    command: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as caught:
+        main([command, str(JOB), "-m", "lathe-winder", "--report", ""])
+    captured = capsys.readouterr()
+    assert (caught.value.code, captured.out, captured.err.count("\n")) == (2, "", 1)
+    assert "'--report': it is empty; name a folder" in captured.err
+    assert list(tmp_path.iterdir()) == []

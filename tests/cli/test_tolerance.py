@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 
+from threadline.cli import fastest_seam
 from threadline.cli.main import main
 from threadline.path import interpolation_names
 from threadline.path.plan import KEEPING_TOLERANCE
+from threadline.search import gentle
+from threadline.search.fastest import RANGE, Fastest, Interval
+from threadline.verdict import Verdict
 
 # Long moves at an angle: a polynomial in time that passes the corner moving leaves the chords, and
 # a B-spline cuts the corner by a third of the way to the middle of its neighbours.
 CORNER = "G21 G90\nG1 X60 Y10 F1500\nX90 Y60\nX180 Y70\nM30\n"
+SEAM = """
+[stitching]
+stitch_length = "0.1 in"
+needle_speed = "20 stitch/s"
+motion = "interpolated"
+
+[[contour]]
+unit = "in"
+points = [[0, 0], [1, 0], [1, 0.8]]
+"""
 SAYS = re.compile(
     r"warning: ([\w-]+) does not keep the tolerance of 0\.1 mm: the planned path is "
     r"([\d.]+) mm off the programmed one at line \d+; auto and parabolic keep it"
@@ -70,3 +85,41 @@ def test_compile_and_compare_say_it_too(tmp_path: Path, capsys: pytest.CaptureFi
     assert len(SAYS.findall(err)) == 1
     _, _, err = run(capsys, "compare", job, *planning, "linear,b-spline", "--no-fastest")
     assert [name for name, _ in SAYS.findall(err)] == ["b-spline"]
+
+
+def test_fastest_says_it_of_the_plan_that_it_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once, of the plan whose feed is printed: ``prove`` with that feed says the same."""
+    job = tmp_path / "corner.prg"
+    job.write_text(CORNER)
+    anything = tmp_path / "anything.spec.toml"
+    anything.write_text('name = "anything"\n[[criteria]]\nname = "contour_error"\nlimit = "1 m"\n')
+    monkeypatch.setattr(gentle, "_LADDER", (1.0,))
+    monkeypatch.setattr(gentle, "_SCAN_POINTS", 2)
+    planning = ["-m", "lathe-winder", "--interpolation", "b-spline"]
+    span = ["-s", str(anything), "--low", "1 mm/s", "--high", "5 mm/s", "--json"]
+    _, out, err = run(capsys, "fastest", job, *planning, *span)
+    (told,) = SAYS.findall(err)
+    again = shlex.split(json.loads(out)["command"])[1:]
+    assert SAYS.findall(run(capsys, *again)[2]) == [told]
+    assert not SAYS.search(run(capsys, "fastest", job, *planning[:2], *span)[2])
+
+
+def test_fastest_of_a_seam_says_it_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the needle speed: the search itself is not what is tested here."""
+    seam, speed_hz = tmp_path / "corner.seam.toml", 12.0
+    seam.write_text(SEAM)
+    passed = Fastest(
+        intervals=(Interval(low=speed_hz, high=speed_hz),),
+        limited_by=RANGE,
+        verdict=Verdict(results=(), simulated=True),
+        tried=1,
+    )
+    monkeypatch.setattr(fastest_seam, "fastest_needle", lambda *_, **__: passed)
+    for name, count in (("b-spline", 1), ("auto", 0)):
+        arguments = ["-m", "stitcher", "--interpolation", name, "--json"]
+        code, _, err = run(capsys, "fastest", seam, *arguments)
+        assert (code, len(SAYS.findall(err))) == (0, count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,14 +25,18 @@ from threadline.cli.options import (
     ToleranceOption,
     machine_from,
     options_of,
+    report_folder,
 )
 from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.tolerance import warn_tolerance
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
-from threadline.pipeline import parse_feed
+from threadline.pipeline import Options, parse_feed, plan_job
 from threadline.search import Fastest, FastestJob, fastest_job
+from threadline.search.gentle import Rung
 from threadline.verdict import criteria_json, load_spec, verdict_rows
 
 
@@ -58,7 +63,12 @@ def fastest(
         ),
     ] = False,
     report: Annotated[
-        Path | None, typer.Option(help="Folder for the picture of --mismatch (PNG, SVG).")
+        Path | None,
+        typer.Option(
+            parser=report_folder,
+            metavar="<path>",
+            help="Folder for the picture of --mismatch (PNG, SVG).",
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:
@@ -105,6 +115,7 @@ def fastest(
             read, chosen, asked, options, low=lowest, high=highest, progress=progress
         )
     best = result.best
+    warn_tolerance(plan_job(read, chosen, _at(options, best)))
     again = (
         None
         if best.found.best is None
@@ -129,6 +140,14 @@ def fastest(
         if again is not None:
             typer.echo(f"To prove it: {again}")
     raise typer.Exit(0 if result.best.found.best is not None else 1)
+
+
+def _at(options: Options, best: Rung) -> Options:
+    """Return the options of the fastest plan; those of the search where no feed is in spec."""
+    if best.found.best is None:
+        return options
+    feed = Feed(FeedMode.FASTEST_AXIS, best.found.best)
+    return replace(options, feed=feed, limit_share=best.share)
 
 
 def _content(result: FastestJob) -> dict[str, Any]:

@@ -10,11 +10,12 @@ import typer
 from threadline.cli.found import limit_words
 from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.cli.outputs import check_outputs
+from threadline.cli.tolerance import warn_tolerance
 from threadline.cli.warn import warn
 from threadline.errors import OptionError, UnitError
-from threadline.jobs import Job
+from threadline.jobs import Job, read_job
 from threadline.machine import Machine
-from threadline.pipeline import Options
+from threadline.pipeline import Options, plan_job
 from threadline.report.mismatch import write_mismatch
 from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
 from threadline.units import parse_quantity
@@ -53,6 +54,9 @@ def fastest_seam(
             )
         title = f"{job.name} on {machine.name}"
         written = None if report is None else write_mismatch(cells, title, report)
+    if found.best is not None:
+        sewn = read_job(job, machine, needle_speed=f"{found.best!r} stitch/s")
+        warn_tolerance(plan_job(sewn, machine, options))
     if json:
         content = _content(found)
         if cells:

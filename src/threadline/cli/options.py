@@ -69,8 +69,20 @@ JsonOption = Annotated[
         help="Print one JSON object instead; errors stay text on stderr, stdout is then empty.",
     ),
 ]
+
+
+def report_folder(text: str) -> Path:
+    """Return the folder of a report; an empty name would be the current folder."""
+    if not text:
+        raise typer.BadParameter("it is empty; name a folder, or . for this one")
+    return Path(text)
+
+
 ReportOption = Annotated[
-    Path | None, typer.Option(help="Folder for the report (HTML, PDF, PNG, SVG).")
+    Path | None,
+    typer.Option(
+        parser=report_folder, metavar="<path>", help="Folder for the report (HTML, PDF, PNG, SVG)."
+    ),
 ]
 RecordingOption = Annotated[
     Path | None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threadline.cli.output import note
 from threadline.path.plan import KEEPING_TOLERANCE
 from threadline.pipeline import Proof, parse_tolerance_m
 from threadline.plan import Plan
@@ -16,6 +17,12 @@ def tolerance_warnings(plan: Plan) -> list[str]:
         return []
     (worst,) = measure_path_deviation(plan)
     return _told(plan, worst.value, worst.job_line)
+
+
+def warn_tolerance(plan: Plan) -> None:
+    """Print the line of ``tolerance_warnings`` on standard error, where there is one."""
+    for warning in tolerance_warnings(plan):
+        note(f"warning: {warning}")
 
 
 def proof_warnings(proof: Proof) -> list[str]:
