@@ -47,6 +47,20 @@ def test_a_wrong_option_is_told_in_one_line(
     assert "--help" in err
 
 
+@pytest.mark.parametrize("value", ["a" * 5000, "a b " * 1250])
+def test_a_value_of_thousands_of_characters_is_cut_in_the_middle(
+    value: str, examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is wrong stays in front, the remedy behind; all of it in one line of 500 characters."""
+    job = ["prove", examples / "x-180.prg", "-m", "lathe-winder"]
+    code, out, err = stopped(capsys, *job, "--smoothing", value)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert len(err) < 500
+    assert err.startswith(f"error: [OPTION] --smoothing '{value[:200]}")
+    assert err.endswith("is of feed-forward. Give --feed-forward too.\n")
+    assert " ... " in err
+
+
 def test_no_argument_shows_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = stopped(capsys)
     assert (code, err) == (0, "")

@@ -18,6 +18,8 @@ from threadline.errors import InputError, LinkFaultError, OptionError, Threadlin
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
 EXIT_NO_READER = 141  # 128 + SIGPIPE
+_MOST_SHOWN = 480  # characters of an error: a value of thousands would bury what is wrong with it
+_HEAD_SHOWN, _TAIL_SHOWN = 320, 155
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 _EPILOG = (
@@ -97,5 +99,9 @@ def _nobody_reads() -> NoReturn:
 
 def _stop(text: str, status: int) -> NoReturn:
     """Say in one line why the program ends, and end it."""
-    sys.stderr.write(f"error: {' '.join(text.split())}\n")
+    line = " ".join(text.split())
+    if len(line) > _MOST_SHOWN:
+        # The subject stands at the head and the remedy at the tail.
+        line = f"{line[:_HEAD_SHOWN]} ... {line[-_TAIL_SHOWN:]}"
+    sys.stderr.write(f"error: {line}\n")
     sys.exit(status)
