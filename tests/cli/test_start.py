@@ -13,6 +13,8 @@ from threadline.cli.lazy import COMMANDS
 
 INTERRUPTING = """
 import os, signal, sys
+# Whoever runs the tests in the background may have told it to ignore interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 class Interrupter:
     def find_spec(self, name, path=None, target=None):
         if name == {name!r}:

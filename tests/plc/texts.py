@@ -24,7 +24,8 @@ def emitted(machine: str, shaper: str, target: str) -> dict[str, bytes]:
         out = Path(folder) / "cycle.st"
         job = ROOT / "examples" / "letter-cycle.toml"
         words = ["compile", str(job), "-m", machine, "--target", target, "-o", str(out)]
-        result = CliRunner().invoke(app, [*words, "--shaper", shaper, *PAPER])
+        mode = () if shaper == "none" else PAPER
+        result = CliRunner().invoke(app, [*words, "--shaper", shaper, *mode])
         assert result.exit_code == 0, result.output
         return {f.name.split(".", 1)[1]: f.read_bytes() for f in Path(folder).iterdir()}
 
