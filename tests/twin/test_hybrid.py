@@ -3,7 +3,9 @@
 The reference integrates between the exact instants at which anything of the controller changes.
 Its right-hand sides are written out below, not assembled from the machine file. Laws with jumps
 (friction, a clamped current, a damped contact) are integrated mode by mode with events.
-Tolerances: 1e-9 m where scipy's own is 1e-12 relative and a run has some hundred events.
+Tolerances: 1e-9 m where scipy's own is 1e-12 relative and a run has some hundred events. They
+hold with quantisers too, where one count of 24 um is asked for: gains that are whole numbers leave
+no tie to round, so that both read and send the same.
 """
 
 from __future__ import annotations
@@ -12,116 +14,107 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from threadline.errors import MachineError
-from threadline.machine.load import load_machine
-from threadline.twin import simulate, simulate_batch
+from threadline.twin import simulate
 
-J, M, BM, BH, RP, K, C = 2e-4, 1.5, 1e-3, 4.0, 0.012, 2e4, 15.0
-KT = KE = 0.1
-R = 0.5
-TICK = Fraction(2, 1000)
-ROWS = np.concatenate((np.full(40, 25), np.full(40, -35), np.zeros(60, dtype=int)))
-
-
-def closed_loop(advance, *, tick=TICK, delay=Fraction(0), rows=ROWS, state=4, settle=10):
-    """Return the (n, state) states at the ticks: PD in floats, DAC clamped, inputs delayed."""
-    x = np.zeros(state)
-    error_before, reference, now = 0.0, 0.0, Fraction(0)
-    arrivals: list[tuple[Fraction, float]] = []
-    volts, states = 0.0, []
-    for row in np.concatenate((rows, np.zeros(settle, dtype=int))):
-        states.append(x)
-        error = reference - 500 * x[0]
-        level = np.clip(3 * error + 6 * (error - error_before), -2048, 2047)
-        error_before = error
-        arrivals.append((now + delay, level * 20 / 4096))
-        end = now + tick
-        while now < end:
-            while arrivals and arrivals[0][0] <= now:
-                volts = arrivals.pop(0)[1]
-            until = min([end, *(at for at, _ in arrivals[:1])])
-            x = advance(x, volts, float(until - now))
-            now = until
-        reference += row
-    return np.array(states)
+from .belt_reference import (
+    BH,
+    BM,
+    COUNT_M,
+    KE,
+    KT,
+    ROWS,
+    RP,
+    TICK,
+    UNLIMITED,
+    C,
+    J,
+    K,
+    M,
+    R,
+    amperes,
+    amplifier,
+    closed_loop,
+    integrate,
+    linear,
+    smooth,
+)
 
 
-def integrate(slope, x, span, events=()):
-    return solve_ivp(slope, (0, span), x, "DOP853", rtol=1e-12, atol=1e-14, events=events)
+def every_way(test):
+    """Run a test without and with quantisers, with and without a current limit that binds."""
+    for name, values in (("limit", [None, 1.5]), ("quantised", [False, True])):
+        test = pytest.mark.parametrize(name, values)(test)
+    return test
 
 
-def smooth(force, current=lambda volts, w: (volts - KE * w) / R):
-    """Return an advance for a belt whose force is continuous in stretch and rate."""
-
-    def advance(x, volts, span):
-        def slope(_t, y):
-            th, pos, w, v = y
-            pull = force(RP * th - pos, RP * w - v)
-            return [w, v, (KT * current(volts, w) - BM * w - RP * pull) / J, (pull - BH * v) / M]
-
-        return integrate(slope, x, span).y[:, -1]
-
-    return advance
-
-
-def linear(s, r):
-    return K * s + C * r
-
-
-def compare(machine, states, table, atol=1e-9, rows=ROWS):
-    recording = simulate(table(machine, {"X": rows}), machine, quantised=False, settle_s=0.02)
+def compare(machine, states, table, atol=1e-9, rows=ROWS, quantised=False, limit=None):
+    """Assert that the load is the reference's at every tick, and that a limit binds."""
+    recording = simulate(table(machine, {"X": rows}), machine, quantised=quantised, settle_s=0.02)
     _, load = recording.samples("X.load")
     assert np.ptp(load) > 1e-3
-    np.testing.assert_allclose(load[: len(states)], states[:, 1], atol=atol)
+    np.testing.assert_allclose(load[: len(states)], states[:, 1], rtol=0, atol=atol)
+    if limit is not None:
+        assert (np.abs(recording.samples("X.current")[1]) > limit - 1e-4).sum() > 10
     return recording
 
 
-def test_linear_belt(belt_axis, table):
-    compare(belt_axis(), closed_loop(smooth(linear)), table)
-
-
-def test_current_limit(belt_axis, table):
+@every_way
+def test_linear_belt(quantised, limit, belt_axis, table):
     """The clipped current has a kink, no jump; it binds most of the way here."""
-    machine = belt_axis(
-        drives_m='amplifier = { mode = "voltage", gain = "1 exact, assumed", '
-        'current_limit = "1.5 A exact, assumed" }'
-    )
-    clipped = smooth(linear, lambda volts, w: np.clip((volts - KE * w) / R, -1.5, 1.5))
-    recording = compare(machine, closed_loop(clipped), table)
-    assert (np.abs(recording.samples("X.current")[1]) > 1.4999).sum() > 10
+    states = closed_loop(smooth(linear, amperes(limit)), quantised=quantised)
+    machine = belt_axis(drives_m=amplifier(limit))
+    compare(machine, states, table, quantised=quantised, limit=limit)
 
 
-def test_preloaded_belt(belt_axis, table):
+@every_way
+def test_preloaded_belt(quantised, limit, belt_axis, table):
     """Each run pulls with max(0, preload +- half the spring's force)."""
-    machine = belt_axis(links_belt='preload = "3 N exact, assumed"')
+    machine = belt_axis(links_belt='preload = "3 N exact, assumed"', drives_m=amplifier(limit))
 
     def force(s, r):
         half = 0.5 * linear(s, r)
         return max(0.0, 3 + half) - max(0.0, 3 - half)
 
-    bilinear = closed_loop(smooth(force))
-    compare(machine, bilinear, table)
-    assert np.abs(bilinear - closed_loop(smooth(linear))).max() > 1e-4
+    current = amperes(limit)
+    bilinear = closed_loop(smooth(force, current), quantised=quantised)
+    compare(machine, bilinear, table, quantised=quantised, limit=limit)
+    plain = closed_loop(smooth(linear, current), quantised=quantised)
+    assert np.abs(bilinear - plain)[:, 1].max() > 2 * COUNT_M
 
 
-def test_undamped_play(belt_axis, table):
+def assert_crossed(states, gap, recording, limit):
+    """Assert that the gap is left on both sides, and stood in while the limit binds."""
+    stretch = RP * states[:, 0] - states[:, 1]
+    assert stretch.max() > gap and stretch.min() < -gap
+    if limit is not None:
+        current = np.abs(recording.samples("X.current")[1][: len(states)])
+        assert ((np.abs(stretch) < gap) & (current > limit - 1e-4)).any()
+
+
+@every_way
+def test_undamped_play(quantised, limit, belt_axis, table):
     """A gap of 0.4 mm, crossed at each reversal and bounced in."""
     machine = belt_axis(
-        links_belt='damping = "0 N s/m exact, assumed"\nplay = "0.4 mm exact, assumed"'
+        links_belt='damping = "0 N s/m exact, assumed"\nplay = "0.4 mm exact, assumed"',
+        drives_m=amplifier(limit),
     )
     gap = 2e-4
 
     def force(s, _r):
         return K * (max(0.0, s - gap) + min(0.0, s + gap))
 
-    compare(machine, closed_loop(smooth(force)), table, atol=1e-8)
+    states = closed_loop(smooth(force, amperes(limit)), quantised=quantised)
+    recording = compare(machine, states, table, atol=1e-8, quantised=quantised, limit=limit)
+    assert_crossed(states, gap, recording, limit)
 
 
-def test_damped_play(belt_axis, table):
+@every_way
+def test_damped_play(quantised, limit, belt_axis, table):
     """A damped contact pushes, never pulls: it begins at the gap's edge and ends with its force."""
-    machine = belt_axis(links_belt='play = "0.4 mm exact, assumed"')
+    machine = belt_axis(links_belt='play = "0.4 mm exact, assumed"', drives_m=amplifier(limit))
+    current = amperes(limit)
     gap = 2e-4
     mode = {"side": 0, "separating": False}
 
@@ -135,8 +128,8 @@ def test_damped_play(belt_axis, table):
 
             def slope(_t, y, touching=touching, pull=pull):
                 f = pull(y) if touching else 0.0
-                current = (volts - KE * y[2]) / R
-                return [y[2], y[3], (KT * current - BM * y[2] - RP * f) / J, (f - BH * y[3]) / M]
+                turn = (KT * current(volts, y[2]) - BM * y[2] - RP * f) / J
+                return [y[2], y[3], turn, (f - BH * y[3]) / M]
 
             def upper(_t, y):
                 return RP * y[0] - y[1] - gap
@@ -172,11 +165,12 @@ def test_damped_play(belt_axis, table):
                 mode["side"] = 1 if which == 0 else -1
         return x
 
-    states = closed_loop(advance)
-    compare(machine, states, table, atol=1e-7)
+    states = closed_loop(advance, quantised=quantised)
+    recording = compare(machine, states, table, atol=1e-7, quantised=quantised, limit=limit)
+    assert_crossed(states, gap, recording, limit)
 
 
-def stick_slip(fc, fs):
+def stick_slip(fc, fs, current=UNLIMITED):
     """Return an advance with Coulomb friction on the head, mode by mode."""
     mode = {"sign": 0}
 
@@ -193,7 +187,7 @@ def stick_slip(fc, fs):
             def slope(_t, y, sign=sign):
                 th, pos, w, v = y
                 f = linear(RP * th - pos, RP * w - v)
-                turn = (KT * (volts - KE * w) / R - BM * w - RP * f) / J
+                turn = (KT * current(volts, w) - BM * w - RP * f) / J
                 return [w, v, turn, 0.0 if sign == 0 else (f - BH * v - sign * fc) / M]
 
             def stops(_t, y, sign=sign):
@@ -217,22 +211,29 @@ def stick_slip(fc, fs):
     return advance
 
 
-def test_stick_slip(belt_axis, table):
+@pytest.mark.parametrize("quantised", [False, True])
+@pytest.mark.parametrize("limit", [None, 2.5])
+@pytest.mark.parametrize("stiction", [11.0, None])
+def test_stick_slip(stiction, limit, quantised, belt_axis, table):
+    """Coulomb friction, with a higher one at rest and without; the limit is worth 20.8 N."""
+    more = "" if stiction is None else f'\nstiction = "{stiction} N exact, assumed"'
     machine = belt_axis(
-        bodies_head='friction = "4 N exact, assumed"\nstiction = "6 N exact, assumed"'
+        bodies_head=f'friction = "8 N exact, assumed"{more}', drives_m=amplifier(limit)
     )
-    states = closed_loop(stick_slip(4.0, 6.0))
-    recording = compare(machine, states, table, atol=1e-8)
-    load = recording.samples("X.load")[1]
-    assert (np.diff(load) == 0).sum() > 10  # it does stick
+    advance = stick_slip(8.0, stiction or 8.0, amperes(limit))
+    states = closed_loop(advance, quantised=quantised)
+    recording = compare(machine, states, table, atol=1e-8, quantised=quantised, limit=limit)
+    stuck = np.diff(recording.samples("X.load")[1]) == 0
+    assert stuck[10:].sum() > 4  # it does stick, and not only before it first breaks away
+    if limit is not None:
+        current = np.abs(recording.samples("X.current")[1][1:])
+        assert (stuck & (current > limit - 1e-4)).any()
 
 
-def test_clamped_coil(belt_axis, table):
+@pytest.mark.parametrize("quantised", [False, True])
+def test_clamped_coil(quantised, belt_axis, table):
     """The current is a state; at its limit it stays until its own volts drive it back."""
-    machine = belt_axis(
-        drives_m='amplifier = { mode = "voltage", gain = "1 exact, assumed", '
-        'current_limit = "1.2 A exact, assumed" }\ninductance = "2 mH exact, assumed"'
-    )
+    machine = belt_axis(drives_m=f'{amplifier(1.2)}\ninductance = "2 mH exact, assumed"')
     limit, L = 1.2, 2e-3
     mode = {"at": 0}
 
@@ -268,8 +269,8 @@ def test_clamped_coil(belt_axis, table):
                     x[4] = mode["at"] * limit
         return x
 
-    states = closed_loop(advance, state=5)
-    recording = compare(machine, states, table)
+    states = closed_loop(advance, state=5, quantised=quantised)
+    recording = compare(machine, states, table, quantised=quantised)
     assert np.abs(recording.samples("X.current_peak")[1]).max() == pytest.approx(1.2, abs=1e-12)
 
 
@@ -366,103 +367,6 @@ endless = true
         omega = volts / KE + (omega - volts / KE) * decay
     assert np.ptp(load) > 0.5
     np.testing.assert_allclose(load, expected[: len(load)], atol=1e-9)
-
-
-def test_batch_is_the_scalar_twin(belt_axis, table):
-    """Every variant of a batch is what ``simulate`` does with that machine, to 1e-9 counts."""
-    friction = np.array([1.0, 2.0, 4.0])
-    line = 'friction = "{} N exact, assumed"\nstiction = "6 N exact, assumed"'
-    machine = belt_axis(bodies_head=line.format(1))
-    commands = table(machine, {"X": ROWS}, 37)
-    batch = simulate_batch(
-        commands,
-        machine,
-        {"bodies.head.friction": friction},
-        channels=("X.load", "X.current"),
-        quantised=False,
-    )
-    for index, value in enumerate(friction):
-        alone = belt_axis(bodies_head=line.format(value))
-        recording = simulate(table(alone, {"X": ROWS}), alone, quantised=False)
-        for channel in ("X.load", "X.current"):
-            np.testing.assert_allclose(
-                batch.samples[channel][:, index], recording.samples(channel)[1], atol=1e-9 / 5e2
-            )
-    assert np.ptp(batch.end) > 1e-5
-
-
-@pytest.mark.parametrize("quantised", [False, True])
-def test_wide_batch_is_the_scalar_twin(belt_axis, table, quantised):
-    """Variants side by side give what each gives alone, to the bit: with a limit and friction."""
-    limit = (
-        'amplifier = { mode = "voltage", gain = "1 exact, assumed", '
-        'current_limit = "1.5 A exact, assumed" }'
-    )
-    inertia = np.linspace(1.0, 2.0, 70)
-    machine = belt_axis(drives_m=limit, bodies_head='friction = "3 N exact, assumed"')
-    commands = table(machine, {"X": ROWS})
-    batch = simulate_batch(
-        commands,
-        machine,
-        {"bodies.head.inertia": inertia},
-        channels=("X.load", "X.voltage", "X.current_peak"),
-        quantised=quantised,
-    )
-    assert batch.events > 500
-    for index in (0, 7, 33, 69):
-        alone = belt_axis(
-            drives_m=limit,
-            bodies_head=f'inertia = "{float(inertia[index])!r} kg exact, assumed"\n'
-            'friction = "3 N exact, assumed"',
-        )
-        recording = simulate(commands, alone, quantised=quantised)
-        for channel, values in batch.samples.items():
-            np.testing.assert_array_equal(values[:, index], recording.samples(channel)[1])
-
-
-def test_lanes_in_several_modes(table):
-    """Sixteen advances of different length, lanes side by side in and out of their limit.
-
-    The stitcher's dead time cuts its ticks unevenly. Each variant alone gives the same to 1e-9
-    counts, without quantisers.
-    """
-    machine = load_machine("stitcher")
-    commands = table(machine, {"X": np.full(40, 50), "Y": np.full(40, 45)})
-    inertia = np.random.default_rng(3).uniform(60.0, 180.0, 16)
-    channels = ("X.load", "Y.load", "X.current_peak")
-
-    def run(values):
-        return simulate_batch(
-            commands, machine, {"bodies.x_head.inertia": values}, channels=channels,
-            settle_s=0.02, quantised=False,
-        )  # fmt: skip
-
-    together = run(inertia)
-    assert together.events > 16
-    for index in (0, 6, 15):
-        alone = run(inertia[index : index + 1])
-        for channel in channels:
-            one, other = together.samples[channel][:, index], alone.samples[channel][:, 0]
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 / 2.6e5)
-    assert np.ptp(together.samples["X.load"][-1]) > 1e-6
-
-
-def test_batch_measures(belt_axis, table):
-    """Worst error, end, window and current peak are those of the recording."""
-    machine = belt_axis()
-    commands = table(machine, {"X": ROWS})
-    phases = np.array([[0.1], [0.5], [0.9]])
-    batch = simulate_batch(commands, machine, encoder_phase=phases, window_s=0.28)
-    for index, phase in enumerate(phases):
-        recording = simulate(commands, machine, encoder_phase=phase)
-        times, load = recording.samples("X.load")
-        _, commanded = recording.samples("X.commanded")
-        _, peak = recording.samples("X.current_peak")
-        assert batch.worst_error[index, 0] == pytest.approx(np.abs(commanded - load).max())
-        assert batch.end[index, 0] == pytest.approx(load[-1])
-        assert batch.highest[index, 0] == pytest.approx(load[times >= 0.28].max())
-        assert batch.lowest[index, 0] == pytest.approx(load[times >= 0.28].min())
-        assert abs(batch.current_peak[index, 0]) == pytest.approx(np.abs(peak).max())
 
 
 def test_what_cannot_be_honoured_is_refused(belt_axis, table):

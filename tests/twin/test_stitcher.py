@@ -63,7 +63,7 @@ def compare(
     _, load = recording.samples(f"{axis}.load")
     head = states[:, 3] if reference.m else RATIO * states[:, 0]
     assert np.ptp(head) > 5e-4
-    np.testing.assert_allclose(load[: len(states)], head, atol=tolerance)
+    np.testing.assert_allclose(load[: len(states)], head, rtol=0, atol=tolerance)
     _, measured = recording.samples(f"{axis}.measured")
     seen = COUNT_M * (COUNTS * states[:, 0])
     if not reference.at_head:
@@ -89,18 +89,20 @@ def test_y_with_its_frame(quantised, table):
     compare(load_machine("stitcher"), "Y", Axis(**Y), LEAD_Y, table, quantised=quantised)
 
 
-def test_belt_inside_the_loop(table):
+@pytest.mark.parametrize("quantised", [False, True])
+def test_belt_inside_the_loop(quantised, table):
     """The encoder sits at the head; unstable after a while, and exact all the same."""
     machine = load_machine("stitcher+head-feedback")
-    compare(machine, "X", Axis(at_head=True), LEAD_X, table)
+    compare(machine, "X", Axis(at_head=True), LEAD_X, table, quantised=quantised)
 
 
-def test_clipped_output(table, tmp_path):
+@pytest.mark.parametrize("quantised", [False, True])
+def test_clipped_output(quantised, table, tmp_path):
     """Equations 3.14d and 3.15e: the integrator of the current runs on behind its limit."""
     form = 'amplifier = { mode = "voltage", limits = "output" }\n'
     machine = overlaid(tmp_path, f"[drives.x]\n{form}[drives.y]\n{form}")
-    wound = compare(machine, "X", Axis(clamp="output"), LEAD_X, table)
-    held = run(Axis(), there_and_back(), LEAD_X, quantised=False)
+    wound = compare(machine, "X", Axis(clamp="output"), LEAD_X, table, quantised=quantised)
+    held = run(Axis(), there_and_back(), LEAD_X, quantised=quantised)
     assert np.abs(wound[:, 2]).max() > 1.3 * LIMIT
     assert np.abs(wound[:, 3] - held[:, 3]).max() > 1e-5
 
@@ -145,26 +147,31 @@ def test_filters(kind, quantised, table, tmp_path):
     compare(machine, "X", Axis(), law, table, quantised=quantised)
 
 
+@pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("share", [0.8, 0.3])
-def test_belt_with_unequal_runs(share, table, tmp_path):
+def test_belt_with_unequal_runs(share, quantised, table, tmp_path):
     """k1 = share k, k2 = the rest; each pulls while the preload leaves it tight (eqs C.9-C.11)."""
-    text = f'preload = "300 N exact, assumed"\nfirst_run = "{share} exact, assumed"\n'
+    text = f'preload = "150 N exact, assumed"\nfirst_run = "{share} exact, assumed"\n'
     machine = overlaid(tmp_path, f"[links.x_belt]\n{text}")
     k1, k2 = share * 6.24e5, (1 - share) * 6.24e5
 
     def belt(s, _rate, _y):
-        return max(0.0, 300 + k1 * s) - max(0.0, 300 - k2 * s)
+        return max(0.0, 150 + k1 * s) - max(0.0, 150 - k2 * s)
 
-    bent = compare(machine, "X", Axis(belt=belt), LEAD_X, table)
+    bent = compare(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
     other = run(
-        Axis(belt=lambda s, _r, _y: max(0.0, 300 + k2 * s) - max(0.0, 300 - k1 * s)),
-        there_and_back(), LEAD_X, quantised=False,
+        Axis(belt=lambda s, _r, _y: max(0.0, 150 + k2 * s) - max(0.0, 150 - k1 * s)),
+        there_and_back(), LEAD_X, quantised=quantised,
     )  # fmt: skip
     assert np.abs(bent[:, 3] - other[:, 3]).max() > 1e-4  # which run is the first matters
+    stretch = RATIO * bent[:, 0] - bent[:, 3]
+    assert stretch.max() > 150 / k2  # the second run goes slack
+    assert (stretch.min() < -150 / k1) == (share == 0.8)  # and the first, on the way back
 
 
+@pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("phase", [0.0, 1.3, -2.0])
-def test_eccentric_gear(phase, table, tmp_path):
+def test_eccentric_gear(phase, quantised, table, tmp_path):
     """A play of 0.2 mm +- 0.2 mm with the angle of the pulley; bounced in and out of."""
     machine = overlaid(
         tmp_path,
@@ -177,10 +184,10 @@ def test_eccentric_gear(phase, table, tmp_path):
         half = 0.5 * (2e-4 + 2e-4 * np.cos(0.5 * y[0] + phase))
         return 6.24e5 * (max(0.0, s - half) + min(0.0, s + half))
 
-    states = compare(machine, "X", Axis(belt=belt), LEAD_X, table)
+    states = compare(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
     assert np.ptp(0.5 * states[:, 0]) > 0.3  # a good part of a turn
     plain = Axis(belt=lambda s, _r, _y: 6.24e5 * (max(0.0, s - 1e-4) + min(0.0, s + 1e-4)))
-    even = run(plain, there_and_back(), LEAD_X, quantised=False)
+    even = run(plain, there_and_back(), LEAD_X, quantised=quantised)
     assert np.abs(even[:, 3] - states[:, 3]).max() > 5e-6
 
 
