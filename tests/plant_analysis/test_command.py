@@ -129,3 +129,24 @@ def test_wrong_data_names_the_line(text, message, tmp_path):
     with pytest.raises(RecordingError) as caught:
         read_response(file)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [
+        ("0", "gives 0 V whatever the error, so there is no loop to analyse. Correct its gains."),
+        ("1e300", "V for an error of a count, which is beyond 1e-100 ... 1e+100."),
+        ("1e-300", "V for an error of a count, which is beyond 1e-100 ... 1e+100."),
+    ],
+)
+def test_a_gain_without_a_loop_is_told_in_one_line(capsys, tmp_path, gain, words):
+    """A warning of numpy would fail the test; it stood above the tables."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'base = "stitcher-rigid"\nname = "mine"\n'
+        f'[controllers.x]\ngain = "{gain} dac/count exact, assumed"\n'
+    )
+    code, out, err = run(capsys, str(path), "--axis", "X", "--json")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("error: [MACHINE] mine.toml: axes.X: controllers.x gives ")
+    assert words in err

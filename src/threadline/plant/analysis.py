@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError
+from threadline.errors import MachineError, Place
 from threadline.machine import Machine
 from threadline.plant.actuator import Actuator, actuator_of
 from threadline.plant.delayed import closed_poles
@@ -23,6 +23,7 @@ from threadline.plant.zeros import chain_of, zeros_of
 
 HERTZ = 1.0 / (2.0 * np.pi)
 _SCALE_RAD_S = 100.0
+_LEAST_GAIN, _MOST_GAIN = 1e-100, 1e100  # V/count: their squares are still finite
 # Under a velocity loop the position is integrated, open: an eigenvalue 1, within rounding, that is
 # no instability.
 _ON_THE_CIRCLE = 1.0 + 1e-9
@@ -170,6 +171,7 @@ def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> A
         If its loop cannot be analysed.
     """
     loop = axis_loop(machine, axis, values)
+    _check_gain(machine, loop)
     own = loop.own()
     steps = {name: step_response(loop, name) for name in ("measured", "load")}
     return AxisAnalysis(
@@ -184,6 +186,24 @@ def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> A
         plant_poles=_sorted(own.poles()),
         plant_zeros=_sorted(zeros_of(own)),
         steps={name: step for name, step in steps.items() if step is not None},
+    )
+
+
+def _check_gain(machine: Machine, loop: Loop) -> None:
+    """Refuse a loop that its controller leaves open, or whose response no number can hold."""
+    most = float(np.abs(loop.filters[loop.index].numerator).max())
+    if _LEAST_GAIN <= most <= _MOST_GAIN:
+        return
+    what = (
+        "gives 0 V whatever the error, so there is no loop to analyse"
+        if most == 0.0
+        else f"gives {most:.3g} V for an error of a count, which is beyond "
+        f"{_LEAST_GAIN:g} ... {_MOST_GAIN:g}"
+    )
+    raise MachineError(
+        f"axes.{loop.axis}: controllers.{loop.controllers[loop.index]} {what}",
+        place=Place(machine.file) if machine.file else None,
+        remedy="Correct its gains.",
     )
 
 
