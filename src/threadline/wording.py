@@ -78,6 +78,11 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         least = context["min_length"]
         entries = "entry" if least == 1 else "entries"
         return f"must have at least {least} {entries}{got}", "Add what is missing."
+    if kind == "too_long":
+        # Pydantic counts lists alone, and says None of a table.
+        most, count = context["max_length"], len(error["input"])
+        entries = "entry" if most == 1 else "entries"
+        return f"must have at most {most} {entries}, got {count}", "Take some out."
     if kind == "string_pattern_mismatch":
         if context["pattern"] == "^[A-Z]$":
             return f"must be one capital letter{got}", "Name it like A, X or Y."

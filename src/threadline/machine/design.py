@@ -5,6 +5,7 @@ Nothing of it has a part in a motion or a simulation: ``threadline design`` alon
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -19,7 +20,8 @@ NumberPath = Annotated[
     str,
     Field(pattern=r"^(bodies|links|drives|sensors|controllers)(\.[A-Za-z][A-Za-z0-9_-]*){2,3}$"),
 ]
-Factor = Annotated[float, Field(gt=0.0, lt=1e6)]
+Factor = Annotated[float, Field(gt=0.0, lt=1e6, strict=True)]
+MOST_MARGIN_DEG = 90.0
 MOST_PARAMETERS = 8
 MOST_TOLERANCES = 4
 """Every corner of the tolerances is simulated: 2 to this power of them."""
@@ -49,7 +51,7 @@ class DesignParameter:
     of: tuple[NumberPath, ...] = Field(min_length=1)
     factor: tuple[Factor, Factor] | None = None
     range: tuple[str, str] | None = None
-    weight: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
+    weight: Annotated[float, Field(ge=0.0, le=1e6, strict=True)] = 1.0
     tolerance: str | None = None
     note: str = ""
 
@@ -97,12 +99,19 @@ class DesignSettings:
     @model_validator(mode="after")
     def _in_order(self) -> DesignSettings:
         if (self.crossover is None) != (self.phase_margin is None):
-            raise ValueError("crossover and phase_margin come together")
+            given = "crossover" if self.phase_margin is None else "phase_margin"
+            raise ValueError(f"{given}: crossover and phase_margin come together")
         for name in ("crossover", "phase_margin", "acceleration", "needle_delay"):
             pair = getattr(self, name)
             if pair is not None and pair[0].si > pair[1].si:
                 raise ValueError(
-                    f"{name} runs from {pair[0].si:g} to {pair[1].si:g} {pair[0].unit}"
+                    f"{name}: it runs from {pair[0].si:g} to {pair[1].si:g} {pair[0].unit}"
+                )
+        if self.phase_margin is not None:
+            most = math.degrees(self.phase_margin[1].si)
+            if most > MOST_MARGIN_DEG * (1.0 + 1e-9):
+                raise ValueError(
+                    f"phase_margin: it reaches {most:g} deg, at most {MOST_MARGIN_DEG:g} deg"
                 )
         return self
 
@@ -132,15 +141,21 @@ class Design:
         for name, parameter in self.parameters.items():
             for path in parameter.of:
                 if path in taken:
-                    raise ValueError(f"{path} is in both {taken[path]!r} and {name!r}")
+                    raise ValueError(
+                        f"parameters.{name}.of: {path} is in both {taken[path]!r} and {name!r}"
+                    )
                 taken[path] = name
         for title, known in self.known.items():
             for name in known.factors:
                 if name not in self.parameters:
                     raise ValueError(
-                        f"known.{title}.factors names {name!r}, which is no parameter; there are: "
+                        f"known.{title}.factors: {name!r} is no parameter; there are: "
                         f"{', '.join(self.parameters)}"
                     )
-        if sum(p.spread > 0 for p in self.parameters.values()) > MOST_TOLERANCES:
-            raise ValueError(f"more than {MOST_TOLERANCES} parameters have a tolerance")
+        loose = [name for name, parameter in self.parameters.items() if parameter.spread > 0]
+        if len(loose) > MOST_TOLERANCES:
+            raise ValueError(
+                f"parameters.{loose[MOST_TOLERANCES]}.tolerance: {len(loose)} parameters have a "
+                f"tolerance, at most {MOST_TOLERANCES}"
+            )
         return self

@@ -25,6 +25,7 @@ from threadline.wording import field_fault, toml_fault
 
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
+_DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
 _OURS = ("sha256", "file", "reference")
 """Fields of the model that no file may hold."""
 
@@ -225,6 +226,20 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
+def place_in(machine: Machine, key: str) -> Place | None:
+    """Return where ``key``, such as ``"design.settings.crossover"``, stands in a machine's file.
+
+    Line 0 where it comes from a base; None for a machine that was not read from a file.
+    """
+    if not machine.file:
+        return None
+    try:
+        text, _ = _read(_split(machine.reference)[0])
+    except MachineError:  # gone since
+        return Place(machine.file)
+    return Place(machine.file, line_of(text, tuple(key.split("."))))
+
+
 def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: str) -> NoReturn:
     errors = error.errors(include_url=False)
     # A misspelt key is also a missing one; only its own error says what to mend.
@@ -257,6 +272,14 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: st
         # What checks references sees the whole machine; its message begins with the key.
         place = Place(file, line_of(text, tuple(named[1].split("."))))
     said = f"{where}: {message}" if where else message
+    named = _DESIGN_KEY.match(message)
+    if location[:1] == ("design",) and first["type"] == "value_error" and named:
+        # What checks a table as a whole puts the key below it in front.
+        place = Place(file, line_of(text, (*location, *named[1].split("."))))
+        said = f"{where}.{message}"
+    if first["type"] == "too_long" and isinstance(first["input"], dict):
+        extra = list(first["input"])[first["ctx"]["max_length"]]
+        place = Place(file, line_of(text, (*location, extra)))
     if missing:
         remedy = f"{remedy} Also missing: {', '.join(key.said for key in missing)}.".strip()
     raise MachineError(said, place=place, remedy=remedy) from error

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from threadline.errors import OptionError
 from threadline.machine.model import Machine
-from threadline.machine.quantity import Quantity
+from threadline.machine.quantity import Quantity, Units
 
 
 def number_at(machine: Machine, path: str) -> Quantity:
@@ -29,6 +29,18 @@ def number_at(machine: Machine, path: str) -> Quantity:
             remedy="Name one that its file gives.",
         )
     return node
+
+
+def is_whole(machine: Machine, path: str) -> bool:
+    """Say whether a number of ``machine`` must be a whole one, such as the bits of a converter."""
+    node: Any = machine
+    *above, last = path.split(".")
+    for key in above:
+        node = node.get(key) if isinstance(node, Mapping) else getattr(node, key, None)
+    if isinstance(node, Mapping) or node is None:
+        return False
+    marks = get_args(get_type_hints(type(node), include_extras=True).get(last))
+    return any(isinstance(mark, Units) and mark.whole for mark in marks)
 
 
 def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:

@@ -13,7 +13,8 @@ from threadline.errors import MachineError, OptionError, Place
 from threadline.machine import Machine
 from threadline.machine.controllers import LeadFilter
 from threadline.machine.design import Design, DesignParameter
-from threadline.machine.numbers import number_at
+from threadline.machine.load import place_in
+from threadline.machine.numbers import is_whole, number_at
 from threadline.units import parse_quantity
 
 _LEVELS = 3
@@ -134,11 +135,11 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     design = machine.design
     low, high = [], []
     for name, parameter in design.parameters.items():
-        first, last = _bounds(machine, name, parameter, place)
+        first, last = _bounds(machine, name, parameter)
         low.append(np.log(first))
         high.append(np.log(last))
     ahead = bool(smoothing_s)
-    low_set, high_set = ([], []) if ahead else _gain_bounds(machine, design, place)
+    low_set, high_set = ([], []) if ahead else _gain_bounds(machine, design)
     return Space(
         machine=machine,
         names=tuple(design.parameters),
@@ -154,22 +155,29 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     )
 
 
-def _bounds(
-    machine: Machine, name: str, parameter: DesignParameter, place: Place | None
-) -> tuple[float, float]:
+def _bounds(machine: Machine, name: str, parameter: DesignParameter) -> tuple[float, float]:
     """Return the least and the largest factor of a parameter."""
     where = f"design.parameters.{name}"
+    place = place_in(machine, f"{where}.of")
     try:
         numbers = [number_at(machine, path) for path in parameter.of]
     except OptionError as error:
         raise MachineError(
             f"{where}: {error.message}", place=place, remedy="Correct of, or take it out."
         ) from error
+    whole = [path for path in parameter.of if is_whole(machine, path)]
+    if whole:
+        raise MachineError(
+            f"{where}: {whole[0]} takes whole numbers alone, which no factor keeps",
+            place=place,
+            remedy="Take it out; make a machine file for each of its values instead.",
+        )
     if any(q.si == 0.0 for q in numbers):
         raise MachineError(f"{where}: a number that is 0 has no factor", place=place)
     if parameter.factor is not None:
         return parameter.factor
     assert parameter.range is not None
+    place = place_in(machine, f"{where}.range")
     own = numbers[0]
     if any(abs(q.si / own.si - 1.0) > _SAME or q.unit != own.unit for q in numbers):
         raise MachineError(
@@ -188,12 +196,12 @@ def _bounds(
     return first, last
 
 
-def _gain_bounds(
-    machine: Machine, design: Design, place: Place | None
-) -> tuple[list[float], list[float]]:
+def _gain_bounds(machine: Machine, design: Design) -> tuple[list[float], list[float]]:
     settings = design.settings
     if settings.crossover is None or settings.phase_margin is None:
         return [], []
+    (low, high), (least, most) = settings.crossover, settings.phase_margin
+    place = place_in(machine, "design.settings.crossover")
     for axis in machine.axes.values():
         if not isinstance(machine.controllers[axis.controller], LeadFilter):
             raise MachineError(
@@ -201,7 +209,15 @@ def _gain_bounds(
                 place=place,
                 remedy="Only lead filters are designed; give its gains as parameters instead.",
             )
-    (low, high), (least, most) = settings.crossover, settings.phase_margin
+        clock = machine.controllers[axis.controller].clock
+        nyquist_hz = 0.5 / float(machine.clock(clock).period_s)
+        if high.si >= nyquist_hz:
+            raise MachineError(
+                f"design.settings.crossover: it reaches {high.si:g} Hz, and the controller "
+                f"{axis.controller!r} on clock {clock!r} has none at {nyquist_hz:g} Hz or above",
+                place=place,
+                remedy="Lower it.",
+            )
     return (
         [float(np.log(low.si)), float(np.degrees(least.si))],
         [float(np.log(high.si)), float(np.degrees(most.si))],
