@@ -22,7 +22,7 @@ from threadline.twin.prepare import Prepared, State, new_state, prepare
 from threadline.twin.shape import AXIS_ROWS, Layout
 from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases
 
-_CACHE_BYTES = 40_000
+_CACHE_BYTES = 16_000
 """What a block of variants may take: it should stay in the fastest memory."""
 _WIDTH = 8
 _WORST, _LOWEST, _HIGHEST, _LAST, _ = range(len(AXIS_ROWS))

@@ -109,9 +109,11 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
     events, gather = functions
     code, shape = rows.code, rows.shape
 
-    def leave(mask: Value, whole: int) -> None:
+    def leave(mask: Value, whole: int, before: tuple[Value, ...] = ()) -> None:
         bits = code.bits(mask)
         with code.when_seldom(~bits.equals(0)):
+            for i, value in enumerate(before):
+                rows.leave_behind(("old", i), value)
             code.run(events, *call[:3], bits, code.integer(whole), *call[3:])
 
     if shape.peak:
@@ -120,9 +122,7 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
             leave(rows.jumped(), 0)
             rows.forget()
         write_peaks(rows)
-    if events is not None:
-        for i in range(shape.states):
-            rows["old", i] = rows["z", i]
+    before = tuple(rows["z", i] for i in range(shape.states))
     rows.choose_length(gather, call[1], call[2], call[4])
     after = rows.advanced()
     if events is None:
@@ -133,10 +133,10 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
         for i in range(shape.states):
             rows.leave_behind(("z", i), after[i])
         if near is None:
-            leave(rows.may_leave(after), 1)
+            leave(rows.may_leave(after), 1, before)
         else:
             with code.when_seldom(code.any(near)):
-                leave(rows.may_leave(after) & near, 1)
+                leave(rows.may_leave(after) & near, 1, before)
         rows.forget()
     if shape.peak:
         write_peaks(rows)
