@@ -10,14 +10,8 @@ from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.pipeline import (
-    Options,
-    check_loops,
-    describe,
-    options_from,
-    parse_feed,
-    parse_tolerance_m,
-)
+from threadline.options import parse_feed, parse_tolerance_m
+from threadline.pipeline import Options, check_loops, describe, options_from
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from threadline.machine import load_machine
-from threadline.pipeline import Options, parse_feed, prove
+from threadline.options import parse_feed
+from threadline.pipeline import Options, prove
 from threadline.shaping import (
     FlexibleMode,
     Requirement,

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.errors import OptionError, Place, PlanError, UnitError
+from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
+from threadline.options import parse_feed, parse_share, parse_tolerance_m, parse_width_s
 from threadline.path import check_budget, on_time_path, plan_path, programmed_path
 from threadline.plan import Plan, SwitchPlan
 from threadline.plant.analysis import unstable_loops
@@ -24,7 +25,6 @@ from threadline.targets.schedule_options import shaping_of
 from threadline.trajectory import plan_trajectory
 from threadline.twin import simulate
 from threadline.twin.switching import simulate_switching
-from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict import Spec, Verdict, judge
 
 DEFAULT_INTERPOLATION = "auto"
@@ -85,87 +85,6 @@ class SwitchProof:
     recording: Recording
     verdict: Verdict
     spec: Spec
-
-
-def parse_feed(text: str) -> Feed:
-    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"500 mm/min"``.
-
-    Raises
-    ------
-    OptionError
-        If it is not a positive feed of a known kind.
-    """
-    try:
-        _, unit = split_quantity(text)
-        if same_dimension(unit, "count/tick") if unit else False:
-            feed = Feed(FeedMode.COUNT_PER_TICK, parse_quantity(text, "count/tick"))
-        else:
-            feed = Feed(FeedMode.FASTEST_AXIS, parse_quantity(text, "m/s"))
-    except UnitError as error:
-        raise OptionError(
-            f"feed {text!r}: {error.message}",
-            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min".',
-        ) from error
-    if feed.value <= 0:
-        raise OptionError(f"feed {text!r} must be greater than zero")
-    return feed
-
-
-def parse_tolerance_m(text: str) -> float:
-    """Return a tolerance such as ``"0.1 mm"`` in m.
-
-    Raises
-    ------
-    OptionError
-        If it is not a positive length.
-    """
-    try:
-        value = parse_quantity(text, "m")
-    except UnitError as error:
-        raise OptionError(
-            f"tolerance {text!r}: {error.message}", remedy='Write it like "0.1 mm".'
-        ) from error
-    if value <= 0:
-        raise OptionError(f"tolerance {text!r} must be greater than zero")
-    return value
-
-
-def parse_share(text: str) -> float:
-    """Return a share such as ``"25 %"`` as a number.
-
-    Raises
-    ------
-    OptionError
-        If it is not above 0 % and at most 100 %.
-    """
-    try:
-        value = parse_quantity(text, "")
-    except UnitError as error:
-        raise OptionError(
-            f"limits {text!r}: {error.message}", remedy='Write it like "25 %".'
-        ) from error
-    if not 0.0 < value <= 1.0:
-        raise OptionError(f"limits {text!r} must be above 0 % and at most 100 %")
-    return value
-
-
-def parse_width_s(text: str) -> float:
-    """Return the width of a smoothing in time such as ``"36 ms"`` in s.
-
-    Raises
-    ------
-    OptionError
-        If it is not a time of at least 0.1 ms and at most 10 s.
-    """
-    try:
-        value = parse_quantity(text, "s")
-    except UnitError as error:
-        raise OptionError(
-            f"smoothing {text!r}: {error.message}", remedy='Write it like "36 ms".'
-        ) from error
-    if not 1e-4 <= value <= 10.0:
-        raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
-    return value
 
 
 def check_loops(machine: Machine) -> None:

@@ -25,7 +25,8 @@ from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
-from threadline.pipeline import Proof, parse_feed
+from threadline.options import parse_feed
+from threadline.pipeline import Proof
 from threadline.report import write_comparison
 from threadline.search import Comparison, Rung
 from threadline.search import compare as compare_job

@@ -27,7 +27,7 @@ from threadline.cli.outputs import check_outputs, folder_of
 from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine
-from threadline.pipeline import parse_width_s
+from threadline.options import parse_width_s
 from threadline.report.design import (
     candidate_rows,
     change_rows,

@@ -10,15 +10,8 @@ import typer
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
-from threadline.pipeline import (
-    DEFAULT_INTERPOLATION,
-    DEFAULT_TOLERANCE_M,
-    Options,
-    parse_feed,
-    parse_share,
-    parse_tolerance_m,
-    parse_width_s,
-)
+from threadline.options import parse_feed, parse_share, parse_tolerance_m, parse_width_s
+from threadline.pipeline import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE_M, Options
 
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from threadline.cli.output import note
+from threadline.options import parse_tolerance_m
 from threadline.path.plan import KEEPING_TOLERANCE
-from threadline.pipeline import Proof, parse_tolerance_m
+from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.verdict.deviation import measure_path_deviation
 
