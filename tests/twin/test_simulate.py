@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -129,6 +131,39 @@ def test_switch_cuts_the_motor(table):
     after = load[first + 1 :]
     assert np.ptp(np.diff(after)) < 1e-12
     assert np.abs(current[first:]).max() == 0.0
+
+
+def turning(theta, moved, volts):
+    """Return when the rigid winder turns under held volts, in s, and where, in rad.
+
+    Its speed is an exponential; what it moves in a tick gives the speed at the start.
+    """
+    end, decay = volts * 0.45 / KE, KT * KE / (R * 3.606e-4)
+    omega = end + (moved - end * TICK) * decay / (1 - np.exp(-decay * TICK))
+    at = np.log((omega - end) / -end) / decay
+    return at, theta + end * at + (omega - end) * (1 - np.exp(-decay * at)) / decay
+
+
+def test_switch_touched_within_a_tick(table):
+    """A peak between two ticks trips a switch that stands below it, though no tick is beyond it."""
+    machine = load_machine("lathe-winder")
+    rows = np.zeros(60, dtype=int)
+    rows[0] = 247
+    recording = simulate(table(machine, {"X": rows}), machine, quantised=False)
+    load, volts = recording.samples("X.load")[1], recording.samples("X.voltage")[1]
+    k, per_rad = int(np.argmax(load)), COUNTS / 55.358e3
+    at, peak = turning(load[k] / per_rad, (load[k + 1] - load[k]) / per_rad, volts[k])
+    assert 0 < at < TICK
+    above = peak * per_rad - load.max()
+    assert above > 5e-7
+    for share, pressed in ((0.9, 1), (1.1, 0)):
+        place = load.max() + share * above
+        switch = machine.inputs["x_high"]
+        switch = dataclasses.replace(switch, at=dataclasses.replace(switch.at, si=place))
+        inputs = {**machine.inputs, "x_high": switch}
+        other = dataclasses.replace(machine, inputs=inputs)
+        run = simulate(table(other, {"X": rows}), other, quantised=False)
+        assert run.samples("x_high")[1].max() == pressed
 
 
 def test_wrong_commands_are_refused(table):

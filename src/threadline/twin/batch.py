@@ -28,7 +28,9 @@ _WIDTH = 8
 _WORST, _LOWEST, _HIGHEST, _LAST, _ = range(len(AXIS_ROWS))
 _NEVER = 1 << 62
 _AT_ONCE = 2048
-_MOST_ROWS = 1 << 14
+_MOST_ROWS = 1 << 16
+_MOST_BYTES = 1 << 27
+"""Of samples before they are sorted into channels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,7 +206,7 @@ class _Batch:
         window = _NEVER if self.window_s is None else ceil(self.window_s / tick_s)
         kept: dict[str, list[FloatArray]] = {name: [] for name in self.channels}
         ticks = 0
-        for position in self._positions():
+        for position in self._positions(self._rows_at_once(states, wanted)):
             count = self._run_rows(states, position, ticks, window, pool, workers, wanted, kept)
             ticks += count
         return self._result(states, values.count, ticks, kept)
@@ -247,17 +249,28 @@ class _Batch:
                 kept[name].append(offset + scale * part)
         return len(position)
 
-    def _positions(self) -> Iterator[IntArray]:
-        """Yield (n, axes) commanded counts from the start, at the instants of the ticks."""
+    def _rows_at_once(
+        self, states: list[State], wanted: list[list[tuple[str, int, float, float]]]
+    ) -> int:
+        rows = _MOST_ROWS
+        for state, columns in zip(states, wanted, strict=True):
+            if columns:
+                lanes = len(state.clock) * state.shape.lanes
+                samples = max(1, _MOST_BYTES // (8 * state.prepared.columns * lanes))
+                rows = min(rows, samples * self.every)
+        return rows
+
+    def _positions(self, most: int) -> Iterator[IntArray]:
+        """Yield (n, axes) commanded counts from the start, n at most, at the ticks' instants."""
         position = np.zeros(len(self.machine.axes), dtype=np.int64)
         for block in self.commands:
-            for at in range(0, len(block), _MOST_ROWS):
-                after = position + np.cumsum(block.counts[at : at + _MOST_ROWS], axis=0)
+            for at in range(0, len(block), most):
+                after = position + np.cumsum(block.counts[at : at + most], axis=0)
                 yield np.concatenate((position[None], after[:-1]))
                 position = after[-1]
         left = ceil(self.settle_s / float(self.machine.tick_clock.period_s)) + 1
         while left:
-            count = min(left, _MOST_ROWS)
+            count = min(left, most)
             yield np.broadcast_to(position, (count, len(position)))
             left -= count
 

@@ -1,12 +1,12 @@
 """Kernel code: an advance in which modes change, every change located.
 
 A guard is watched over an advance through the four Bezier points of its cubic Hermite
-interpolant; only an advance with all of them inside is taken at once. Otherwise it is made cell
-by cell: within a cell the guards are polynomials, Taylor's series with a remainder below 1e-17
-of the state, whose first exit is found to rounding. A guard that is left and entered again
-within a watched interval h escapes only when it goes beyond its bound by less than the error of
-the interpolant, ``h^4 max|g''''| / 384``; h times the fastest rate is at most 1, within a cell
-1/4.
+interpolant, one that only rises or only falls through its ends; only an advance with all of
+them inside is taken at once. Otherwise it is made cell by cell: within a cell the guards are
+polynomials, Taylor's series with a remainder below 1e-17 of the state, whose first exit is found
+to rounding. A guard that turns, is left and entered again within a watched interval h escapes only
+when it goes beyond its bound by less than the error of the interpolant, ``h^4 max|g''''| / 384``;
+h times the fastest rate is at most 1, within a cell 1/4.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from threadline.twin.lanes import ENDLESS, EVENTS, SLOW, UNMET, Context, Lanes
 from threadline.twin.shape import Layout
 
 _MOST_EVENTS = 2000.0
-_MOST_STEPS = 60
 
 
 def write_change(module: ir.Module, layout: Layout) -> Any:
@@ -46,14 +45,12 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
         event = code.to_integer(code.read(given, first))
         place = code.place(rows.base, layout["mode",] * width)
         mode = code.to_integer(code.read(place, first))
-        now = code.from_bits(left.get())
-        now = (
-            now & rows["mode",].equals(code.to_number(mode)) & events.equals(code.to_number(event))
-        )
+        alike = rows["mode",].equals(code.to_number(mode)) & events.equals(code.to_number(event))
+        now = code.from_bits(left.get()) & alike
         left.set(left.get() - code.bits(now))
-        side = code.choose(event > 0, code.integer(1), code.integer(0))
         guard = code.choose(event > 0, event, code.integer(0) - event) - 1
-        which = guard * 2 + side
+        which = guard * 2 + code.choose(event > 0, code.integer(1), code.integer(0))
+        target = code.place(rows.base, layout.fixed * width)
         plan = code.read(context.pointer("plans"), mode, POINTER)
 
         def blend(row: Value, value: Value | float, now: Value = now) -> None:
@@ -70,15 +67,13 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
         to = code.read(plan, which + W, INTEGER)
         done = code.read(counts, EVENTS, INTEGER) + code.ones(code.bits(now))
         code.write(counts, EVENTS, done, INTEGER)
-        table = code.variable(POINTER, code.read(tables, to, POINTER))
-        with code.when_seldom(_is_null(code, table.get())):
-            code.run_address(context.integer("meet"), to)
-            table.set(code.read(tables, to, POINTER))
-        unmet = _is_null(code, table.get())
+        table = _table(context, tables, to)
+        unmet = _is_null(code, table)
         with code.when_seldom(unmet):
             code.write(counts, UNMET, code.integer(1), INTEGER)
         with code.when(~unmet):
-            _enter(code, layout, blend, to, code.place(table.get(), offset))
+            blend(code.integer(layout["mode",]), code.to_number(to))
+            _copy(code, target, code.place(table, offset), layout.copied, now)
     if layout.shape.lengths > 1:
         rows.forget()
         _choose_source(code, rows, tables, offset)
@@ -86,11 +81,26 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
     return code.function
 
 
-def _enter(code: Code, layout: Layout, blend: Any, mode: Value, table: Value) -> None:
-    """Write the rows of a mode to the lanes that enter it."""
-    blend(code.integer(layout["mode",]), code.to_number(mode))
-    with code.count(0, layout.copied) as row:
-        blend(row + layout.fixed, code.read_lanes(table, row * layout.shape.width))
+def _table(context: Context, tables: Value, mode: Value) -> Value:
+    """Return the table of a mode, filled if this is the first to meet it; 0 where it can't be."""
+    code = context.code
+    table = code.variable(POINTER, code.read(tables, mode, POINTER))
+    with code.when_seldom(_is_null(code, table.get())):
+        code.run_address(context.integer("meet"), mode)
+        table.set(code.read(tables, mode, POINTER))
+    return table.get()
+
+
+def _copy(code: Code, target: Value, source: Value, rows: int, where: Value) -> None:
+    """Write rows to some lanes; all lanes, by far the most common, need not be read before."""
+    width = code.width
+    everywhere = code.bits(where).equals((1 << width) - 1)
+    with code.when(everywhere), code.count(0, rows) as row:
+        code.write_lanes(target, row * width, code.read_lanes(source, row * width))
+    with code.when(~everywhere), code.count(0, rows) as row:
+        at = row * width
+        value = code.choose(where, code.read_lanes(source, at), code.read_lanes(target, at))
+        code.write_lanes(target, at, value)
 
 
 def _choose_source(code: Code, rows: Lanes, tables: Value, offset: Value) -> None:
@@ -127,10 +137,7 @@ def write_gather(module: ir.Module, layout: Layout) -> Any:
         now = modes.equals(code.to_number(mode))
         left.set(left.get() - code.bits(now))
         source = code.place(code.read(tables, mode, POINTER), offset + first * width)
-        with code.count(0, layout.per_length) as row:
-            at = row * width
-            value = code.choose(now, code.read_lanes(source, at), code.read_lanes(target, at))
-            code.write_lanes(target, at, value)
+        _copy(code, target, source, layout.per_length, now)
     code.finish()
     return code.function
 
@@ -139,123 +146,12 @@ def _is_null(code: Code, pointer: Value) -> Value:
     return Value(code, code.at.ptrtoint(pointer.ir, INTEGER)).equals(0)
 
 
-def write_first_exit(module: ir.Module, layout: Layout) -> Any:
-    """Write the function that finds where a polynomial of (0, until] leaves its bounds first.
-
-    Arguments: coefficients, [low, high, until, side], mask of lanes; ``until`` and ``side``
-    (+1 above, -1 below, 0 where it stays) are set.
-    """
-    shape = layout.shape
-    code = Code(module, "first_exit", (POINTER, POINTER, INTEGER), shape.width, True)
-    width, terms = shape.width, shape.terms
-    poly, more, bits = code.arguments
-    lanes = code.from_bits(bits)
-    q = [code.read_lanes(poly, k * width) for k in range(terms + 1)]
-    low, high, until = (code.read_lanes(more, k * width) for k in range(3))
-
-    def at(s: Value, order: int) -> list[Value]:
-        found = [q[terms]] + [code.number(0.0)] * order
-        for k in range(terms - 1, -1, -1):
-            for m in range(order, 0, -1):
-                found[m] = code.fma(found[m], s, found[m - 1])
-            found[0] = code.fma(found[0], s, q[k])
-        return found
-
-    def beyond(value: Value) -> Value:
-        return (value > high) | (value < low)
-
-    side = code.variable(code.vector, 0.0)
-    end, fall = at(until, 1)
-    third = until * (1.0 / 3.0)
-    hull = beyond(code.fma(q[1], third, q[0])) | beyond(end - fall * third) | beyond(end)
-    with code.when(code.any(hull & lanes)):
-        open_ = ~hull & hull
-        found = open_
-        left = right = code.number(0.0)
-        before = after = falls = rises = code.number(0.0)
-        a, value_a, slope_a = code.number(0.0), q[0], q[1]
-        for section in range(shape.sections):
-            b = until * ((section + 1) / shape.sections)
-            value_b, slope_b = (end, fall) if section + 1 == shape.sections else at(b, 1)
-            # Where the slope turns within the section: the secant of the slope finds the peak.
-            turns = slope_a * slope_b < 0.0
-            width_ab = b - a
-            middle = code.fma(width_ab, slope_a / (slope_a - slope_b), a)
-            middle = code.choose(turns, middle, b)
-            value_m, slope_m = at(middle, 1)
-            peak = turns & beyond(value_m)
-            here = (beyond(value_b) | peak) & ~found & lanes
-            left = code.choose(here, a, left)
-            before = code.choose(here, value_a, before)
-            right = code.choose(here, code.choose(peak, middle, b), right)
-            after = code.choose(here, code.choose(peak, value_m, value_b), after)
-            falls = code.choose(here, slope_a, falls)
-            rises = code.choose(here, code.choose(peak, slope_m, slope_b), rises)
-            found = found | here
-            a, value_a, slope_a = b, value_b, slope_b
-        with code.when(code.any(found)):
-            above = after > high
-            sign = code.choose(above, code.number(1.0), code.number(-1.0))
-            bound = code.choose(above, high, low)
-            _root(code, at, found, sign, bound, (left, right, before, after, falls, rises), more)
-            side.set(code.choose(found, sign, 0.0))
-    code.write_lanes(more, 3 * width, side.get())
-    code.finish()
-    return code.function
-
-
-def _root(
-    code: Code,
-    at: Any,
-    found: Value,
-    sign: Value,
-    bound: Value,
-    bracket: tuple[Value, Value, Value, Value, Value, Value],
-    more: Value,
-) -> None:
-    """Write Halley's method, kept within a bracket; each lane stops by itself."""
-    left_now, right_now, before, after, slope_left, slope_right = bracket
-    # Inverse cubic Hermite interpolation; the secant where that leaves the bracket.
-    span, rise = right_now - left_now, after - before
-    x = (bound - before) / rise
-    one, other = rise / slope_left, rise / slope_right
-    bend = (one - span) * (1.0 - x) - (other - span) * x
-    secant = code.fma(span, x, left_now)
-    guess = code.fma(x * (1.0 - x), bend, secant)
-    fits = (guess >= left_now) & (guess <= right_now)
-    guess = code.choose(fits, guess, secant)
-    s = code.variable(code.vector, guess)
-    left, right = code.variable(code.vector, left_now), code.variable(code.vector, right_now)
-    open_ = code.variable(INTEGER, code.bits(found))
-    turn = code.variable(INTEGER, 0)
-    with code.loop() as leave:
-        leave(open_.get().equals(0))
-        leave(turn.get() >= _MOST_STEPS)
-        turn.set(turn.get() + 1)
-        now = s.get()
-        value, slope, half_bend = at(now, 2)
-        off = value - bound
-        too_far = off * sign > 0.0
-        lanes = code.from_bits(open_.get())
-        right.set(code.choose(too_far & lanes, now, right.get()))
-        left.set(code.choose(~too_far & lanes, now, left.get()))
-        below = code.fma(slope, slope, off * half_bend * -1.0)
-        better = now - off * slope / below
-        inside = (better >= left.get()) & (better <= right.get())
-        better = code.choose(inside, better, (left.get() + right.get()) * 0.5)
-        moved = code.call("fabs", better - now)
-        done = (moved < 3e-5) & inside | (right.get() - left.get() < 1e-15)
-        s.set(code.choose(lanes, better, now))
-        open_.set(code.bits(lanes & ~done))
-    until = code.read_lanes(more, 2 * code.width)
-    code.write_lanes(more, 2 * code.width, code.choose(found, s.get(), until))
-
-
 def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any) -> Any:
     """Write the function that advances ``width`` lanes with events.
 
     Arguments: their rows, their number among all such groups, length, mask, whole advance or none
-    (only modes that don't hold are left), counts, context.
+    (only modes that don't hold are left), counts, context. ``first_exit`` has the functions for
+    guards that may turn (False) and for monotone ones (True).
     """
     shape = layout.shape
     n, width, K = shape.states, shape.width, shape.terms
@@ -270,8 +166,8 @@ def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any
     changes, event = code.variable(code.vector, 0.0), code.variable(code.vector, 0.0)
     span = code.read(context.pointer("cell s"), length)
     with code.when(whole > 0):
-        for i in range(n):
-            rows["z", i] = code.choose(live, rows["old", i], rows["z", i])
+        z, old = (code.place(base, layout[name, 0] * width) for name in ("z", "old"))
+        _copy(code, z, old, n, live)
         code.write(counts, SLOW, code.read(counts, SLOW, INTEGER) + code.ones(bits), INTEGER)
         many = code.read(context.pointer("cells"), length)
         cells.set(code.choose(live, Value(code, code.lift(many, code.vector)), 0.0))
@@ -347,7 +243,7 @@ def _cell(
             code.write_lanes(poly, k * width, value)
         code.write_lanes(more, 0, rows["low", w])
         code.write_lanes(more, width, rows["high", w])
-        code.run(first_exit, poly, more, code.bits(moving))
+        code.run(first_exit[shape.monotone(w)], poly, more, code.bits(moving))
         side = code.read_lanes(more, 3 * width)
         left = code.call("fabs", side) > 0.0
         event.set(code.choose(left, side * (w + 1.0), event.get()))

@@ -17,7 +17,8 @@ from typing import Any
 from llvmlite import ir
 
 from threadline.twin.code import INTEGER, POINTER, Code, Compiler, Value
-from threadline.twin.events import write_change, write_events, write_first_exit, write_gather
+from threadline.twin.events import write_change, write_events, write_gather
+from threadline.twin.exits import write_first_exit
 from threadline.twin.lanes import COUNTS, Context, Lanes
 from threadline.twin.profile import write_goals
 from threadline.twin.schedule import ARRIVE, CONTROL, TICK
@@ -54,7 +55,9 @@ def _kernel(shape: Shape) -> Any:
     events = gather = None
     if shape.guards:
         change = write_change(module, layout)
-        events = write_events(module, layout, change, write_first_exit(module, layout))
+        kinds = {shape.monotone(w) for w in range(len(shape.guards))}
+        exits = {kind: write_first_exit(module, layout, kind) for kind in kinds}
+        events = write_events(module, layout, change, exits)
         gather = write_gather(module, layout)
     _write_run(module, layout, (events, gather))
     address = _compiler().address(module, "run")

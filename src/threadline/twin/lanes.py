@@ -157,28 +157,33 @@ class Lanes:
         """Return where a guard may be left on the way to ``after``.
 
         A cubic on an interval lies within the hull of its four Bezier points; those of a guard's
-        Hermite interpolant are its ends and ``g + g' h/3``, ``g - g' h/3``.
+        Hermite interpolant are its ends and ``g + g' h/3``, ``g - g' h/3``. A monotone guard lies
+        between its ends.
         """
         found: list[Value] = []
-        for w, (guard, rate) in enumerate(zip(self.shape.guards, self.shape.rates(), strict=True)):
-            ends = [
-                self.product(("guard", w), guard.row),
-                self.product(("guard", w), guard.row, after),
-            ]
-            turns: list[Value] = []
-            if rate:
-                turns = [self.product(("third", w), rate), self.product(("third", w), rate, after)]
-            found += self.outside(w, ends, turns)
+        for w, rate in enumerate(self.shape.rates()):
+            found += self._left(w, rate, after)
         return self.code.any_negative(found)
 
-    def may_be_near(self) -> Value | None:
-        """Return where an advance might come near a guard, by a first look at its start alone.
+    def _left(self, w: int, rate: Pattern, after: list[Value]) -> list[Value]:
+        row = self.shape.guards[w].row
+        ends = [self.product(("guard", w), row), self.product(("guard", w), row, after)]
+        turns: list[Value] = []
+        if rate:
+            turns = [self.product(("third", w), rate), self.product(("third", w), rate, after)]
+        return self.outside(w, ends, turns)
+
+    def may_be_near(self, after: list[Value]) -> Value | None:
+        """Return where an advance might leave a guard, by a cheaper look; None where there is none.
 
         The four Bezier points are rows times the columns at the start; all of them lie within
         ``middle . z +- spread . |z|``.
         """
         found: list[Value] = []
         for w, pattern in enumerate(self.shape.nearness()):
+            if not pattern:
+                found += self._left(w, (), after)
+                continue
             guard, code = self.shape.guards[w], self.code
             sizes = {j: code.call("fabs", self["z", j]) for j in pattern}
             middle = self.product(("middle", w), pattern)

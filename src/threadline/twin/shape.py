@@ -91,25 +91,39 @@ class Shape(NamedTuple):
         unit = tuple(i not in row for i, row in enumerate(found))
         return tuple(tuple(sorted(row)) for row in found), unit
 
+    def monotone(self, w: int) -> bool:
+        """Return whether guard w only rises or only falls during an advance, in any mode.
+
+        It does where it follows one state at most whose rate depends on no other: inputs are
+        held, so that this state goes to its end as an exponential or a straight line.
+        """
+        states = [j for j in self.guards[w].row if j < self.states]
+        return all(
+            states == [j] and not any(i < self.states for i in self.matrix[j] if i != j)
+            for j in states
+        )
+
     def rates(self) -> tuple[Pattern, ...]:
-        """Return the patterns of the guards' rates."""
+        """Return the patterns of the guards' rates; none where the ends of an advance tell all."""
         found = []
-        for guard in self.guards:
+        for w, guard in enumerate(self.guards):
             rows = (self.matrix[j] for j in guard.row if j < self.states)
-            found.append(tuple(sorted(set().union(*rows))))
+            pattern = () if self.monotone(w) else tuple(sorted(set().union(*rows)))
+            found.append(pattern)
         return tuple(found)
 
     def nearness(self) -> tuple[Pattern, ...]:
-        """Return the patterns of the guards' rows that a cheap first look takes, or nothing.
+        """Return the patterns of the rows of a cheap first look at guards that may turn.
 
-        It is worth its loads only where few columns reach a guard.
+        It is worth its loads only where few columns reach every guard: else there are none.
         """
         reach, _ = self.reach()
-        found = []
-        for guard in self.guards:
+        found: list[Pattern] = []
+        for w, guard in enumerate(self.guards):
             columns = set(guard.row).union(*(reach[j] for j in guard.row if j < self.states))
-            found.append(tuple(sorted(columns - {self.columns - 1})))
-        return tuple(found) if all(len(row) <= _FEW for row in found) else ()
+            found.append(() if self.monotone(w) else tuple(sorted(columns - {self.columns - 1})))
+        few = any(found) and all(len(row) <= _FEW for row in found)
+        return tuple(found) if few else ()
 
 
 CHANGING = ("e1", "e2", "o1", "o2", "level", "held", "at", "speed", "goal", "seen")
@@ -200,8 +214,9 @@ class Layout:
             for j in pattern:
                 self._add("third", w, j)
         for w, pattern in enumerate(shape.nearness()):
-            self._add("near low", w)
-            self._add("near high", w)
+            if pattern:
+                self._add("near low", w)
+                self._add("near high", w)
             for j in pattern:
                 self._add("middle", w, j)
                 self._add("spread", w, j)

@@ -129,7 +129,7 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
         for i in range(shape.states):
             rows["z", i] = after[i]
     else:
-        near = rows.may_be_near()
+        near = rows.may_be_near(after)
         for i in range(shape.states):
             rows.leave_behind(("z", i), after[i])
         if near is None:
