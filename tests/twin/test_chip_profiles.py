@@ -42,7 +42,7 @@ def machine_of(tmp_path, kind: str, acceleration: int, velocity: int | None = No
     return load_machine(str(file))
 
 
-def compare(machine, given, profile, table, *, quantised: bool) -> np.ndarray:
+def check_against(machine, given, profile, table, *, quantised: bool) -> np.ndarray:
     """Assert that the head is where the reference has it; return the positions of the head."""
     head = run(Axis(), given, LEAD, quantised=quantised, profile=profile)[:, 3]
     recording = simulate(table(machine, {"X": given}), machine, quantised=quantised)
@@ -63,7 +63,7 @@ def test_integral_velocity(acceleration, quantised, table, tmp_path):
     given = np.repeat([0, 90, -30, 50], [2, 18, 14, 6]) * (1 if acceleration < 500 else 2)
     machine = machine_of(tmp_path, "integral-velocity", acceleration)
     profile = IntegralVelocity(acceleration, whole=quantised)
-    head = compare(machine, given, profile, table, quantised=quantised)
+    head = check_against(machine, given, profile, table, quantised=quantised)
     assert np.ptp(head) > 1e-3
 
 
@@ -88,7 +88,7 @@ def test_trapezoid(acceleration, velocity, quantised, table, tmp_path):
     given[[1, 6, 30]] = 1001, -1600, 3
     machine = machine_of(tmp_path, "trapezoid", acceleration, velocity)
     profile = Trapezoid(acceleration, velocity)
-    head = compare(machine, given, profile, table, quantised=quantised)
+    head = check_against(machine, given, profile, table, quantised=quantised)
     assert np.ptp(head) > 5e-4
     assert profile.target != 256 * 1001  # the next one was taken up
     assert profile.target != 256 * (1001 - 1600) or acceleration == 37

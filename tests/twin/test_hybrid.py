@@ -49,7 +49,7 @@ def every_way(test):
     return test
 
 
-def compare(machine, states, table, atol=1e-9, rows=ROWS, quantised=False, limit=None):
+def check_against(machine, states, table, atol=1e-9, rows=ROWS, quantised=False, limit=None):
     """Assert that the load is the reference's at every tick, and that a limit binds."""
     recording = simulate(table(machine, {"X": rows}), machine, quantised=quantised, settle_s=0.02)
     _, load = recording.samples("X.load")
@@ -65,7 +65,7 @@ def test_linear_belt(quantised, limit, belt_axis, table):
     """The clipped current has a kink, no jump; it binds most of the way here."""
     states = closed_loop(smooth(linear, amperes(limit)), quantised=quantised)
     machine = belt_axis(drives_m=amplifier(limit))
-    compare(machine, states, table, quantised=quantised, limit=limit)
+    check_against(machine, states, table, quantised=quantised, limit=limit)
 
 
 @every_way
@@ -79,7 +79,7 @@ def test_preloaded_belt(quantised, limit, belt_axis, table):
 
     current = amperes(limit)
     bilinear = closed_loop(smooth(force, current), quantised=quantised)
-    compare(machine, bilinear, table, quantised=quantised, limit=limit)
+    check_against(machine, bilinear, table, quantised=quantised, limit=limit)
     plain = closed_loop(smooth(linear, current), quantised=quantised)
     assert np.abs(bilinear - plain)[:, 1].max() > 2 * COUNT_M
 
@@ -106,7 +106,7 @@ def test_undamped_play(quantised, limit, belt_axis, table):
         return K * (max(0.0, s - gap) + min(0.0, s + gap))
 
     states = closed_loop(smooth(force, amperes(limit)), quantised=quantised)
-    recording = compare(machine, states, table, atol=1e-8, quantised=quantised, limit=limit)
+    recording = check_against(machine, states, table, atol=1e-8, quantised=quantised, limit=limit)
     assert_crossed(states, gap, recording, limit)
 
 
@@ -166,7 +166,7 @@ def test_damped_play(quantised, limit, belt_axis, table):
         return x
 
     states = closed_loop(advance, quantised=quantised)
-    recording = compare(machine, states, table, atol=1e-7, quantised=quantised, limit=limit)
+    recording = check_against(machine, states, table, atol=1e-7, quantised=quantised, limit=limit)
     assert_crossed(states, gap, recording, limit)
 
 
@@ -222,7 +222,7 @@ def test_stick_slip(stiction, limit, quantised, belt_axis, table):
     )
     advance = stick_slip(8.0, stiction or 8.0, amperes(limit))
     states = closed_loop(advance, quantised=quantised)
-    recording = compare(machine, states, table, atol=1e-8, quantised=quantised, limit=limit)
+    recording = check_against(machine, states, table, atol=1e-8, quantised=quantised, limit=limit)
     stuck = np.diff(recording.samples("X.load")[1]) == 0
     assert stuck[10:].sum() > 4  # it does stick, and not only before it first breaks away
     if limit is not None:
@@ -270,7 +270,7 @@ def test_clamped_coil(quantised, belt_axis, table):
         return x
 
     states = closed_loop(advance, state=5, quantised=quantised)
-    recording = compare(machine, states, table, quantised=quantised)
+    recording = check_against(machine, states, table, quantised=quantised)
     assert np.abs(recording.samples("X.current_peak")[1]).max() == pytest.approx(1.2, abs=1e-12)
 
 
@@ -297,7 +297,7 @@ def test_fractional_dead_time(delay_us, belt_axis, table):
             x = advance(x, volts, float(until - now))
             now = until
         reference += row
-    compare(machine, np.array(states), table)
+    check_against(machine, np.array(states), table)
 
 
 def test_two_clocks(belt_axis, table):

@@ -51,7 +51,7 @@ def filters(kind: str, numbers: str) -> str:
     )
 
 
-def compare(
+def check_against(
     machine: Machine, axis: str, reference: Axis, law: object, table: object, *,
     quantised: bool = False,
 ) -> np.ndarray:  # fmt: skip
@@ -80,20 +80,20 @@ def compare(
 @pytest.mark.parametrize("quantised", [False, True])
 def test_x_as_built(quantised, table):
     """Lead, 22.06 ticks of dead time, coil with a clamped current, belt outside the loop."""
-    compare(load_machine("stitcher"), "X", Axis(), LEAD_X, table, quantised=quantised)
+    check_against(load_machine("stitcher"), "X", Axis(), LEAD_X, table, quantised=quantised)
 
 
 @pytest.mark.parametrize("quantised", [False, True])
 def test_y_with_its_frame(quantised, table):
     """Y and its frame, whose own coordinate counts away from the head."""
-    compare(load_machine("stitcher"), "Y", Axis(**Y), LEAD_Y, table, quantised=quantised)
+    check_against(load_machine("stitcher"), "Y", Axis(**Y), LEAD_Y, table, quantised=quantised)
 
 
 @pytest.mark.parametrize("quantised", [False, True])
 def test_belt_inside_the_loop(quantised, table):
     """The encoder sits at the head; unstable after a while, and exact all the same."""
     machine = load_machine("stitcher+head-feedback")
-    compare(machine, "X", Axis(at_head=True), LEAD_X, table, quantised=quantised)
+    check_against(machine, "X", Axis(at_head=True), LEAD_X, table, quantised=quantised)
 
 
 @pytest.mark.parametrize("quantised", [False, True])
@@ -101,7 +101,7 @@ def test_clipped_output(quantised, table, tmp_path):
     """Equations 3.14d and 3.15e: the integrator of the current runs on behind its limit."""
     form = 'amplifier = { mode = "voltage", limits = "output" }\n'
     machine = overlaid(tmp_path, f"[drives.x]\n{form}[drives.y]\n{form}")
-    wound = compare(machine, "X", Axis(clamp="output"), LEAD_X, table, quantised=quantised)
+    wound = check_against(machine, "X", Axis(clamp="output"), LEAD_X, table, quantised=quantised)
     held = run(Axis(), there_and_back(), LEAD_X, quantised=quantised)
     assert np.abs(wound[:, 2]).max() > 1.3 * LIMIT
     assert np.abs(wound[:, 3] - held[:, 3]).max() > 1e-5
@@ -144,7 +144,7 @@ def test_filters(kind, quantised, table, tmp_path):
     """P (the winder's PE), PD, PI, PID and the chip's proportional velocity on X with its belt."""
     numbers, law = LAWS[kind]
     machine = overlaid(tmp_path, filters(kind, numbers))
-    compare(machine, "X", Axis(), law, table, quantised=quantised)
+    check_against(machine, "X", Axis(), law, table, quantised=quantised)
 
 
 @pytest.mark.parametrize("quantised", [False, True])
@@ -158,7 +158,7 @@ def test_belt_with_unequal_runs(share, quantised, table, tmp_path):
     def belt(s, _rate, _y):
         return max(0.0, 150 + k1 * s) - max(0.0, 150 - k2 * s)
 
-    bent = compare(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
+    bent = check_against(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
     other = run(
         Axis(belt=lambda s, _r, _y: max(0.0, 150 + k2 * s) - max(0.0, 150 - k1 * s)),
         there_and_back(), LEAD_X, quantised=quantised,
@@ -184,7 +184,7 @@ def test_eccentric_gear(phase, quantised, table, tmp_path):
         half = 0.5 * (2e-4 + 2e-4 * np.cos(0.5 * y[0] + phase))
         return 6.24e5 * (max(0.0, s - half) + min(0.0, s + half))
 
-    states = compare(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
+    states = check_against(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
     assert np.ptp(0.5 * states[:, 0]) > 0.3  # a good part of a turn
     plain = Axis(belt=lambda s, _r, _y: 6.24e5 * (max(0.0, s - 1e-4) + min(0.0, s + 1e-4)))
     even = run(plain, there_and_back(), LEAD_X, quantised=quantised)
