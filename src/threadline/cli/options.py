@@ -17,7 +17,7 @@ FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
 
 JobArgument = Annotated[
-    Path, typer.Argument(help="Part program, seam, embroidery design or move list.")
+    Path, typer.Argument(help="Part program, seam or move list.")
 ]
 MachineOption = Annotated[
     str,
