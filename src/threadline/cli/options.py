@@ -16,9 +16,7 @@ from threadline.pipeline import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE_M, Opti
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
 
-JobArgument = Annotated[
-    Path, typer.Argument(help="Part program, seam or move list.")
-]
+JobArgument = Annotated[Path, typer.Argument(help="Part program, seam or move list.")]
 MachineOption = Annotated[
     str,
     typer.Option(
