@@ -69,6 +69,28 @@ def parse_share(text: str) -> float:
     return value
 
 
+def parse_margin(text: str) -> float:
+    """Return a margin such as ``"20 %"`` as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not at least 0 % and below 100 %.
+    """
+    try:
+        value = parse_quantity(text, "")
+    except UnitError as error:
+        raise OptionError(
+            f"margin {text!r}: {error.message}", remedy='Write it like "20 %".'
+        ) from error
+    if not 0.0 <= value < 1.0:
+        raise OptionError(
+            f"margin {text!r} must be at least 0 % and below 100 %",
+            remedy='20 % of every limit kept free is "20 %".',
+        )
+    return value
+
+
 def parse_width_s(text: str) -> float:
     """Return the width of a smoothing in time such as ``"36 ms"`` in s.
 

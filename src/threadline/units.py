@@ -185,8 +185,10 @@ def unit_factor(unit: str, target: str) -> float:
     wanted = registry.parse_units(_normalise(target))
     if source.dimensionality != wanted.dimensionality:
         raise UnitError(
-            f"{unit!r} is not a unit of the kind of {target!r}",
-            remedy=f"Use a unit like {target!r}.",
+            f"{unit!r} is not a unit of the kind of {target!r}"
+            if target
+            else f"{unit!r} is a unit; a number or a percentage is wanted",
+            remedy=f"Use a unit like {target!r}." if target else 'Write it like "20 %".',
         )
     try:
         factor = float(registry.Quantity(1.0, source).to(wanted).magnitude)

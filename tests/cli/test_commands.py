@@ -116,6 +116,8 @@ def test_wrong_options_exit_with_two_and_one_line(
         ("fastest", "strap.seam.toml", ["--report", "file"], ["--mismatch alone"]),
         ("fastest", "strap.seam.toml", ["--mismatch", "--report", "file"], ["not a folder"]),
         ("fastest", "strap.seam.toml", ["--high", "1e6 stitch/s"], ["at most 1000", "--high"]),
+        ("fastest", "strap.seam.toml", ["--margin", "100 %"], ["below 100 %", '"20 %"']),
+        ("fastest", "x-180.prg", ["--margin", "1 mm"], ["a percentage is wanted", '"20 %"']),
         ("design", "strap.seam.toml", ["--feed-forward", "--smoothing", ""], ["not a number"]),
     ],
 )
@@ -214,6 +216,28 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     assert json.loads(again)["criteria"] == json.loads(found)["verdict"]["criteria"]
     assert json.loads(found)["command"] == f"threadline {command}"
     assert json.loads(found)["limited_by"] == "range"
+
+
+def test_a_margin_is_kept_free_of_every_limit_of_the_specification(
+    examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The whole window is in spec; with a fifth kept free it ends where the error is 4/5 of it."""
+    words = ["fastest", examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "linear"]
+    words += ["--low", "29 mm/s", "--high", "33 mm/s", "--json"]
+    _, out, _ = run(capsys, *words)
+    assert json.loads(out)["limited_by"] == "range"
+    code, out, _ = run(capsys, *words, "--margin", "20 %")
+    found = json.loads(out)
+    assert (code, found["margin"], found["limited_by"]) == (0, 0.2, "contour_error")
+
+    for factor, within in ((1.0, True), (1.03, False)):
+        feed = f"{factor * found['best']!r} m/s"
+        _, out, _ = run(capsys, "prove", *words[1:6], "--feed", feed, "--json")
+        proof = json.loads(out)
+        worst = {c["name"]: c for c in proof["criteria"]}["contour_error"]
+        assert proof["passed"]
+        assert worst["limit"] == 0.5e-3
+        assert (worst["measured"] <= 0.8 * worst["limit"]) is within
 
 
 def test_a_recording_is_judged_as_the_run_was(

@@ -87,6 +87,17 @@ def test_hard_limits_and_reported_measures_are_always_there(tmp_path: Path) -> N
     assert len(named(spec, "dac_saturation")) == 3
 
 
+def test_a_margin_leaves_the_machines_own_limits(tmp_path: Path) -> None:
+    machine = load_machine("lathe-winder")
+    whole, kept = load_spec(None, machine), load_spec(None, machine).with_margin(0.25)
+    for before, after in zip(whole.criteria, kept.criteria, strict=True):
+        if before.hard or before.limit is None:
+            assert after == before
+        else:
+            assert after.limit == pytest.approx(0.75 * before.limit, abs=1e-12)
+    assert {c.name for c in whole.criteria if c.hard} >= {"velocity", "travel"}
+
+
 def test_a_length_given_for_a_rotary_axis_acts_at_the_tool(tmp_path: Path) -> None:
     text = 'name = "m"\n[[criteria]]\nname = "tracking_error"\nlimit = "{}"\n'
     spec = read(tmp_path, text.format("5 mm"))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.fastest_seam import fastest_seam, needle_hz
-from threadline.cli.found import command_line, limit_words, merged
+from threadline.cli.found import command_line, limit_words, margin_words, merged
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -34,7 +34,7 @@ from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
-from threadline.options import parse_feed
+from threadline.options import parse_feed, parse_margin
 from threadline.pipeline import Options, plan_job
 from threadline.search import Fastest, FastestJob, fastest_job
 from threadline.search.gentle import Rung
@@ -55,6 +55,13 @@ def fastest(
         str | None, typer.Option(help='Lowest feed to try; of a seam "5 stitch/s".')
     ] = None,
     high: Annotated[str | None, typer.Option(help="Highest feed to try.")] = None,
+    margin: Annotated[
+        str,
+        typer.Option(
+            help='Share of every limit of the specification to keep free: "20 %"; the machine\'s '
+            "own limits stay."
+        ),
+    ] = "0 %",
     mismatch: Annotated[
         bool,
         typer.Option(
@@ -75,20 +82,24 @@ def fastest(
 ) -> None:
     """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
 
-    Of a seam it is the needle speed that is searched, in stitch/s.
+    Of a seam it is the needle speed that is searched, in stitch/s. With --margin "20 %" it is
+    the fastest that keeps a fifth of every limit free.
 
     Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
 
     Example: threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear
     """
     chosen = machine_from(machine, par)
+    kept_free = parse_margin(margin)
+    asked = load_spec(spec, chosen).with_margin(kept_free)
     read = read_job(job, chosen)
     if job.name.lower().endswith(SEAM_SUFFIXES):
         fastest_seam(
             job,
             read,
             chosen,
-            load_spec(spec, chosen),
+            asked,
+            kept_free,
             options_of(
                 interpolation,
                 None,
@@ -107,7 +118,7 @@ def fastest(
             "--feed-forward, --actual, --mismatch and --report are for needle speeds of a seam",
             remedy="Leave them out; threadline prove takes the first two for any job.",
         )
-    asked, options = load_spec(spec, chosen), options_of(interpolation, None, tolerance)
+    options = options_of(interpolation, None, tolerance)
     lowest = None if low is None else _metres_per_second(low)
     highest = None if high is None else _metres_per_second(high)
     warn(chosen, read)
@@ -135,9 +146,9 @@ def fastest(
         )
     )
     if json:
-        print_json(_content(result) | {"command": again})
+        print_json(_content(result) | {"margin": kept_free, "command": again})
     else:
-        _show(result, f"{read.name} on {chosen.name}, {interpolation}")
+        _show(result, f"{read.name} on {chosen.name}, {interpolation}{margin_words(kept_free)}")
         if again is not None:
             typer.echo(f"To prove it: {again}")
     raise typer.Exit(0 if result.best.found.best is not None else 1)

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.found import limit_words
+from threadline.cli.found import limit_words, margin_words
 from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.cli.outputs import check_outputs
 from threadline.cli.tolerance import warn_tolerance
@@ -27,6 +27,7 @@ def fastest_seam(
     read: Job,
     machine: Machine,
     spec: Spec,
+    margin: float,
     options: Options,
     actual: Machine | None,
     span: tuple[float | None, float | None],
@@ -52,13 +53,13 @@ def fastest_seam(
             cells = needle_over_tolerances(
                 job, machine, spec, options, low=low, high=end, progress=progress
             )
-        title = f"{job.name} on {machine.name}"
+        title = f"{job.name} on {machine.name}{margin_words(margin)}"
         written = None if report is None else write_mismatch(cells, title, report)
     if found.best is not None:
         sewn = read_job(job, machine, needle_speed=f"{found.best!r} stitch/s")
         warn_tolerance(plan_job(sewn, machine, options))
     if json:
-        content = _content(found)
+        content = _content(found) | {"margin": margin}
         if cells:
             content["mismatch"] = [
                 {"mass": c.mass, "stiffness": c.stiffness, **_interval_content(c.found)}

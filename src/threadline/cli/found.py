@@ -14,6 +14,15 @@ def limit_words(limited_by: str) -> str:
     return "the end of the search (--high)" if limited_by == RANGE else limited_by
 
 
+def margin_words(margin: float) -> str:
+    """Return what follows a title when part of every limit was kept free.
+
+    >>> margin_words(0.2)
+    ', 20 % of every limit kept free'
+    """
+    return f", {margin * 100.0:g} % of every limit kept free" if margin else ""
+
+
 def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None]) -> str:
     """Return a command as it can be typed; options that are None are left out, "" has no value.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 NO_OPTIONS: Mapping[str, float] = {}
@@ -74,6 +74,24 @@ class Spec:
     criteria: tuple[Criterion, ...]
     lag_s: float = 0.1
     sha256: str = ""
+
+    def with_margin(self, share: float) -> Spec:
+        """Return the specification with so much of every limit kept free.
+
+        The machine's own limits stay: they are what the motion is planned with.
+
+        Parameters
+        ----------
+        share
+            At least 0 and below 1.
+        """
+        return replace(
+            self,
+            criteria=tuple(
+                c if c.hard or c.limit is None else replace(c, limit=c.limit * (1.0 - share))
+                for c in self.criteria
+            ),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
