@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threadline.control import AxisPreview
 from threadline.control.feedforward import feed_forward
 from threadline.control.smooth import smooth_motion
 from threadline.errors import MachineError
@@ -129,3 +130,6 @@ def test_feed_forward_is_refused(tmp_path):
     motion = smooth_motion(np.array([0.0, 0.1]), np.array([[0.0], [0.0]]), np.full(5, 0.01))
     with pytest.raises(MachineError, match="makes its positions itself"):
         feed_forward(machine, "X", motion, 0.0, 0.1)
+    # The way that commands take, run by run.
+    with pytest.raises(MachineError, match="makes its positions itself"):
+        AxisPreview(machine, "X")

@@ -16,9 +16,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Followed, Motion, inverse_of
 from threadline.control.preview import timing_of
-from threadline.errors import MachineError
 from threadline.machine import Machine
-from threadline.machine.controllers import ProfileController
 from threadline.plant.values import Values
 
 
@@ -91,17 +89,11 @@ def feed_forward(
     Raises
     ------
     MachineError
-        If the axis or its filter has no stable inverse.
+        If the axis or its filter has no stable inverse, or the filter makes its positions itself.
     """
     from scipy.signal import lfilter
 
     controller = machine.controllers[machine.axes[axis].controller]
-    if isinstance(controller, ProfileController):
-        raise MachineError(
-            f"axis {axis}: a controller of kind {controller.kind!r} makes its positions itself and "
-            f"cannot be given those of feed-forward",
-            remedy='Give it kind "lead".',
-        )
     inverse = inverse_of(machine, axis, model)
     loop = inverse.loop
     timing = timing_of(machine, axis, inverse)

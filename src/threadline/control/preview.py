@@ -12,6 +12,7 @@ from threadline.arrays import FloatArray
 from threadline.control.inverse import Inverse, inverse_of
 from threadline.errors import MachineError, Place
 from threadline.machine import Machine
+from threadline.machine.controllers import ProfileController
 from threadline.plant.values import Values
 
 _LEFT = 1e-3  # of what swings in the inverse, when it counts as decayed
@@ -86,8 +87,16 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
     Raises
     ------
     MachineError
-        If its filter has no stable inverse.
+        If its filter has no stable inverse, or makes its positions itself.
     """
+    controller = machine.controllers[machine.axes[axis].controller]
+    if isinstance(controller, ProfileController):
+        raise MachineError(
+            f"axis {axis}: a controller of kind {controller.kind!r} makes its positions itself and "
+            f"cannot be given those of feed-forward",
+            place=Place(machine.file) if machine.file else None,
+            remedy='Give it kind "lead".',
+        )
     loop = inverse.loop
     digital = loop.filters[loop.index]
     zeros = np.abs(np.roots(np.trim_zeros(digital.numerator, "b")))
@@ -98,7 +107,6 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
             place=Place(machine.file) if machine.file else None,
             remedy="Raise its proportional gain against the differential one.",
         )
-    controller = machine.controllers[machine.axes[axis].controller]
     tick = digital.period_s
     step = float(machine.clock(controller.reference_clock or controller.clock).period_s)
     held = 0.5 * step if controller.reference_clock else 0.0
@@ -130,7 +138,7 @@ class AxisPreview:
     Raises
     ------
     MachineError
-        If the axis or its filter has no stable inverse.
+        If the axis or its filter has no stable inverse, or the filter makes its positions itself.
     """
 
     def __init__(self, machine: Machine, axis: str, model: Values | None = None) -> None:
