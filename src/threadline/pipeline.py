@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.errors import OptionError, Place, PlanError
+from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
@@ -98,14 +98,14 @@ def check_loops(machine: Machine) -> None:
     if not machine.axes:
         raise PlanError(
             f"{machine.name} has no axes with loops: its cylinders are switched on and off",
-            place=Place(machine.file),
+            place=machine.place,
             remedy="threadline prove, judge and compile take its move lists.",
         )
     unstable = unstable_loops(machine)
     if unstable:
         raise PlanError(
             "; ".join(unstable),
-            place=Place(machine.file),
+            place=machine.place,
             remedy="Lower the gain of its controller; threadline analyse shows the loop.",
         )
 

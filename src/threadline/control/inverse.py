@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import expm, null_space
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.linear import StateSpace
 from threadline.plant.loop import Loop, axis_loop
@@ -173,11 +173,10 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
         If other drives act on the same bodies, or the plant's zeros do not decay.
     """
     loop = axis_loop(machine, axis, values)
-    place = Place(machine.file) if machine.file else None
     if len(loop.filters) > 1:
         raise MachineError(
             f"axis {axis} shares bodies with the drives of other axes",
-            place=place,
+            place=machine.place,
             remedy="An inverse is made for axes that move on their own.",
         )
     plant = loop.plant.select([loop.plant.inputs[loop.index]], [f"{axis}.load"])
@@ -197,7 +196,7 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
         worst = zeros[int(np.argmax(zeros.real))]
         raise MachineError(
             f"axis {axis}: its inverse does not decay, a zero lies at {worst:.4g} rad/s",
-            place=place,
+            place=machine.place,
             remedy="Give the frame damping, or let the load be what its motor moves first.",
         )
     return Inverse(

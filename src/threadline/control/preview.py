@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Inverse, inverse_of
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 from threadline.plant.values import Values
@@ -94,7 +94,7 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
         raise MachineError(
             f"axis {axis}: a controller of kind {controller.kind!r} makes its positions itself and "
             f"cannot be given those of feed-forward",
-            place=Place(machine.file) if machine.file else None,
+            place=machine.place,
             remedy='Give it kind "lead".',
         )
     loop = inverse.loop
@@ -104,7 +104,7 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
         raise MachineError(
             f"axis {axis}: its controller has no stable inverse, a zero lies at |z| = "
             f"{zeros.max():.4g}",
-            place=Place(machine.file) if machine.file else None,
+            place=machine.place,
             remedy="Raise its proportional gain against the differential one.",
         )
     tick = digital.period_s

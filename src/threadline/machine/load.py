@@ -290,7 +290,7 @@ def replace_operator(machine: Machine, **changes: Any) -> Machine:
     if machine.operator is None:
         raise MachineError(
             f"machine {machine.name!r} has no [operator] table to change",
-            place=Place(machine.file),
+            place=machine.place,
             remedy="Add the table, or leave the parameter file out.",
         )
     operator = dataclasses.replace(machine.operator, **changes)

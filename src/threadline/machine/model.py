@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.arrays import FloatArray
+from threadline.errors import Place
 from threadline.machine.controllers import Controller, Sensor
 from threadline.machine.design import Design
 from threadline.machine.parts import (
@@ -141,6 +142,11 @@ class Machine:
         for address in addresses:
             if addresses.count(address) > 1:
                 raise ValueError(f"the address {address} is given twice")
+
+    @property
+    def place(self) -> Place | None:
+        """Its file, for an error; None for a machine that was not read from a file."""
+        return Place(self.file) if self.file else None
 
     @property
     def axis_names(self) -> tuple[str, ...]:

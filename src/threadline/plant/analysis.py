@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.actuator import Actuator, actuator_of
 from threadline.plant.delayed import closed_poles
@@ -202,7 +202,7 @@ def _check_gain(machine: Machine, loop: Loop) -> None:
     )
     raise MachineError(
         f"axes.{loop.axis}: controllers.{loop.controllers[loop.index]} {what}",
-        place=Place(machine.file) if machine.file else None,
+        place=machine.place,
         remedy="Correct its gains.",
     )
 

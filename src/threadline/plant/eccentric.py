@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.parts import Eccentric
 from threadline.plant.elements import Element, Guard, Mode
@@ -61,11 +61,10 @@ def pieces_needed(
         rate = sum(q.si * rates[body] for body, q in eccentric.angle.items())
         if abs(rate) < 1e-12:
             continue
-        place = Place(machine.file) if machine.file else None
         if axis.travel is None:
             raise MachineError(
                 f"links.{link}.eccentric turns with axis {name}, which is endless",
-                place=place,
+                place=machine.place,
                 remedy=f"Give axes.{name} a travel.",
             )
         ends = [rate * (end.si - start[name]) for end in axis.travel]
@@ -77,7 +76,7 @@ def pieces_needed(
         raise MachineError(
             f"links.{link}.eccentric: the gear makes {(last - first) / PIECES_A_TURN:.0f} turns "
             f"over the travel, limit {_MOST_PIECES // PIECES_A_TURN}",
-            place=Place(machine.file) if machine.file else None,
+            place=machine.place,
             remedy="Correct its angle, or leave the eccentricity out.",
         )
     return first, last

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, OptionError, Place
+from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.controllers import DigitalFilter, digital_filter
 from threadline.plant.linear import StateSpace
@@ -168,7 +168,7 @@ def axis_loops(
             raise MachineError(
                 f"controllers {', '.join(names)} share bodies but run on the clocks "
                 f"{', '.join(clocks)}",
-                place=Place(machine.file) if machine.file else None,
+                place=machine.place,
                 remedy="The loops of one piece can be analysed on one clock only.",
             )
         driven = plant.select([f"drives.{p.drive}" for p in parts], list(plant.outputs))

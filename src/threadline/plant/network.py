@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.parts import Eccentric
 from threadline.machine.quantity import Quantity
@@ -176,8 +176,7 @@ class _Builder:
         self.base += direction[:, :, None] * law[:, None, :]
 
     def _refuse(self, message: str, remedy: str) -> MachineError:
-        place = Place(self.machine.file) if self.machine.file else None
-        return MachineError(message, place=place, remedy=remedy)
+        return MachineError(message, place=self.machine.place, remedy=remedy)
 
     def _add_body(self, name: str) -> None:
         body = self.machine.bodies[name]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine import Machine
 
 
@@ -91,7 +91,7 @@ def _check_shared(machine: Machine) -> None:
             if part in seen:
                 raise MachineError(
                     f"{owner} {seen[part]!r} and {name!r} share the {what} {part!r}",
-                    place=Place(machine.file) if machine.file else None,
+                    place=machine.place,
                     remedy=f"Give each its own {what}.",
                 )
             seen[part] = name

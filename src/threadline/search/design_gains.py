@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.control import lead_from_response
-from threadline.errors import MachineError, Place
+from threadline.errors import MachineError
 from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
 from threadline.plant.loop import ComplexArray
 from threadline.plant.network import PiecewiseLinear, piecewise_linear
@@ -52,7 +52,7 @@ def design_gains(
         if len(piece.group.controllers) != 1:
             raise MachineError(
                 f"the controllers {', '.join(piece.group.controllers)} share bodies",
-                place=Place(machine.file) if machine.file else None,
+                place=machine.place,
                 remedy="Take crossover and phase_margin out of [design.settings]; give gains.",
             )
         name = piece.group.controllers[0]

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, OptionError, Place
+from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.machine.controllers import LeadFilter
 from threadline.machine.design import Design, DesignParameter
@@ -125,11 +125,10 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     MachineError
         If it has none, or it names numbers that this machine does not have.
     """
-    place = Place(machine.file) if machine.file else None
     if machine.design is None:
         raise MachineError(
             f"machine {machine.name!r} has no [design] table",
-            place=place,
+            place=machine.place,
             remedy="Say what may be changed: [design.parameters.NAME] with of and factor.",
         )
     design = machine.design
