@@ -16,7 +16,7 @@ from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.path.on_time import rapid_time_s
 from threadline.pipeline import Options, options_from, plan_job, prove_plan
-from threadline.plant.suspicions import current_needed
+from threadline.plant.rigid import current_needed
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest

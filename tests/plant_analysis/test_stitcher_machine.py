@@ -10,7 +10,8 @@ import pytest
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.plant.network import linear_model
-from threadline.plant.suspicions import current_needed, rigid_motion, suspicions
+from threadline.plant.rigid import current_needed, rigid_motion
+from threadline.plant.suspicions import suspicions
 
 RATIO = 29e-3 / 6
 OVERLAYS = (

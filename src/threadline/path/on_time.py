@@ -15,7 +15,7 @@ from threadline.arrays import FloatArray
 from threadline.machine import Machine
 from threadline.path.linear import with_previous
 from threadline.path.types import PieceBlock, ProgrammedPath
-from threadline.plant.suspicions import current_needed
+from threadline.plant.rigid import current_needed
 
 # The law 10 u^3 - 15 u^4 + 6 u^5: its peaks, and where it is looked at for current.
 _PEAKS = (1.875, 10.0 / np.sqrt(3.0), 60.0)

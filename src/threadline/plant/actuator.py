@@ -10,7 +10,7 @@ import numpy as np
 from threadline.machine import Machine
 from threadline.plant.loop import ComplexArray
 from threadline.plant.network import linear_model
-from threadline.plant.suspicions import current_needed, rigid_motion
+from threadline.plant.rigid import current_needed, rigid_motion
 
 _SINGULAR = 1e-12
 

@@ -17,7 +17,7 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.parts import Eccentric
 from threadline.plant.elements import Element, Guard, Mode
-from threadline.plant.suspicions import rigid_motion
+from threadline.plant.rigid import rigid_motion
 
 PIECES_A_TURN = 80
 _MOST_PIECES = 20_000

@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.machine import Machine
 from threadline.plant.loop import axis_loop
-from threadline.plant.suspicions import rigid_motion
+from threadline.plant.rigid import rigid_motion
 from threadline.search.experiments import (
     Identified,
     StepRun,

@@ -1,0 +1,60 @@
+"""An axis whose links are rigid: what its bodies do, and what current that takes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+
+
+def current_needed(
+    machine: Machine, axis: str, velocity_si: float, acceleration_si: float
+) -> float:
+    """Return the current in A that an axis needs at a velocity and acceleration, all links rigid.
+
+    Parameters
+    ----------
+    velocity_si, acceleration_si
+        Of the axis, in m/s and m/s^2 or rad/s and rad/s^2.
+    """
+    rates = rigid_motion(machine, axis)
+    drive = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
+    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    force = 0.0
+    for name, body in machine.bodies.items():
+        rate = rates[name]
+        damping = 0.0 if body.damping is None else body.damping.si
+        friction = 0.0 if body.friction is None else body.friction.si
+        force += rate * rate * (body.inertia.si * acceleration_si + damping * velocity_si)
+        force += abs(rate) * friction * np.sign(velocity_si)
+    return float(force / (turning * drive.torque_constant.si))
+
+
+def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
+    """Return the rate of every body when the axis moves at 1 m/s or rad/s and nothing stretches.
+
+    Bodies that the axis doesn't take along stand still.
+    """
+    bodies = list(machine.bodies)
+    rows: list[FloatArray] = []
+    for link in machine.links.values():
+        if link.stiffness.si > 0:
+            rows.append(_row(bodies, {b: q.si for b, q in link.stretch.items()}))
+    part = machine.axes[axis]
+    if part.load is not None:
+        rows.append(_row(bodies, {b: q.si for b, q in part.load.items()}))
+    else:
+        sensor = machine.sensors[machine.controllers[part.controller].sensor]
+        rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
+    wanted = np.zeros(len(rows))
+    wanted[-1] = 1.0
+    # Lengths and angles differ by orders of magnitude: the least squares are scaled per body.
+    matrix = np.array(rows)
+    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
+    solution = np.linalg.lstsq(matrix / scale, wanted, rcond=None)[0] / scale
+    return dict(zip(bodies, solution.tolist(), strict=True))
+
+
+def _row(bodies: list[str], weights: dict[str, float]) -> FloatArray:
+    return np.array([weights.get(b, 0.0) for b in bodies])
