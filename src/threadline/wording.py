@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 _SHOWN = 60
@@ -91,6 +91,17 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         return str(error["msg"]).removeprefix("Value error, "), ""
     said = str(error["msg"]).removeprefix("Input ")
     return f"{said[:1].lower()}{said[1:]}{got}", "Correct it."
+
+
+def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
+    """Return a remedy for a wrong word: the right one nearest to it, or all of them.
+
+    >>> nearest("hed", ["head", "frame"]), nearest("zz", ["head", "frame"], "There are")
+    ("Did you mean 'head'?", 'There are: head, frame.')
+    """
+    among = list(known)
+    close = difflib.get_close_matches(name, among, n=1, cutoff=0.5)
+    return f"Did you mean {close[0]!r}?" if close else f"{otherwise}: {', '.join(among) or 'none'}."
 
 
 def _nearest(error: Mapping[str, Any], expected: str) -> str:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from threadline.errors import JobError, Place, UnitError
-from threadline.jobs.moves_keys import DEFAULT_TIMEOUT_S, OPERATION_KEYS, TOP_KEYS, hint
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -31,8 +30,20 @@ from threadline.jobs.textfile import open_binary
 from threadline.machine import Machine
 from threadline.signals import Stream
 from threadline.units import parse_quantity
-from threadline.wording import toml_fault
+from threadline.wording import nearest, toml_fault
 
+TOP_KEYS = ("name", "operation")
+OPERATION_KEYS = {
+    "move": ("move",),
+    "dwell": ("dwell",),
+    "valve": ("valve", "on"),
+    "vacuum": ("vacuum", "on"),
+    "output": ("output", "on"),
+    "wait": ("wait", "is", "timeout"),
+}
+"""What an operation may say, and the keys that go with it."""
+DEFAULT_TIMEOUT_S = 2.0
+"""How long an input is waited for unless the list says otherwise."""
 MAX_BYTES = 4 * 1024 * 1024
 STEP_EVENT = "step "
 """What the name of the ``ToolEvent`` that begins a step begins with."""
@@ -165,8 +176,8 @@ class _Reader:
             self.refuse('move must name an axis, like { X = "200 mm" }', index, "move")
         for axis, text in targets.items():
             if axis not in self.machine.cylinders:
-                known = list(self.machine.cylinders)
-                self.refuse(f"there is no cylinder {axis[:40]!r}", index, "move", hint(axis, known))
+                remedy = nearest(axis, self.machine.cylinders)
+                self.refuse(f"there is no cylinder {axis[:40]!r}", index, "move", remedy)
             value = self._number(text, "m", index, "move")
             stroke = self.machine.cylinders[axis].stroke.si
             if not 0.0 <= value <= stroke:
@@ -200,7 +211,7 @@ class _Reader:
         name = row[key]
         if not isinstance(name, str) or name not in known:
             shown = name[:40] if isinstance(name, str) else name
-            self.refuse(f"there is no {what} {shown!r}", index, key, hint(str(shown), known))
+            self.refuse(f"there is no {what} {shown!r}", index, key, nearest(str(shown), known))
         return name
 
     def _flag(self, row: Mapping[str, Any], index: int, key: str, default: bool) -> bool:
@@ -212,7 +223,7 @@ class _Reader:
     def _known(self, row: Mapping[str, Any], known: tuple[str, ...], index: int | None) -> None:
         for key in row:
             if key not in known:
-                self.refuse(f"unknown key {key[:80]!r}", index, key, hint(key, list(known)))
+                self.refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, known))
 
     def refuse(
         self, message: str, index: int | None, key: str | None, remedy: str = ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from math import pi, sqrt
 
@@ -11,6 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.laws.forms import Phase, Phases, Power, chained
+from threadline.wording import nearest
 
 LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
 
@@ -75,9 +75,7 @@ def law(name: str) -> Law:
         If there is none.
     """
     if name not in LAWS:
-        close = difflib.get_close_matches(name, LAWS, n=1)
-        hint = f"Did you mean {close[0]!r}?" if close else f"There are: {', '.join(LAWS)}."
-        raise OptionError(f"unknown motion law {name!r}", remedy=hint)
+        raise OptionError(f"unknown motion law {name!r}", remedy=nearest(name, LAWS, "There are"))
     return LAWS[name]
 
 

@@ -21,7 +21,7 @@ from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
 from threadline.machine.schema import ADAPTER, field_names, in_file, line_of
 from threadline.opening import refuse_special
-from threadline.wording import field_fault, toml_fault
+from threadline.wording import field_fault, nearest, toml_fault
 
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
@@ -206,8 +206,7 @@ def _read(name: str) -> tuple[str, str]:
 def _check_name(name: str) -> None:
     known = library_names()
     if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"Did you mean {close[0]!r}?" if close else f"The library has: {', '.join(known)}."
+        hint = nearest(name, known, "The library has")
         raise MachineError(
             f"no machine {name[:80]!r} in the library", remedy=f"{hint} A file ends in .toml."
         )
@@ -252,8 +251,7 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: st
     place = Place(file, line_of(text, location))
     if first["type"] in unknown:
         siblings = field_names(tagged[:-1])
-        close = difflib.get_close_matches(location[-1], siblings, n=1, cutoff=0.5)
-        hint = f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(siblings)}."
+        hint = nearest(location[-1], siblings)
         raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
     missing = missing_keys(errors, content)
     if missing and first["type"] in MISSING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -20,6 +19,7 @@ from threadline.path.smoothing import smoothing_for, smoothing_share
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import Stream
+from threadline.wording import nearest
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
@@ -69,9 +69,10 @@ def plan_path(
         If the job cannot be done (see ``programmed_path``).
     """
     if interpolation not in _PLANNERS:
-        close = difflib.get_close_matches(interpolation, _PLANNERS, n=1)
-        hint = f"Did you mean {close[0]!r}?" if close else f"There are: {', '.join(_PLANNERS)}."
-        raise OptionError(f"unknown interpolation {interpolation!r}", remedy=hint)
+        raise OptionError(
+            f"unknown interpolation {interpolation!r}",
+            remedy=nearest(interpolation, _PLANNERS, "There are"),
+        )
     if not 0 < tolerance_m < float("inf"):
         raise OptionError(
             f"tolerance is {tolerance_m!r} m; it must be greater than 0",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from threadline.arrays import FloatArray, read_only
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
+from threadline.wording import nearest
 
 _TABLES = ("bodies", "links", "drives", "sensors", "controllers")
 
@@ -47,9 +47,10 @@ class Values:
         known = tuple(_paths(machine))
         for path in given:
             if path not in known:
-                close = difflib.get_close_matches(path, known, n=1)
-                hint = f"Did you mean {close[0]!r}?" if close else f"It has {', '.join(known)}."
-                raise OptionError(f"machine {machine.name!r} has no number {path!r}", remedy=hint)
+                raise OptionError(
+                    f"machine {machine.name!r} has no number {path!r}",
+                    remedy=nearest(path, known, "It has"),
+                )
         lengths = {len(v) for v in given.values()} or {1}
         if len(lengths) > 1:
             raise OptionError(f"variants have different lengths: {sorted(lengths)}")

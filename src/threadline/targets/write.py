@@ -10,7 +10,7 @@ from typing import Protocol
 from threadline.errors import OptionError
 from threadline.signals import Commands, SwitchSchedule, TickTable
 from threadline.signals.files.array import write_array
-from threadline.signals.files.common import Written, atomic_file, nearest, written
+from threadline.signals.files.common import Written, atomic_file, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.calculate import CompiledPlan
 from threadline.targets.nc import NcStyle, part_program_lines
@@ -19,6 +19,7 @@ from threadline.targets.plcopen import write_plcopen
 from threadline.targets.schedule import Scheduled
 from threadline.targets.structured_text import write_structured_text
 from threadline.trajectory.types import Trajectory
+from threadline.wording import nearest
 
 TableWriter = Callable[[TickTable, Path], Written]
 

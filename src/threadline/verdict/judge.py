@@ -24,10 +24,11 @@ from threadline.verdict.deviation import measure_path_deviation, measure_shaping
 from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import Finding, Measure, MeasureKind, Setting
 from threadline.verdict.passes import with_passes
-from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, nearest
+from threadline.verdict.registry import MEASURES, PLAN_DEMANDS
 from threadline.verdict.switch_judge import judge_switching
 from threadline.verdict.types import Criterion, Result, Spec, Verdict
 from threadline.verdict.window import PathWindow
+from threadline.wording import nearest
 
 _EXCUSED = ("acceleration", "jerk")
 _Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
@@ -114,7 +115,7 @@ def _key(criterion: Criterion) -> _Key:
     if kind is None:
         raise SpecError(
             f"there is no measure {criterion.name!r}",
-            remedy=nearest(criterion.name, list(MEASURES)),
+            remedy=nearest(criterion.name, MEASURES),
         )
     return criterion.name, tuple(sorted(criterion.options.items()))
 

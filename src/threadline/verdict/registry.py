@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-
 from threadline.signals import ChannelKind
 from threadline.verdict import (
     demands,
@@ -189,9 +187,3 @@ _KINDS = (
 SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "over_level")
 """Measures of an on/off machine whose limit is the machine's own."""
 MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
-
-
-def nearest(name: str, known: list[str]) -> str:
-    """Return a remedy for an unknown name: the nearest right one, or all of them."""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(known)}."

@@ -15,9 +15,9 @@ from threadline.machine import Machine
 from threadline.opening import refuse_special
 from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
-from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS, nearest
+from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS
 from threadline.verdict.types import Criterion, Spec
-from threadline.wording import toml_fault
+from threadline.wording import nearest, toml_fault
 
 _MOST_BASES = 20
 _MAX_BYTES = 1_000_000
@@ -188,7 +188,7 @@ class _Reader:
             self._refuse("a criterion has no name", index, "name", 'Write name = "contour_error".')
         kind = MEASURES.get(name)
         if kind is None:
-            remedy = nearest(name, list(MEASURES))
+            remedy = nearest(name, MEASURES)
             self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
         on_off = bool(self._machine.cylinders)
         self._known(row, (*_COMMON, *kind.options, *(("step",) if on_off else ())), index)
@@ -298,7 +298,7 @@ class _Reader:
     def _known(self, table: Mapping[str, Any], known: tuple[str, ...], index: int | None) -> None:
         for key in table:
             if key not in known:
-                self._refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, list(known)))
+                self._refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, known))
 
     def _refuse(self, message: str, index: int | None, key: str, remedy: str = "") -> NoReturn:
         raise SpecError(message, place=Place(self._file, self._line(index, key)), remedy=remedy)

@@ -10,10 +10,10 @@ from typing import Any
 
 from threadline.errors import JobError, Place, UnitError
 from threadline.jobs.seam.drawing import Drawing, Stroke, decode_text
-from threadline.jobs.seam.settings import STITCHING_KEYS, nearest
+from threadline.jobs.seam.settings import STITCHING_KEYS
 from threadline.jobs.seam.written import CONTOUR_KEYS, written_contour
 from threadline.units import parse_quantity, unit_factor
-from threadline.wording import toml_fault
+from threadline.wording import nearest, toml_fault
 
 MAX_TOML_BYTES = 64 * 1024 * 1024
 _DRAWING = ("file", "unit", "gap", "origin", "by")

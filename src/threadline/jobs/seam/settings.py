@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
+from threadline.wording import nearest
 
 EXAMPLE = (
     'Write a file NAME.seam.toml with [drawing] file = "..." and [stitching] '
@@ -207,9 +207,3 @@ def _value(key: str, value: Any, setting: _Setting, place: Place) -> Any:
             place=place,
         )
     return number
-
-
-def nearest(key: str, known: tuple[str, ...]) -> str:
-    """Return a remedy that names the nearest of ``known``."""
-    close = difflib.get_close_matches(key, known, n=1)
-    return f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(known)}."

@@ -10,7 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.jobs.seam.pieces import Pieces, join_pieces
 from threadline.jobs.seam.segments import bulge_segment, centre_segment, radius_segment
-from threadline.jobs.seam.settings import nearest
+from threadline.wording import nearest
 
 CONTOUR_KEYS = ("layer", "unit", "closed", "points")
 _POINT = ("to", "bulge", "centre", "radius", "turn", "large")

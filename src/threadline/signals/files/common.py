@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import os
@@ -202,10 +201,3 @@ def positive_fraction(text: str, place: Place) -> Fraction:
 def fraction_text(value: Fraction) -> str:
     """Return a fraction as ``"1/200"``."""
     return f"{value.numerator}/{value.denominator}"
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a remedy that names the known word nearest to ``name``."""
-    among = list(known)
-    close = difflib.get_close_matches(name, among, n=1, cutoff=0.5)
-    return f"Did you mean {close[0]!r}?" if close else f"Known: {', '.join(among)}."

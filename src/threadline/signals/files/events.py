@@ -11,10 +11,10 @@ import numpy as np
 from threadline.errors import Place, RecordingError
 from threadline.signals.commands import Event, EventKind
 from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
-from threadline.signals.files.common import MAX_COUNTS, nearest, parse_json
+from threadline.signals.files.common import MAX_COUNTS, parse_json
+from threadline.wording import nearest
 
 KINDS: tuple[EventKind, ...] = get_args(EventKind)
-_MAX_NAMES = 10_000
 _COLUMNS = {
     "event_tick": "<i8",
     "event_kind": "<u1",

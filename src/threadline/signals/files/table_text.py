@@ -14,7 +14,6 @@ from threadline.signals.commands import Event, TickBlock, TickTable
 from threadline.signals.files.common import (
     MAX_COUNTS,
     clear_errors,
-    nearest,
     parse_meta_lines,
     text_lines,
 )
@@ -28,6 +27,7 @@ from threadline.signals.files.table import (
     table_from,
 )
 from threadline.signals.stream import Stream
+from threadline.wording import nearest
 
 
 def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
