@@ -52,6 +52,31 @@ def toml_fault(error: Exception, text: str) -> tuple[str, int]:
     return f"not valid TOML: {said} before the end; the file may be truncated", last
 
 
+def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
+    """Return the line of ``key`` in a table of an array of tables of a TOML file.
+
+    Parameters
+    ----------
+    text
+        The file.
+    rows, index
+        The array, ``[[rows]]``, and which of its tables, from 0; None for the top of the file.
+    key
+        What is looked for; where it is not there the line is that of the table's header, and 0
+        where there is none either.
+    """
+    is_header = re.compile(rf"\s*\[\[\s*{re.escape(rows)}\s*\]\]")
+    is_key = re.compile(rf'\s*"?{re.escape(key)}"?\s*=')
+    inside, header = -1, 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if is_header.match(line):
+            inside += 1
+            header = number if inside == index else header
+        elif key and is_key.match(line) and (inside == index or (index is None and inside < 0)):
+            return number
+    return header
+
+
 def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
     """Return what is wrong with a value, and the remedy.
 

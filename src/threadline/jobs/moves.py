@@ -30,7 +30,7 @@ from threadline.jobs.textfile import open_binary
 from threadline.machine import Machine
 from threadline.signals import Stream
 from threadline.units import parse_quantity
-from threadline.wording import nearest, toml_fault
+from threadline.wording import line_in_rows, nearest, toml_fault
 
 TOP_KEYS = ("name", "operation")
 OPERATION_KEYS = {
@@ -149,7 +149,7 @@ class _Reader:
             self.refuse(
                 f"an operation says {said}, it must say one thing",
                 index,
-                verbs[1] if len(verbs) > 1 else None,
+                verbs[1] if len(verbs) > 1 else "",
                 f"Use one of {', '.join(OPERATION_KEYS)}; the rest is another [[operation]].",
             )
         verb = verbs[0]
@@ -225,27 +225,11 @@ class _Reader:
             if key not in known:
                 self.refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, known))
 
-    def refuse(
-        self, message: str, index: int | None, key: str | None, remedy: str = ""
-    ) -> NoReturn:
-        raise JobError(message, place=Place(self.file, self._line(index, key)), remedy=remedy)
+    def refuse(self, message: str, index: int | None, key: str, remedy: str = "") -> NoReturn:
+        line = line_in_rows(self.text, "operation", index, key)
+        raise JobError(message, place=Place(self.file, line), remedy=remedy)
 
     def _headers(self) -> list[int]:
         """Return the lines of all headers at once: a list may have a hundred thousand."""
         lines = enumerate(self.text.splitlines(), start=1)
         return [number for number, line in lines if _HEADER.match(line)]
-
-    def _line(self, index: int | None, key: str | None) -> int:
-        """Return the line of ``key`` in the operation ``index``, or of its header; 0 if neither."""
-        inside, header = -1, 0
-        for number, line in enumerate(self.text.splitlines(), start=1):
-            if _HEADER.match(line):
-                inside += 1
-                header = number if inside == index else header
-            elif (
-                key
-                and re.match(rf'\s*"?{re.escape(key)}"?\s*=', line)
-                and (inside == index or (index is None and inside < 0))
-            ):
-                return number
-        return header

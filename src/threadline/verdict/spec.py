@@ -17,7 +17,7 @@ from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS
 from threadline.verdict.types import Criterion, Spec
-from threadline.wording import nearest, toml_fault
+from threadline.wording import line_in_rows, nearest, toml_fault
 
 _MOST_BASES = 20
 _MAX_BYTES = 1_000_000
@@ -301,20 +301,8 @@ class _Reader:
                 self._refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, known))
 
     def _refuse(self, message: str, index: int | None, key: str, remedy: str = "") -> NoReturn:
-        raise SpecError(message, place=Place(self._file, self._line(index, key)), remedy=remedy)
-
-    def _line(self, index: int | None, key: str) -> int:
-        """Return the line of ``key`` in the criterion ``index``, or of its header; 0 if neither."""
-        inside, header = -1, 0
-        for number, line in enumerate(self._text.splitlines(), start=1):
-            if re.match(r"\s*\[\[\s*criteria\s*\]\]", line):
-                inside += 1
-                header = number if inside == index else header
-            elif re.match(rf'\s*"?{re.escape(key)}"?\s*=', line) and (
-                inside == index or (index is None and inside < 0)
-            ):
-                return number
-        return header
+        line = line_in_rows(self._text, "criteria", index, key)
+        raise SpecError(message, place=Place(self._file, line), remedy=remedy)
 
 
 def _is_of(text: str, unit: str) -> bool:
