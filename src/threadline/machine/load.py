@@ -59,7 +59,7 @@ def overlay_names(reference: str | Path) -> tuple[str, ...]:
     MachineError
         As ``load_machine``.
     """
-    name, _ = _split(str(reference))
+    name, _ = split_reference(str(reference))
     available = _resolve(name, ())[0].get("overlays", {})
     fitting = []
     for overlay in available if isinstance(available, dict) else ():
@@ -85,7 +85,7 @@ def load_machine(reference: str | Path) -> Machine:
     MachineError
         If there is no such machine, or the file does not describe one.
     """
-    name, overlays = _split(str(reference))
+    name, overlays = split_reference(str(reference))
     try:
         content, text, file = _resolve(name, ())
         content = _overlaid(content, overlays, name, file)
@@ -106,7 +106,7 @@ def load_machine(reference: str | Path) -> Machine:
         _refuse(error, content, text, file)
 
 
-def _split(reference: str) -> tuple[str, list[str]]:
+def split_reference(reference: str) -> tuple[str, list[str]]:
     """Return the machine and the overlays of a reference; paths may hold plus signs."""
     end = reference.rfind(".toml") + len(".toml")
     if end < len(".toml") or reference[end : end + 1] not in {"", "+"}:
@@ -167,7 +167,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
             place=Place(file, line_of(text, ("base",))),
             remedy='Write it like base = "lathe-winder".',
         )
-    base_name, base_overlays = _split(base)
+    base_name, base_overlays = split_reference(base)
     if base_name.endswith(".toml"):
         base_name = os.path.normpath(Path(file).parent / base_name)
     below, _, base_file = _resolve(base_name, (*seen, name))
@@ -233,7 +233,7 @@ def place_in(machine: Machine, key: str) -> Place | None:
     if not machine.file:
         return None
     try:
-        text, _ = _read(_split(machine.reference)[0])
+        text, _ = _read(split_reference(machine.reference)[0])
     except MachineError:  # gone since
         return Place(machine.file)
     return Place(machine.file, line_of(text, tuple(key.split("."))))

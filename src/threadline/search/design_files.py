@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 from threadline.machine import Machine
+from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at
 from threadline.machine.quantity import Quantity
 from threadline.search.design import DesignResult, Found
@@ -79,11 +80,10 @@ def quantity_text(old: Quantity, value: float) -> str:
 
 def _base(machine: Machine, folder: Path) -> str:
     """Return the machine's reference as seen from another folder."""
-    end = machine.reference.rfind(".toml") + len(".toml")
-    if end < len(".toml"):
+    name, overlays = split_reference(machine.reference)
+    if not name.endswith(".toml"):
         return machine.reference
-    file = Path(machine.reference[:end]).resolve()
-    return os.path.relpath(file, folder.resolve()) + machine.reference[end:]
+    return "+".join([os.path.relpath(Path(name).resolve(), folder.resolve()), *overlays])
 
 
 def spec_toml(spec: Spec, machine: Machine) -> str:

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from threadline.errors import Place, SpecError, UnitError
 from threadline.machine import Machine
+from threadline.machine.load import split_reference
 from threadline.opening import refuse_special
 from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
@@ -71,7 +72,7 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 def _default(machine: Machine) -> tuple[str, str]:
     """Return the default specification: a machine based on another is asked for the same."""
     name = machine.name.split("+")[0]
-    reference, _ = _without_overlays(machine.reference)
+    reference, _ = split_reference(machine.reference)
     own = Path(reference)
     library = resources.files("threadline.machine") / "library"
     file, base = (own if own.suffix == ".toml" else None), name
@@ -89,22 +90,13 @@ def _default(machine: Machine) -> tuple[str, str]:
             content = entry.read_text(encoding="utf-8")
         else:
             break
-        base, _ = _without_overlays(str(tomllib.loads(content).get("base", "")))
+        base, _ = split_reference(str(tomllib.loads(content).get("base", "")))
         here = Path() if file is None else file.parent
         file = here / base if base.endswith(".toml") else None
     raise SpecError(
         f"machine {name!r} has no default specification",
         remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",
     )
-
-
-def _without_overlays(reference: str) -> tuple[str, str]:
-    """Return the machine of a reference and its overlays; paths may hold plus signs."""
-    end = reference.rfind(".toml") + len(".toml")
-    if end < len(".toml") or reference[end : end + 1] not in {"", "+"}:
-        end = 0
-    name, _, overlays = reference[end:].partition("+")
-    return reference[:end] + name, overlays
 
 
 def _read(path: Path) -> str:
