@@ -1,10 +1,12 @@
-"""What every reader asks of a path before it opens it."""
+"""What every reader asks of a path before it opens it, and short text files read whole."""
 
 from __future__ import annotations
 
 import errno
 import stat
 from pathlib import Path
+
+from threadline.errors import InputError, Place
 
 
 def refuse_special(path: Path) -> None:
@@ -19,3 +21,47 @@ def refuse_special(path: Path) -> None:
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+
+
+def read_text(
+    path: Path, most_bytes: int, error: type[InputError], what: str, encoding: str = "utf-8"
+) -> str:
+    """Return the whole of a text file that people write.
+
+    Parameters
+    ----------
+    path
+        The file.
+    most_bytes
+        A larger one is refused before it is read.
+    error
+        What is raised.
+    what
+        What the file should be, for remedies: ``"machine file"``.
+    encoding
+        ``"utf-8-sig"`` where a byte order mark may stand first.
+
+    Raises
+    ------
+    InputError
+        Of the kind ``error``, if the file cannot be read, is too large or is not UTF-8.
+    """
+    try:
+        refuse_special(path)
+        size = path.stat().st_size
+        content = path.read_bytes() if size <= most_bytes else b""
+    except (OSError, ValueError) as failure:  # a null in a name is a ValueError
+        why = failure.strerror if isinstance(failure, OSError) else failure
+        raise error(
+            f"cannot read {str(path)[:200]!r}: {why}", remedy=f"Give a {what} that can be read."
+        ) from failure
+    place = Place(str(path))
+    if size > most_bytes:
+        said = f"the file has {size} bytes, limit {most_bytes}"
+        raise error(said, place=place, remedy=f"Is this a {what}?")
+    try:
+        return content.decode(encoding)
+    except UnicodeDecodeError as failure:
+        raise error(
+            "the file is not UTF-8 text", place=place, remedy="Save it as UTF-8."
+        ) from failure

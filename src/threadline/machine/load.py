@@ -20,7 +20,7 @@ from threadline.errors import MachineError, Place
 from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
 from threadline.machine.schema import ADAPTER, field_names, in_file, line_of
-from threadline.opening import refuse_special
+from threadline.opening import read_text
 from threadline.wording import field_fault, nearest, toml_fault
 
 _MAX_BYTES = 1_000_000
@@ -177,27 +177,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
 
 def _read(name: str) -> tuple[str, str]:
     if name.endswith(".toml"):
-        path = Path(name)
-        try:
-            refuse_special(path)
-            if path.stat().st_size > _MAX_BYTES:
-                raise MachineError(
-                    f"the file has {path.stat().st_size} bytes, limit {_MAX_BYTES}",
-                    place=Place(name),
-                    remedy="Is this a machine file?",
-                )
-            return path.read_bytes().decode("utf-8"), name
-        except UnicodeDecodeError as error:
-            raise MachineError(
-                "the file is not UTF-8 text", place=Place(name), remedy="Save it as UTF-8."
-            ) from error
-        except MachineError:
-            raise
-        except (OSError, ValueError) as error:  # a null in a name is a ValueError
-            why = error.strerror if isinstance(error, OSError) else error
-            raise MachineError(
-                f"cannot read {name[:200]!r}: {why}", remedy="Give a machine file or a name."
-            ) from error
+        return read_text(Path(name), _MAX_BYTES, MachineError, "machine file"), name
     _check_name(name)
     entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
     return entry.read_text(encoding="utf-8"), f"{name}.toml"

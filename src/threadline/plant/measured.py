@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError
-from threadline.opening import refuse_special
+from threadline.opening import read_text
 from threadline.plant.loop import Loop
 
 _COLUMNS = ("frequency_hz", "magnitude_db", "phase_deg")
@@ -71,20 +71,7 @@ def read_response(path: Path) -> MeasuredResponse:
         If a column is missing, or a line doesn't hold three finite numbers, rising in frequency.
     """
     name = str(path)
-    try:
-        refuse_special(path)
-        size = path.stat().st_size
-        data = path.read_bytes() if size <= _MAX_BYTES else b""
-    except OSError as error:
-        raise RecordingError(
-            f"cannot read {name[:200]!r}: {error.strerror}", remedy="Name a file that can be read."
-        ) from error
-    if size > _MAX_BYTES:
-        raise RecordingError(f"the file has {size} bytes, limit {_MAX_BYTES}", place=Place(name))
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError("the file is not UTF-8 text", place=Place(name)) from error
+    text = read_text(path, _MAX_BYTES, RecordingError, "measured response", "utf-8-sig")
     rows = csv.reader(text.splitlines())
     header = [cell.strip() for cell in next(rows, [])]
     for column in _COLUMNS:

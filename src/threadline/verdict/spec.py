@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from threadline.errors import Place, SpecError, UnitError
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
-from threadline.opening import refuse_special
+from threadline.opening import read_text
 from threadline.units import parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS
@@ -100,25 +100,7 @@ def _default(machine: Machine) -> tuple[str, str]:
 
 
 def _read(path: Path) -> str:
-    try:
-        refuse_special(path)
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
-            raise SpecError(
-                f"the file has {size} bytes, limit {_MAX_BYTES}", place=Place(str(path))
-            )
-        return path.read_bytes().decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise SpecError(
-            "the file is not UTF-8 text", place=Place(str(path)), remedy="Save it as UTF-8."
-        ) from error
-    except SpecError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise SpecError(
-            f"cannot read {str(path)[:120]!r}: {reason}", remedy="Give a specification file."
-        ) from error
+    return read_text(path, _MAX_BYTES, SpecError, "specification file")
 
 
 class _Reader:
