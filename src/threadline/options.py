@@ -7,6 +7,33 @@ from threadline.jobs.operations import Feed, FeedMode
 from threadline.units import parse_quantity, same_dimension, split_quantity
 
 
+def parse_number(subject: str, text: str, unit: str, example: str) -> float:
+    """Return what an option says, in ``unit``.
+
+    Parameters
+    ----------
+    subject
+        The option, as an error names it.
+    text
+        A number with a unit, as it was written.
+    unit
+        The SI unit wanted; ``""`` for a plain number.
+    example
+        How such an option is written.
+
+    Raises
+    ------
+    OptionError
+        If it is not a quantity of that kind.
+    """
+    try:
+        return parse_quantity(text, unit)
+    except UnitError as error:
+        raise OptionError(
+            f"{subject} {text!r}: {error.message}", remedy=f'Write it like "{example}".'
+        ) from error
+
+
 def parse_feed(text: str) -> Feed:
     """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"500 mm/min"``.
 
@@ -39,12 +66,7 @@ def parse_tolerance_m(text: str) -> float:
     OptionError
         If it is not a positive length.
     """
-    try:
-        value = parse_quantity(text, "m")
-    except UnitError as error:
-        raise OptionError(
-            f"tolerance {text!r}: {error.message}", remedy='Write it like "0.1 mm".'
-        ) from error
+    value = parse_number("tolerance", text, "m", "0.1 mm")
     if value <= 0:
         raise OptionError(f"tolerance {text!r} must be greater than zero")
     return value
@@ -58,12 +80,7 @@ def parse_share(text: str) -> float:
     OptionError
         If it is not above 0 % and at most 100 %.
     """
-    try:
-        value = parse_quantity(text, "")
-    except UnitError as error:
-        raise OptionError(
-            f"limits {text!r}: {error.message}", remedy='Write it like "25 %".'
-        ) from error
+    value = parse_number("limits", text, "", "25 %")
     if not 0.0 < value <= 1.0:
         raise OptionError(f"limits {text!r} must be above 0 % and at most 100 %")
     return value
@@ -99,12 +116,7 @@ def parse_width_s(text: str) -> float:
     OptionError
         If it is not a time of at least 0.1 ms and at most 10 s.
     """
-    try:
-        value = parse_quantity(text, "s")
-    except UnitError as error:
-        raise OptionError(
-            f"smoothing {text!r}: {error.message}", remedy='Write it like "36 ms".'
-        ) from error
+    value = parse_number("smoothing", text, "s", "36 ms")
     if not 1e-4 <= value <= 10.0:
         raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
     return value

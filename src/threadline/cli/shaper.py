@@ -16,10 +16,10 @@ from threadline.cli.shaper_text import (
     curve_lines,
     designed,
     modes_of,
-    seconds,
     suspicions,
 )
 from threadline.errors import OptionError
+from threadline.options import parse_number
 from threadline.report.document import Table
 from threadline.report.shaper import write_shaper
 from threadline.shaping import (
@@ -126,7 +126,8 @@ def shaper(
         band = _SI_BAND if kind == "si" else 0.0
     made = designed(kind, modes, tolerance, band)
     realised = None
-    if tick is None:
+    tick_s = None if tick is None else parse_number("--tick", tick, "s", "10 ms")
+    if tick_s is None:
         for name, given in (
             ("--dwell", dwell is not None),
             ("--max-impulses", max_impulses is not None),
@@ -136,8 +137,8 @@ def shaper(
                 raise OptionError(f"{name} needs the controller's tick", remedy="Add --tick.")
     else:
         limits = ControllerLimits(
-            tick_s=seconds(tick, "--tick"),
-            dwell_s=0.0 if dwell is None else seconds(dwell, "--dwell"),
+            tick_s=tick_s,
+            dwell_s=0.0 if dwell is None else parse_number("--dwell", dwell, "s", "20 ms"),
             max_impulses=max_impulses,
             amplitudes_free=free,
         )
@@ -150,7 +151,6 @@ def shaper(
     studied = None
     if moving:
         made_for = rest_to_rest(move, acceleration, modes)
-        tick_s = None if tick is None else seconds(tick, "--tick")
         with progress_bar(not json) as progress:
             studied = study_move(
                 made_for,

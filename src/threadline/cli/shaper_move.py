@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from threadline.errors import OptionError, UnitError
+from threadline.errors import OptionError
+from threadline.options import parse_number
 from threadline.report.document import Table
 from threadline.shaping import FlexibleMode
 from threadline.shaping.onoff.model import Command, RestToRest, worst_ringing
 from threadline.shaping.onoff.study import WITHIN, MoveStudy
-from threadline.units import parse_quantity
 
 
 def rest_to_rest(
@@ -34,12 +34,7 @@ def rest_to_rest(
             raise OptionError(
                 "--move and --acceleration go together", remedy=f'Add {option} "{example}".'
             )
-        try:
-            numbers.append(parse_quantity(text, unit))
-        except UnitError as error:
-            raise OptionError(
-                f"{option} {text!r}: {error.message}", remedy=f'Write it like "{example}".'
-            ) from error
+        numbers.append(parse_number(option, text, unit, example))
     return RestToRest(numbers[0], numbers[1], tuple(modes))
 
 

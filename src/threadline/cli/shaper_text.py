@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from threadline.errors import OptionError, UnitError
+from threadline.errors import OptionError
 from threadline.shaping import (
     FlexibleMode,
     Requirement,
@@ -20,7 +20,6 @@ from threadline.shaping import (
     residual_vibration,
     specified_insensitivity,
 )
-from threadline.units import parse_quantity
 
 KINDS = (*ShaperKind, "si", "direct", "um-direct")
 SUSPICIOUS_DAMPING = 0.1
@@ -78,22 +77,6 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
         if len(modes) > 1
         else design(kind, modes[0], tolerance=tolerance)
     )
-
-
-def seconds(text: str, option: str) -> float:
-    """Return a time such as ``"10 ms"`` in s.
-
-    Raises
-    ------
-    OptionError
-        If it is not a time.
-    """
-    try:
-        return parse_quantity(text, "s")
-    except UnitError as error:
-        raise OptionError(
-            f"{option} {text!r}: {error.message}", remedy='Write it like "10 ms".'
-        ) from error
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:

@@ -8,10 +8,9 @@ import typer
 
 from threadline.cli.options import JsonOption
 from threadline.cli.output import note, print_json, print_table
-from threadline.errors import OptionError, UnitError
+from threadline.options import parse_number
 from threadline.sizing import PROFILES, Demands, Sizing
 from threadline.sizing import size as size_demands
-from threadline.units import parse_quantity
 
 _EXAMPLES = {"m": "0.1 in", "s": "50 ms", "rad": "90 deg", "kg*m^2": "4.75 kg cm^2"}
 
@@ -76,13 +75,7 @@ def size(
     """
 
     def si(text: str, unit: str, option: str) -> float:
-        try:
-            return parse_quantity(text, unit)
-        except UnitError as error:
-            raise OptionError(
-                f"{option} {text!r}: {error.message}",
-                remedy=f'Write it like "{_EXAMPLES.get(unit, f"1 {unit}")}".',
-            ) from error
+        return parse_number(option, text, unit, _EXAMPLES.get(unit, f"1 {unit}"))
 
     def maybe(text: str | None, unit: str, option: str) -> float | None:
         return None if text is None else si(text, unit, option)
