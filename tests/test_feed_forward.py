@@ -14,8 +14,9 @@ from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
+from threadline.options import Options, options_from
 from threadline.path.on_time import rapid_time_s
-from threadline.pipeline import Options, options_from, plan_job, prove_plan
+from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.rigid import current_needed
 from threadline.report.traces import collect
 from threadline.search import mismatch

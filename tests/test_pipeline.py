@@ -10,8 +10,8 @@ from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.options import parse_feed, parse_tolerance_m
-from threadline.pipeline import Options, check_loops, describe, options_from
+from threadline.options import Options, describe, options_from, parse_feed, parse_tolerance_m
+from threadline.pipeline import check_loops
 
 
 @pytest.mark.parametrize(

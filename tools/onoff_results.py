@@ -14,7 +14,8 @@ import numpy as np
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.pipeline import Options, SwitchProof, prove_switching
+from threadline.options import Options
+from threadline.pipeline import SwitchProof, prove_switching
 from threadline.report.onoff import break_sweeps, move_sweep
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import shaping_of

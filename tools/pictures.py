@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import parse_feed
-from threadline.pipeline import Options, Proof, plan_job, prove_plan
+from threadline.options import Options, parse_feed
+from threadline.pipeline import Proof, plan_job, prove_plan
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, figure_style
 from threadline.report.traces import collect
 from threadline.verdict import load_spec

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from threadline.machine import load_machine
-from threadline.options import parse_feed
-from threadline.pipeline import Options, prove
+from threadline.options import Options, parse_feed
+from threadline.pipeline import prove
 from threadline.shaping import (
     FlexibleMode,
     Requirement,

@@ -10,10 +10,10 @@ import numpy as np
 
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
-from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
-from threadline.options import parse_feed, parse_share, parse_tolerance_m, parse_width_s
+from threadline.options import DEFAULT_INTERPOLATION, Options, describe, refuse_axis_options
 from threadline.path import check_budget, on_time_path, plan_path, programmed_path
 from threadline.plan import Plan, SwitchPlan
 from threadline.plant.analysis import unstable_loops
@@ -27,44 +27,10 @@ from threadline.twin import simulate
 from threadline.twin.switching import simulate_switching
 from threadline.verdict import Spec, Verdict, judge
 
-DEFAULT_INTERPOLATION = "auto"
-DEFAULT_TOLERANCE_M = 1e-4
-
 REPEAT_SEED = 1994
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
-    """How a job is to be planned.
-
-    Parameters
-    ----------
-    interpolation
-        Name of the interpolation.
-    feed
-        Replaces every programmed feed; None keeps the job's.
-    tolerance_m
-        Largest deviation of the planned from the programmed path, at the tool.
-    limit_share
-        Share of the machine's acceleration and jerk limits that the planner uses, in (0, 1].
-    shaper
-        Text of the shaper, or of one per axis, that the trajectory is convolved with; None
-        leaves it as it was planned.
-    feed_forward_s
-        Command the exact inverses of the axes, so that the loads and not the motors follow the
-        motion, smoothed over this time; ``auto`` then keeps every programmed time exactly. None
-        commands the motion itself.
-    """
-
-    interpolation: str = DEFAULT_INTERPOLATION
-    feed: Feed | None = None
-    tolerance_m: float = DEFAULT_TOLERANCE_M
-    limit_share: float = 1.0
-    shaper: str | None = None
-    feed_forward_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -169,22 +135,6 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     )
 
 
-def refuse_axis_options(machine: Machine, options: Options) -> None:
-    """Refuse options that a schedule does not have; all but the shaper are such.
-
-    Raises
-    ------
-    OptionError
-        If one is given.
-    """
-    if replace(options, shaper=None) != Options():
-        raise OptionError(
-            f"{machine.name} switches on and off: it has no interpolation, feed, tolerance or "
-            "share of limits to choose",
-            remedy="Leave these options out; a shaper may be given.",
-        )
-
-
 def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
     """Plan ``job`` on an on/off machine: its schedule.
 
@@ -201,55 +151,6 @@ def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
         scheduled=compile_schedule(job, machine, shaping),
         options=describe(job, machine, options),
     )
-
-
-def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
-    """Return the options as text: enough to make the same plan again."""
-    feed = "programmed"
-    if options.feed is not None:
-        unit = "count/tick" if options.feed.mode is FeedMode.COUNT_PER_TICK else "m/s"
-        feed = f"{options.feed.value!r} {unit}"
-    return {
-        "job": job.file,
-        "machine": machine.reference,
-        "interpolation": options.interpolation,
-        "feed": feed,
-        "tolerance": f"{options.tolerance_m!r} m",
-        "limits": f"{options.limit_share * 100.0!r} %",
-        **({} if options.shaper is None else {"shaper": options.shaper}),
-        **(
-            {}
-            if options.feed_forward_s is None
-            else {"feed-forward": f"{options.feed_forward_s!r} s"}
-        ),
-    }
-
-
-def options_from(description: dict[str, str]) -> Options:
-    """Return the options that ``describe`` wrote down.
-
-    Raises
-    ------
-    OptionError
-        If one of them is missing or unreadable.
-    """
-    try:
-        feed_text = description["feed"]
-        return Options(
-            interpolation=description["interpolation"],
-            feed=None if feed_text == "programmed" else parse_feed(feed_text),
-            tolerance_m=parse_tolerance_m(description["tolerance"]),
-            limit_share=parse_share(description.get("limits", "100 %")),
-            shaper=description.get("shaper"),
-            feed_forward_s=None
-            if "feed-forward" not in description
-            else parse_width_s(description["feed-forward"]),
-        )
-    except KeyError as error:
-        raise OptionError(
-            f"the recording does not say with which {error.args[0]} its plan was made",
-            remedy="Give the job, the machine and the options.",
-        ) from error
 
 
 def prove(

@@ -16,7 +16,8 @@ from threadline.cli.main import main
 from threadline.errors import OptionError, RecordingError, SpecError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.pipeline import Options, SwitchProof, plan_switching, prove_switching
+from threadline.options import Options
+from threadline.pipeline import SwitchProof, plan_switching, prove_switching
 from threadline.plant.pneumatic import step_ringing
 from threadline.signals import Recording, RecordingBlock, Stream, SwitchSchedule
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching

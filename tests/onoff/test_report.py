@@ -10,7 +10,8 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.pipeline import Options, prove_switching
+from threadline.options import Options
+from threadline.pipeline import prove_switching
 from threadline.plant.pneumatic import flow_mode, step_ringing
 from threadline.report import write_switching
 from threadline.report.onoff import (

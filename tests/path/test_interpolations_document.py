@@ -9,9 +9,10 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
+from threadline.options import Options
 from threadline.path import interpolation_names
 from threadline.path.plan import KEEPING_TOLERANCE
-from threadline.pipeline import Options, plan_job
+from threadline.pipeline import plan_job
 from threadline.verdict.deviation import measure_path_deviation
 
 ROOT = Path(__file__).resolve().parents[2]

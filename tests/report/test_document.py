@@ -6,7 +6,8 @@ from itertools import pairwise
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.options import Options
+from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
 from threadline.report.document import Document, Table, _pages

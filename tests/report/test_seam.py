@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from threadline.machine import load_machine
-from threadline.pipeline import Options, Proof, prove
+from threadline.options import Options
+from threadline.pipeline import Proof, prove
 from threadline.report.proof import write_report
 from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style

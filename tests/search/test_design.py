@@ -15,7 +15,8 @@ from threadline.machine import Machine, load_machine
 from threadline.machine.design import Design, DesignParameter, DesignSettings
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.machine.quantity import Provenance, Quantity
-from threadline.pipeline import Options, check_loops, plan_job, prove_plan
+from threadline.options import Options
+from threadline.pipeline import check_loops, plan_job, prove_plan
 from threadline.plant.loop import axis_loop
 from threadline.plant.margins import loop_margins
 from threadline.plant.values import Values

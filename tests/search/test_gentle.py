@@ -6,7 +6,7 @@ from pathlib import Path
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.pipeline import Options
+from threadline.options import Options
 from threadline.search import fastest_feed, fastest_job
 from threadline.verdict import load_spec
 

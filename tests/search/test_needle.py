@@ -10,7 +10,8 @@ import pytest
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.options import Options
+from threadline.pipeline import plan_job, prove_plan
 from threadline.search import fastest_needle, needle_range_hz
 from threadline.verdict import load_spec
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from threadline.machine import load_machine
-from threadline.options import parse_feed
-from threadline.pipeline import Options, Proof, prove
+from threadline.options import Options, parse_feed
+from threadline.pipeline import Proof, prove
 from threadline.plant.analysis import analyse_axis
 from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.verdict import Criterion, Spec

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Move, Source
-from threadline.pipeline import Options, plan_job
+from threadline.options import Options
+from threadline.pipeline import plan_job
 from threadline.targets import calculate, compile_ticks
 
 from .makers import job_of, polynomials, winder

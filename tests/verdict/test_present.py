@@ -12,7 +12,8 @@ import pytest
 from threadline import __version__
 from threadline.errors import SpecError
 from threadline.jobs import read_job
-from threadline.pipeline import Options, plan_job
+from threadline.options import Options
+from threadline.pipeline import plan_job
 from threadline.signals import ChannelKind
 from threadline.verdict import (
     Criterion,

@@ -32,7 +32,8 @@ from threadline.cli.tolerance import tolerance_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
-from threadline.pipeline import plan_job, refuse_axis_options
+from threadline.options import refuse_axis_options
+from threadline.pipeline import plan_job
 from threadline.targets import write
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of

@@ -34,8 +34,8 @@ from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
-from threadline.options import parse_feed, parse_margin
-from threadline.pipeline import Options, plan_job
+from threadline.options import Options, parse_feed, parse_margin
+from threadline.pipeline import plan_job
 from threadline.search import Fastest, FastestJob, fastest_job
 from threadline.search.gentle import Rung
 from threadline.verdict import criteria_json, load_spec, verdict_rows

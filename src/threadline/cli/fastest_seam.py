@@ -15,7 +15,8 @@ from threadline.cli.warn import warn
 from threadline.errors import OptionError, UnitError
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine
-from threadline.pipeline import Options, plan_job
+from threadline.options import Options
+from threadline.pipeline import plan_job
 from threadline.report.mismatch import write_mismatch
 from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
 from threadline.units import parse_quantity

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.cli.options import (
+    DEFAULT_TOLERANCE_TEXT,
     JsonOption,
     SpecOption,
     machine_from,
@@ -15,7 +16,8 @@ from threadline.cli.options import (
 from threadline.cli.output import print_json, print_table
 from threadline.errors import OptionError
 from threadline.jobs import read_job
-from threadline.pipeline import options_from, plan_job, plan_switching
+from threadline.options import DEFAULT_INTERPOLATION, options_from
+from threadline.pipeline import plan_job, plan_switching
 from threadline.signals.files import read_recording
 from threadline.verdict import closing, load_spec, step_rows, verdict_json, verdict_rows
 from threadline.verdict import judge as judge_recordings
@@ -63,9 +65,9 @@ def judge(
                 f"{recordings[0].name} does not say which {key} it is a recording of",
                 remedy=f"Give it with {option}.",
             )
-    origin.setdefault("interpolation", "auto")
+    origin.setdefault("interpolation", DEFAULT_INTERPOLATION)
     origin.setdefault("feed", "programmed")
-    origin.setdefault("tolerance", "0.1 mm")
+    origin.setdefault("tolerance", DEFAULT_TOLERANCE_TEXT)
     chosen = machine_from(origin["machine"], None)
     made = plan_switching if chosen.cylinders else plan_job
     plan = made(read_job(Path(origin["job"]), chosen), chosen, options_from(origin))

@@ -10,8 +10,15 @@ import typer
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
-from threadline.options import parse_feed, parse_share, parse_tolerance_m, parse_width_s
-from threadline.pipeline import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE_M, Options
+from threadline.options import (
+    DEFAULT_INTERPOLATION,
+    Options,
+    parse_feed,
+    parse_share,
+    parse_tolerance_m,
+    parse_width_s,
+)
+from threadline.path.plan import DEFAULT_TOLERANCE_M
 
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""

@@ -6,7 +6,8 @@ import platform
 from pathlib import Path
 
 from threadline import __version__
-from threadline.pipeline import Options, SwitchProof, plan_switching, prove_switch_plan
+from threadline.options import Options
+from threadline.pipeline import SwitchProof, plan_switching, prove_switch_plan
 from threadline.report.document import Document, Table, write_document
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
 from threadline.report.style import figure_style

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
-from threadline.pipeline import Options, Proof, check_loops, plan_job, prove_plan
+from threadline.options import Options
+from threadline.pipeline import Proof, check_loops, plan_job, prove_plan
 from threadline.search.gentle import FastestJob, fastest_job
 from threadline.verdict import Spec
 

@@ -14,7 +14,8 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at, with_numbers
-from threadline.pipeline import Options, check_loops, plan_job
+from threadline.options import Options
+from threadline.pipeline import check_loops, plan_job
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_region import Region, region_of
 from threadline.search.design_search import (

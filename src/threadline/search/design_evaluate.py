@@ -12,7 +12,8 @@ from threadline.errors import MachineError, PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.numbers import with_numbers
-from threadline.pipeline import Options, plan_job
+from threadline.options import Options
+from threadline.pipeline import plan_job
 from threadline.search.design_gains import design_gains
 from threadline.search.design_judge import QuickJudge, Ratios, quick_judge
 from threadline.search.design_space import Space

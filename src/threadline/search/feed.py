@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.options import Options
+from threadline.pipeline import plan_job, prove_plan
 from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Spec, Verdict
 

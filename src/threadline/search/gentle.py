@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.pipeline import Options, check_loops, plan_job
+from threadline.options import Options
+from threadline.pipeline import check_loops, plan_job
 from threadline.search.fastest import Fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Spec

@@ -9,7 +9,7 @@ from pathlib import Path
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
-from threadline.pipeline import Options
+from threadline.options import Options
 from threadline.search.fastest import Fastest
 from threadline.search.needle import fastest_needle
 from threadline.verdict import Spec

@@ -9,7 +9,8 @@ from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
-from threadline.pipeline import Options, plan_job, prove_plan
+from threadline.options import Options
+from threadline.pipeline import plan_job, prove_plan
 from threadline.search.fastest import EDGE_RELATIVE, SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Result, Spec, Status, Verdict
 
