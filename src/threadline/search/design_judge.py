@@ -22,7 +22,7 @@ from threadline.plan import Plan
 from threadline.signals import ChannelKind, Stream, TickTable
 from threadline.twin import simulate, simulate_batch
 from threadline.verdict import Criterion, Spec
-from threadline.verdict.blocks import judged_blocks, master_channel, sample_interval_s
+from threadline.verdict.blocks import judged_blocks, setting_of
 from threadline.verdict.measure import Block, Setting
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS
@@ -191,8 +191,7 @@ class QuickJudge:
         for criterion in self._others:
             kind = MEASURES[criterion.name]
             assert kind.start is not None
-            options = {n: criterion.options.get(n, o.default) for n, o in kind.options.items()}
-            running.append(kind.start(self.setting, options))
+            running.append(kind.start(self.setting, kind.with_defaults(criterion.options)))
         for block in self.blocks:
             own = slice(block.first, block.first + len(block))
             columns: dict[str, Any] = {k: v[own, variant] for k, v in data.items()}
@@ -275,20 +274,11 @@ def quick_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) 
         job=_kept_job(plan.job),
         trajectory=replace(plan.trajectory, blocks=Stream.of(plan.trajectory.blocks)),
     )
-    axes = plan.programmed.axes
-    interval_s = sample_interval_s(master_channel(recording, axes))
-    setting = Setting(
-        plan=steady,
-        recording=recording,
-        axes=axes,
-        radius_m=plan.programmed.radius_m,
-        interval_s=interval_s,
-        lag_samples=int(np.ceil(spec.lag_s / interval_s - 1e-9)),
-    )
+    setting = setting_of(steady, recording, spec.lag_s)
     blocks = tuple(
         replace(block, path=copy.copy(block.path))
         for block in judged_blocks(
-            recording, axes, setting.lag_samples, PathWindow(plan.programmed)
+            recording, setting.axes, setting.lag_samples, PathWindow(plan.programmed)
         )
     )
     criteria = tuple(c for c in spec.criteria if _is_quick(c))

@@ -8,7 +8,7 @@ from numba import njit
 from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import Recording
-from threadline.verdict.blocks import find_first, judged_blocks, master_channel, sample_interval_s
+from threadline.verdict.blocks import find_first, judged_blocks, setting_of
 from threadline.verdict.intended import as_intended
 from threadline.verdict.nearest import squared_to_segment
 from threadline.verdict.registry import MEASURES
@@ -42,12 +42,11 @@ def contour_along(
                 find_first(recording, alternatives, axis) or find_first(recording, alternatives, "")
             ):
                 return None
-    interval_s = sample_interval_s(master_channel(recording, axes))
-    lag_samples = int(np.ceil(lag_s / interval_s - 1e-9))
-    width_s = max(plan.trajectory.duration_s + lag_s, interval_s) / stretches
+    setting = setting_of(plan, recording, lag_s)
+    width_s = max(plan.trajectory.duration_s + lag_s, setting.interval_s) / stretches
     worst = np.full(stretches + 1, -1.0)
     time_s = np.zeros(stretches + 1)
-    for block in judged_blocks(recording, axes, lag_samples, PathWindow(plan.programmed)):
+    for block in judged_blocks(recording, axes, setting.lag_samples, PathWindow(plan.programmed)):
         assert block.actual is not None
         path, begin, end = block.window()
         points = np.ascontiguousarray(block.actual * plan.programmed.radius_m)

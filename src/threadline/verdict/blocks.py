@@ -9,8 +9,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
+from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.verdict.measure import Block
+from threadline.verdict.measure import Block, Setting
 from threadline.verdict.progress import chords_under_way
 from threadline.verdict.window import PathWindow
 
@@ -53,6 +54,31 @@ def master_channel(recording: Recording, axes: Sequence[str]) -> Channel:
     raise RecordingError(
         f"the recording holds no position of the axes {', '.join(axes)}",
         remedy="Record at least the measured position of every axis of the job.",
+    )
+
+
+def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
+    """Return what a measure knows before the first sample of ``recording``.
+
+    Parameters
+    ----------
+    lag_s
+        How far the machine may trail its command.
+
+    Raises
+    ------
+    RecordingError
+        If the recording holds no position of any axis of the plan.
+    """
+    axes = plan.programmed.axes
+    interval_s = sample_interval_s(master_channel(recording, axes))
+    return Setting(
+        plan=plan,
+        recording=recording,
+        axes=axes,
+        radius_m=plan.programmed.radius_m,
+        interval_s=interval_s,
+        lag_samples=int(np.ceil(lag_s / interval_s - 1e-9)),
     )
 
 

@@ -12,17 +12,12 @@ from threadline.errors import RecordingError, SpecError
 from threadline.path.types import ProgrammedPath
 from threadline.plan import Plan, SwitchPlan
 from threadline.signals import ChannelKind, Recording
-from threadline.verdict.blocks import (
-    find_first,
-    judged_blocks,
-    master_channel,
-    sample_interval_s,
-)
+from threadline.verdict.blocks import find_first, judged_blocks, setting_of
 from threadline.verdict.by_time import OPERATION_BY_TIME, with_operation
 from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.intended import as_intended
-from threadline.verdict.measure import Finding, Measure, MeasureKind, Setting
+from threadline.verdict.measure import Finding, Measure, MeasureKind
 from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS
 from threadline.verdict.switch_judge import judge_switching
@@ -79,7 +74,7 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
             findings[key] = (
                 [Finding(value=None, note=missing)]
                 if missing
-                else list(kind.of_many(recordings, plan, _options(kind, dict(key[1]))))
+                else list(kind.of_many(recordings, plan, kind.with_defaults(dict(key[1]))))
             )
     findings |= {(name, ()): found for name, found in _of_plan(plan, keys).items()}
     results = [
@@ -120,24 +115,12 @@ def _key(criterion: Criterion) -> _Key:
     return criterion.name, tuple(sorted(criterion.options.items()))
 
 
-def _options(kind: MeasureKind, given: Mapping[str, float]) -> dict[str, float]:
-    return {name: given.get(name, option.default) for name, option in kind.options.items()}
-
-
 def _measure(
     recording: Recording, plan: Plan, spec: Spec, keys: Mapping[_Key, Criterion]
 ) -> dict[_Key, list[Finding]]:
     """Run every measure of one recording over its blocks, all in the same pass."""
     axes = plan.programmed.axes
-    interval_s = sample_interval_s(master_channel(recording, axes))
-    setting = Setting(
-        plan=plan,
-        recording=recording,
-        axes=axes,
-        radius_m=plan.programmed.radius_m,
-        interval_s=interval_s,
-        lag_samples=int(np.ceil(spec.lag_s / interval_s - 1e-9)),
-    )
+    setting = setting_of(plan, recording, spec.lag_s)
     found: dict[_Key, list[Finding]] = {}
     running: dict[_Key, Measure] = {}
     for key in keys:
@@ -148,7 +131,7 @@ def _measure(
         if missing:
             found[key] = [Finding(value=None, note=missing)]
         else:
-            running[key] = kind.start(setting, _options(kind, dict(key[1])))
+            running[key] = kind.start(setting, kind.with_defaults(dict(key[1])))
     if running:
         path = PathWindow(plan.programmed)
         for block in judged_blocks(recording, axes, setting.lag_samples, path):

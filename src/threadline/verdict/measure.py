@@ -174,6 +174,10 @@ class MeasureKind:
     slack: float = 1.0
     allowance: float = 0.0
 
+    def with_defaults(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Return every option of the measure: as ``given``, else its default."""
+        return {name: given.get(name, option.default) for name, option in self.options.items()}
+
     def unit(self, axis_kind: str) -> str:
         """Return the SI unit of the value; ``axis_kind`` is ``linear`` or ``rotary``."""
         length = "m" if axis_kind == "linear" else "rad"

@@ -10,12 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
-from threadline.verdict.blocks import (
-    find_first,
-    judged_blocks,
-    master_channel,
-    sample_interval_s,
-)
+from threadline.verdict.blocks import find_first, judged_blocks, setting_of
 from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 
@@ -142,15 +137,7 @@ def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[
     known = all(find_first(recording, _ACTUAL, axis) is not None for axis in axes)
     if not known or not has_stitches(plan.job):
         return
-    setting = Setting(
-        plan=plan,
-        recording=recording,
-        axes=axes,
-        radius_m=plan.programmed.radius_m,
-        interval_s=sample_interval_s(master_channel(recording, axes)),
-        lag_samples=0,
-    )
-    follower = StitchFollower(setting, delay_s)
+    follower = StitchFollower(setting_of(plan, recording), delay_s)
     for block in judged_blocks(recording, axes, 0, None):
         if block.actual is not None:
             yield from follower.feed(block.time_s, block.actual)

@@ -46,7 +46,7 @@ def _findings(
         note = "not a measure of an on/off machine"
         yield Finding(value=None, axis=axis, step=criterion.step, note=note)
         return
-    options = {name: criterion.options.get(name, o.default) for name, o in kind.options.items()}
+    options = kind.with_defaults(criterion.options)
     worst: dict[_Place, Finding] = {}
     for run in runs:
         for finding in _of_one(measure, run, options, criterion):
