@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from threadline import __version__
 from threadline.machine import Machine
 from threadline.plant.analysis import HERTZ, AxisAnalysis
 from threadline.plant.locus import root_locus
 from threadline.plant.measured import MeasuredResponse, speed_response
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.experiments import NOTHING_TRIED, experiment_figure, experiment_table
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
 from threadline.search.campaign import Campaign
@@ -68,12 +66,7 @@ def write_analysis(
             tables=[*analysis_tables(analyses), *map(experiment_table, tried.values())],
             figures=figures,
             captions=captions,
-            facts=[
-                ("threadline", __version__),
-                ("Python", platform.python_version()),
-                ("machine", f"{machine.name} ({machine.title})"),
-                ("machine sha256", machine.sha256),
-            ],
+            facts=origin_facts(machine),
         )
         return write_document(document, folder, "analysis")
 

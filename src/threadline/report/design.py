@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import platform
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline import __version__
 from threadline.machine.numbers import number_at
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.style import figure_style
 from threadline.search.design import Candidate, DesignResult, Found
 from threadline.verdict import verdict_rows
@@ -159,12 +157,7 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
                 figures=figures,
                 captions=captions,
                 facts=[
-                    ("threadline", __version__),
-                    ("Python", platform.python_version()),
-                    ("job", result.job.name),
-                    ("job sha256", result.job.sha256),
-                    ("machine", f"{result.machine.name} ({result.machine.title})"),
-                    ("machine sha256", result.machine.sha256),
+                    *origin_facts(result.machine, result.job),
                     ("machines simulated", str(result.simulated)),
                 ],
             ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import platform
 import re
 import shutil
 import tempfile
@@ -14,6 +15,10 @@ from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+
+from threadline import __version__
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,6 +65,19 @@ class Document:
     captions: Mapping[str, str]
     facts: Sequence[tuple[str, str]]
     warnings: Sequence[str] = field(default_factory=tuple)
+
+
+def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list[tuple[str, str]]:
+    """Return the facts that every report begins with: versions, and what was read."""
+    facts = [("threadline", __version__), ("Python", platform.python_version())]
+    if job is not None:
+        facts += [("job", job.name), ("job sha256", job.sha256)]
+    if machine is not None:
+        facts += [
+            ("machine", f"{machine.name} ({machine.title})"),
+            ("machine sha256", machine.sha256),
+        ]
+    return facts
 
 
 def write_document(document: Document, folder: Path, stem: str) -> Path:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import platform
 from pathlib import Path
 
-from threadline import __version__
 from threadline.pipeline import Proof
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.figures import all_figures
 from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
@@ -63,12 +61,7 @@ def facts(proof: Proof) -> list[tuple[str, str]]:
     """Return what is needed to make a proof again."""
     plan = proof.plan
     return [
-        ("threadline", __version__),
-        ("Python", platform.python_version()),
-        ("job", plan.job.name),
-        ("job sha256", plan.job.sha256),
-        ("machine", f"{plan.machine.name} ({plan.machine.title})"),
-        ("machine sha256", plan.machine.sha256),
+        *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
         *sorted(plan.options.items()),
         *((key, f"{value:g}") for key, value in plan.path.summary.items()),

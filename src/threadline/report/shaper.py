@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline import __version__
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_style
 from threadline.shaping import FlexibleMode, Shaper, residual_vibration
 
@@ -52,8 +50,7 @@ def write_shaper(
                 "step": "The impulses, and the levels that a unit step passes through.",
             },
             facts=[
-                ("threadline", __version__),
-                ("Python", platform.python_version()),
+                *origin_facts(),
                 ("times, s", ", ".join(f"{t:.9g}" for t in shaper.times_s)),
                 ("amplitudes", ", ".join(f"{a:.9g}" for a in shaper.amplitudes)),
             ],

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import platform
 from pathlib import Path
 
-from threadline import __version__
 from threadline.options import Options
 from threadline.pipeline import SwitchProof, plan_switching, prove_switch_plan
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
@@ -79,12 +77,7 @@ def _step_table(proof: SwitchProof, how: str) -> Table:
 def _facts(proof: SwitchProof) -> list[tuple[str, str]]:
     plan = proof.plan
     return [
-        ("threadline", __version__),
-        ("Python", platform.python_version()),
-        ("job", plan.job.name),
-        ("job sha256", plan.job.sha256),
-        ("machine", f"{plan.machine.name} ({plan.machine.title})"),
-        ("machine sha256", plan.machine.sha256),
+        *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
         ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
         ("schedule", f"{plan.duration_s:g} s, {len(plan.commands.ticks)} switchings"),
