@@ -72,11 +72,7 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
         return direct_unit_magnitude([Requirement(m) for m in modes])
     if kind not in list(ShaperKind):
         raise OptionError(f"shaper kind {kind!r} is unknown", remedy=f"Kinds: {', '.join(KINDS)}.")
-    return (
-        convolve(*(design(kind, m, tolerance=tolerance) for m in modes))
-        if len(modes) > 1
-        else design(kind, modes[0], tolerance=tolerance)
-    )
+    return convolve(*(design(kind, m, tolerance=tolerance) for m in modes))
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:

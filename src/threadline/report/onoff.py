@@ -47,8 +47,7 @@ def train_of(kind: str, mode: FlexibleMode) -> Shaper:
     """Return the shaper of a word: kinds joined by ``*``, or ``none``."""
     if kind == "none":
         return UNSHAPED
-    made = [design(word, mode) for word in kind.split("*")]
-    return made[0] if len(made) == 1 else convolve(*made)
+    return convolve(*(design(word, mode) for word in kind.split("*")))
 
 
 def level_steps(shaper: Shaper, on_s: float) -> tuple[FloatArray, FloatArray]:

@@ -20,7 +20,7 @@ def convolve(*shapers: Shaper, name: str = "") -> Shaper:
     Parameters
     ----------
     *shapers
-        At least one.
+        At least one; one alone stays as it is.
     name
         Name of the result; the names joined by ``*`` if empty.
 

@@ -77,10 +77,6 @@ class Realised:
         Impulse times as whole ticks.
     vibration, designed_vibration
         Worst V over the modes at their modelled frequencies.
-    band_vibration, designed_band_vibration
-        The same over f (1 +- ``relative``) of every mode.
-    relative
-        Half width of that band.
     """
 
     shaper: Shaper
@@ -88,9 +84,6 @@ class Realised:
     ticks: tuple[int, ...]
     vibration: float
     designed_vibration: float
-    band_vibration: float
-    designed_band_vibration: float
-    relative: float
 
     @property
     def time_price_s(self) -> float:
@@ -178,9 +171,6 @@ def realise(
         ticks=tuple(int(k) for k in ticks),
         vibration=float(residual_vibration(made, f0, z0).max()),
         designed_vibration=float(residual_vibration(shaper, f0, z0).max()),
-        band_vibration=float(residual_vibration(made, f, z).max()),
-        designed_band_vibration=float(residual_vibration(shaper, f, z).max()),
-        relative=relative,
     )
 
 

@@ -9,20 +9,18 @@ of planned ones at most one train earlier.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeVar, cast
 
-import numba
 import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError, PlanError
 from threadline.machine import Machine
 from threadline.shaping.rests import with_rests
+from threadline.shaping.vibration import compiled
 from threadline.trajectory import Trajectory, TrajectoryBlock
 
-_F = TypeVar("_F", bound=Callable[..., object])
 _CHUNK = 1 << 14
 SAMPLES_PER_TRAIN = 128
 """Samples within the duration of the train: a chord between two strays from a curve that is
@@ -203,12 +201,7 @@ class _Worst:
         )
 
 
-def _compiled(function: _F) -> _F:
-    """Compile with numba, keeping the type that mypy knows."""
-    return cast("_F", numba.njit(cache=True)(function))
-
-
-@_compiled
+@compiled
 def _distances(points: FloatArray, chain: FloatArray, back: int, ahead: int) -> FloatArray:
     """(n,) distance of point i to the chords of ``chain`` rows i ... i + back + ahead."""
     axes = points.shape[1]

@@ -6,6 +6,7 @@ while the frequency sweeps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,18 +105,16 @@ def insensitivity(shaper: Shaper, mode: FlexibleMode, tolerance: float = 0.05) -
     for end in (0.0, 10.0 * f0):
         count = max(2, int(np.ceil(abs(end - f0) / step)))
         grid = np.linspace(f0, end, count + 1)
-        ends.append(_first_crossing(shaper, zeta, grid, limit, excess_of=excess))
+        ends.append(_first_crossing(excess, grid, residual_vibration(shaper, grid, zeta), limit))
     return Insensitivity(ends[0], ends[1], f0, tolerance)
 
 
 def _first_crossing(
-    shaper: Shaper, zeta: float, grid: FloatArray, limit: float, *, excess_of: object
+    excess: Callable[[float], float], grid: FloatArray, v: FloatArray, limit: float
 ) -> float:
+    """Return where V, ``v`` on the (n,) ``grid``, first exceeds the limit; the end if nowhere."""
     from scipy.optimize import brentq, minimize_scalar
 
-    excess = excess_of
-    assert callable(excess)
-    v = residual_vibration(shaper, grid, zeta)
     over = np.flatnonzero(v > limit)
     stop = int(over[0]) if len(over) else len(grid) - 1
     tops = np.flatnonzero((v[1:stop] >= v[: stop - 1]) & (v[1:stop] > v[2 : stop + 1])) + 1
@@ -129,11 +128,3 @@ def _first_crossing(
     if not len(over):
         return float(grid[-1])
     return float(brentq(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14))
-
-
-def worst_in_band(
-    shaper: Shaper, mode: FlexibleMode, relative: float, *, samples: int = 401
-) -> float:
-    """Largest V over f (1 +- ``relative``) on an even grid; curvature between is O(1/samples^2)."""
-    f = mode.frequency_hz * np.linspace(1.0 - relative, 1.0 + relative, samples)
-    return float(residual_vibration(shaper, f, mode.damping_ratio).max())

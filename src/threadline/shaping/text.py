@@ -54,8 +54,7 @@ def parse_mode_hz(text: str) -> float:
 
 
 def _convolution(text: str) -> Shaper:
-    trains = [_one(part.strip(), text) for part in text.split("*")]
-    return trains[0] if len(trains) == 1 else convolve(*trains)
+    return convolve(*(_one(part.strip(), text) for part in text.split("*")))
 
 
 def _one(text: str, whole: str) -> Shaper:

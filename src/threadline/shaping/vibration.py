@@ -17,12 +17,12 @@ from threadline.shaping.types import FlexibleMode, Shaper
 _F = TypeVar("_F", bound=Callable[..., object])
 
 
-def _compiled(function: _F) -> _F:
+def compiled(function: _F) -> _F:
     """Compile with numba, keeping the type that mypy knows."""
     return cast("_F", numba.njit(cache=True)(function))
 
 
-@_compiled
+@compiled
 def _vibration_kernel(
     amplitudes: FloatArray,
     times_s: FloatArray,

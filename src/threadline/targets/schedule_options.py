@@ -70,7 +70,7 @@ def shaping_of(
         if tuple(key) not in made:
             trains = [design(kind, used, tolerance=tolerance) for kind, used, tolerance in key]
             made[tuple(key)] = AxisShaping(
-                shaper=trains[0] if len(trains) == 1 else convolve(*trains),
+                shaper=convolve(*trains),
                 modes=tuple(dict.fromkeys(used for _, used, _ in key)),
             )
         shaping[axis] = made[tuple(key)]

@@ -165,7 +165,7 @@ def _polish(move: RestToRest, costate: _Costate, duration: float) -> tuple[Comma
         return residuals, jacobian
 
     # The program divided distance by T^2 and speed by T; the weights here use the scale.
-    seed = costate.seed * 1.0
+    seed = costate.seed
     ratio = duration / scale
     weights = np.concatenate(([seed[0] * ratio], seed[1:] * ratio**2))
     x = newton(system, np.append(weights, ratio), "time-optimal move")
