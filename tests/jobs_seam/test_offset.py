@@ -12,7 +12,7 @@ from threadline.jobs.seam.contour import Contour
 from threadline.jobs.seam.crossing import crossings, flatten
 from threadline.jobs.seam.offset import offset_contour
 from threadline.jobs.seam.settings import Stitching
-from threadline.jobs.seam.shapes import bezier, bulges, chords, circle_arc
+from threadline.jobs.seam.shapes import bezier, bulges, chords, ellipse_arc
 
 NEAR_M = 2e-6  # curves are offset as chords within 1 um
 
@@ -60,7 +60,8 @@ def test_outside_of_a_convex_polygon_obeys_steiner(seed: int, distance: float) -
 
 @pytest.mark.parametrize(("side", "radius"), [("outside", 0.05), ("inside", 0.03)])
 def test_circle_becomes_a_circle(side: str, radius: float) -> None:
-    circle = Contour(pieces=circle_arc(np.array([0.1, 0.0]), 0.04, 1.0, 2 * np.pi), closed=True)
+    ring = ellipse_arc(np.array([0.1, 0.0]), *(0.04 * np.eye(2)), 1.0, 2 * np.pi)
+    circle = Contour(pieces=ring, closed=True)
     (moved,) = offset_contour(circle, settings(0.01, side), "test")
 
     begin, _ = moved.pieces.ends()
@@ -154,7 +155,7 @@ def test_offset_of_any_star_keeps_its_distance(
 
 
 def test_parallel_of_an_open_curve_has_the_radius_plus_the_distance() -> None:
-    arc = Contour(pieces=circle_arc(np.zeros(2), 0.05, 0.0, 2.0), closed=False)
+    arc = Contour(pieces=ellipse_arc(np.zeros(2), *(0.05 * np.eye(2)), 0.0, 2.0), closed=False)
     for side, radius in (("left", 0.04), ("right", 0.06)):
         (moved,) = offset_contour(arc, settings(0.01, side), "test")
         assert not moved.closed

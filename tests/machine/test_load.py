@@ -15,7 +15,6 @@ import pytest
 
 from threadline.errors import MachineError
 from threadline.machine import library_names, load_machine
-from threadline.machine.load import replace_operator
 from threadline.machine.quantity import Provenance
 
 LIBRARY = resources.files("threadline.machine") / "library"
@@ -140,16 +139,6 @@ def test_six_axes_and_no_seventh(tmp_path, refused) -> None:
     (tmp_path / "six.toml").write_text(axes("ZBC"), encoding="utf-8")
     assert load_machine(tmp_path / "six.toml").axis_names == tuple("AXYZBC")
     assert "at most 6" in refused(axes("ZBCU"))
-
-
-def test_operator_settings_can_be_replaced() -> None:
-    machine = load_machine("lathe-winder")
-    feed = machine.operator.limit_feed
-    other = replace_operator(machine, normal_feed=feed)
-    assert other.operator.normal_feed == feed
-    assert other.operator.manual_feed == machine.operator.manual_feed
-    assert other.sha256 != machine.sha256
-    assert other.sha256 == replace_operator(machine, normal_feed=feed).sha256
 
 
 def test_a_body_may_have_no_jerk_limit(tmp_path) -> None:

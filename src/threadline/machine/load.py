@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import difflib
 import hashlib
 import json
@@ -261,17 +260,3 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: st
     if missing:
         remedy = f"{remedy} Also missing: {', '.join(key.said for key in missing)}.".strip()
     raise MachineError(said, place=place, remedy=remedy) from error
-
-
-def replace_operator(machine: Machine, **changes: Any) -> Machine:
-    """Return ``machine`` with other operator settings, and a hash that tells them apart."""
-    if machine.operator is None:
-        raise MachineError(
-            f"machine {machine.name!r} has no [operator] table to change",
-            place=machine.place,
-            remedy="Add the table, or leave the parameter file out.",
-        )
-    operator = dataclasses.replace(machine.operator, **changes)
-    note = json.dumps({key: str(value) for key, value in changes.items()}, sort_keys=True)
-    sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
-    return dataclasses.replace(machine, operator=operator, sha256=sha256)

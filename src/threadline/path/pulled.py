@@ -36,8 +36,8 @@ def by_points(
     parts = [] if before is not None else [chain.take(slice(0, 1))]
     if len(chain) > 1:
         begin, end = chain.take(slice(0, -1)), chain.take(slice(1, None))
-        near = _on_chords(begin, end, NEARBY, 0.0)
-        far = _on_chords(begin, end, 1.0 - NEARBY, 0.0)
+        near = _on_chords(begin, end, NEARBY)
+        far = _on_chords(begin, end, 1.0 - NEARBY)
         rows, wanted = [], []
         for k in range(3):
             rows.append(3 * np.arange(len(end)) + k)
@@ -72,15 +72,12 @@ def by_spacing(
     return repeat(spaced, np.where(points.rest == 1, MULTIPLICITY, 1))
 
 
-def _on_chords(
-    begin: ControlPoints, end: ControlPoints, fraction: float, rest: float
-) -> ControlPoints:
+def _on_chords(begin: ControlPoints, end: ControlPoints, fraction: float) -> ControlPoints:
     """Return a point of each chord that is no vertex; it belongs to the move along the chord."""
-    none = np.full(len(end), int(rest), dtype=np.int64)
     return replace(
         end,
         positions=begin.positions + fraction * (end.positions - begin.positions),
-        rest=none,
+        rest=np.zeros(len(end), dtype=np.int64),
         dwell_s=np.zeros(len(end)),
     )
 

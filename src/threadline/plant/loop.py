@@ -124,15 +124,6 @@ class Loop:
         """Return the (k,) open-loop response at (k,) rad/s, see ``responder``."""
         return self.responder(model)(omega_rad_s)
 
-    def load_ratio(self, omega_rad_s: FloatArray) -> ComplexArray:
-        """Return the (k,) ratio of the load's position to the measured one, both in axis units."""
-        omega = np.atleast_1d(np.asarray(omega_rad_s, dtype=np.float64))
-        pair = self.plant.select(
-            [self.plant.inputs[self.index]], [f"{self.axis}.load", f"{self.axis}.measured"]
-        )
-        both = pair.response(omega)[:, :, 0]
-        return np.asarray(both[:, 0] / both[:, 1])
-
 
 def _filter(digital: DigitalFilter, omega: FloatArray, model: Model) -> ComplexArray:
     if model == "sampled":

@@ -48,14 +48,13 @@ class Margins:
 
     Parameters
     ----------
-    modulus_margin, modulus_omega_rad_s
-        Smallest distance of the response from -1, and where.
+    modulus_margin
+        Smallest distance of the response from -1.
     """
 
     gain_crossovers: tuple[GainCrossover, ...]
     phase_crossovers: tuple[PhaseCrossover, ...]
     modulus_margin: float
-    modulus_omega_rad_s: float
 
     @property
     def worst_phase(self) -> GainCrossover | None:
@@ -143,12 +142,10 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
         at = _root(lambda w: one(w).imag, grid[k], grid[k + 1])
         if one(at).real < 0:
             phases.append(PhaseCrossover(omega_rad_s=at, gain_factor=1.0 / abs(one(at))))
-    nearest = int(np.argmin(np.abs(1.0 + values)))
     return Margins(
         gain_crossovers=tuple(gains),
         phase_crossovers=tuple(phases),
-        modulus_margin=float(abs(1.0 + values[nearest])),
-        modulus_omega_rad_s=float(grid[nearest]),
+        modulus_margin=float(np.abs(1.0 + values).min()),
     )
 
 

@@ -12,9 +12,7 @@ import numpy as np
 from threadline.jobs.operations import Job, Source
 from threadline.machine import Machine
 from threadline.signals import Commands, TickTable
-
-PLOT_LIMIT = 5000
-"""Data points that the 1994 plot file could hold."""
+from threadline.signals.files.plt import LINES_1994
 
 
 class CompiledPlan(Protocol):
@@ -70,8 +68,8 @@ class Calculation:
         if self.shortest_ticks != self.longest_ticks:
             each = f"{self.shortest_ticks} to {self.longest_ticks}"
         more = ""
-        if self.data_points > PLOT_LIMIT:
-            more = f"; the 1994 plot file held {PLOT_LIMIT}"
+        if self.data_points > LINES_1994:
+            more = f"; the 1994 plot file held {LINES_1994}"
         tick = f"{float(self.period_s * 1000):g} ms"
         return [
             f"Ticks per circuit:    {each} (a tick is {tick})",

@@ -28,14 +28,11 @@ class NetPlace:
         The token leaves this long after the origin; of a waiting place, its timeout.
     wait
         Input that is waited for, and its value; the time of the input is the next origin.
-    arrival_ms
-        When the token arrives, after the origin.
     """
 
     number: int
     step: str
     on: tuple[str, ...]
-    arrival_ms: int
     due_ms: int
     wait: tuple[str, bool] | None = None
 
@@ -147,7 +144,6 @@ class _Walk:
                 number=len(self.places) + 1,
                 step=self.step,
                 on=self.on,
-                arrival_ms=self._ms(self.arrival),
                 due_ms=due_ms,
                 wait=wait,
             )

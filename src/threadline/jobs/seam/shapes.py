@@ -48,14 +48,6 @@ def ellipse_arc(
     return piece
 
 
-def circle_arc(
-    centre: FloatArray, radius_m: float, begin_rad: float, sweep_rad: float, line: int = 0
-) -> Pieces:
-    """Return an arc of a circle; a positive sweep turns counter-clockwise."""
-    a, b = np.array([radius_m, 0.0]), np.array([0.0, radius_m])
-    return ellipse_arc(centre, a, b, begin_rad, sweep_rad, line)
-
-
 def bulges(points: FloatArray, bulge: FloatArray, lines: IntArray | int = 0) -> Pieces:
     r"""Return the segments of a polyline with bulges.
 
