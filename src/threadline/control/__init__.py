@@ -2,7 +2,7 @@
 
 from threadline.control.feedforward import FeedForward, feed_forward
 from threadline.control.inverse import Followed, Inverse, Motion, inverse_of
-from threadline.control.lead import LeadDesign, design_lead, lead_from_response, required_lead_deg
+from threadline.control.lead import LeadDesign, design_lead, lead_deg, lead_from_response
 from threadline.control.preview import AxisPreview, Demand, Timing, timing_of
 from threadline.control.smooth import SmoothMotion, smooth_motion
 
@@ -19,8 +19,8 @@ __all__ = [
     "design_lead",
     "feed_forward",
     "inverse_of",
+    "lead_deg",
     "lead_from_response",
-    "required_lead_deg",
     "smooth_motion",
     "timing_of",
 ]

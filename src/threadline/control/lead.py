@@ -59,13 +59,16 @@ class LeadDesign:
         }
 
 
-def required_lead_deg(loop: Loop, frequency_hz: float, phase_margin_deg: float) -> float:
-    """Return the phase that a filter must add at a frequency for it to leave a phase margin."""
-    omega = np.array([2 * np.pi * frequency_hz])
-    return float(_lead_deg(loop.plant_response(omega), phase_margin_deg)[0])
+def lead_deg(response: ComplexArray, phase_margin_deg: FloatArray | float) -> FloatArray:
+    """Return the (k,) phase that filters must add for a phase margin, degrees in -180 ... 180.
 
-
-def _lead_deg(response: ComplexArray, phase_margin_deg: FloatArray | float) -> FloatArray:
+    Parameters
+    ----------
+    response
+        (k,) response of the plants where their loops are to have the gain 1.
+    phase_margin_deg
+        (k,) or plain: what is to be left there.
+    """
     wanted = phase_margin_deg - 180.0 - np.degrees(np.angle(response))
     return np.asarray((wanted + 180.0) % 360.0 - 180.0)
 
@@ -94,7 +97,7 @@ def lead_from_response(
     where a lead filter cannot turn that far at all.
     """
     z = np.exp(1j * np.asarray(omega_rad_s) * period_s)
-    lead = np.radians(_lead_deg(np.asarray(response), phase_margin_deg))
+    lead = np.radians(lead_deg(np.asarray(response), phase_margin_deg))
     turn = lead + np.angle(z + pole)
     possible = (turn > np.angle(z)) & (turn < np.pi)
     zero = np.where(possible, z.real - z.imag / np.tan(np.where(possible, turn, 1.0)), np.nan)
@@ -134,7 +137,7 @@ def design_lead(
     omega = np.array([2 * np.pi * crossover_hz])
     response = loop.plant_response(omega)
     gains, zeros = lead_from_response(response, omega, phase_margin_deg, period, pole)
-    needed = float(_lead_deg(response, phase_margin_deg)[0])
+    needed = float(lead_deg(response, phase_margin_deg)[0])
     zero = float(zeros[0])
     if not COEFFICIENT_LOW <= zero <= COEFFICIENT_HIGH:
         least, most = _range_deg(float(omega[0]) * period, pole)

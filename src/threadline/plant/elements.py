@@ -9,6 +9,7 @@ watch the force that would move it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,19 @@ class Element:
     direction: FloatArray
     modes: tuple[Mode, ...]
     working_mode: int = 0
+
+
+def working_rates(base: FloatArray, elements: Sequence[Element]) -> FloatArray:
+    """Return (variants, n, N) ``base`` with every element in its working mode.
+
+    Constant parts of the elements are left out: small motions about a working point.
+    """
+    rates = base.copy()
+    for element in elements:
+        law = element.modes[element.working_mode].law.copy()
+        law[:, -1] = 0.0
+        rates += element.direction[:, :, None] * law[:, None, :]
+    return rates
 
 
 def friction(

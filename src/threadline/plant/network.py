@@ -368,11 +368,7 @@ def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateS
 
 def _linear(machine: Machine, piece: PiecewiseLinear) -> StateSpace:
     group, n = piece.group, len(piece.states)
-    full = piece.base[0].copy()
-    for element in piece.elements:
-        law = element.modes[element.working_mode].law[0].copy()
-        law[-1] = 0.0
-        full += element.direction[0][:, None] * law[None, :]
+    full = el.working_rates(piece.base, piece.elements)[0]
     rows, names = [], []
     for index, sensor in enumerate(group.sensors):
         rows.append(piece.sensor_rows[0, index, :n])

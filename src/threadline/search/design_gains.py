@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.control import lead_from_response
+from threadline.control import lead_deg, lead_from_response
 from threadline.errors import MachineError
 from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
+from threadline.plant.elements import working_rates
 from threadline.plant.loop import ComplexArray
 from threadline.plant.network import PiecewiseLinear, piecewise_linear
 from threadline.plant.values import Values
@@ -61,7 +62,7 @@ def design_gains(
         response = sampled_response(piece, values, omega, period)
         gain, zero = lead_from_response(response, omega, margin_deg, period)
         # Enough phase without any lead: the zero goes as far out as it can.
-        ample = ~(zero <= COEFFICIENT_HIGH) & (_turn(response, margin_deg) <= 0.0)
+        ample = ~(zero <= COEFFICIENT_HIGH) & (lead_deg(response, margin_deg) <= 0.0)
         zero = np.where(ample | (zero < COEFFICIENT_LOW), COEFFICIENT_LOW, zero)
         z = np.exp(1j * omega * period)
         gain = np.abs(z + COEFFICIENT_LOW) / (np.abs(z - zero) * np.abs(response))
@@ -73,12 +74,6 @@ def design_gains(
         numbers[f"controllers.{name}.zero"] = sound
         numbers[f"controllers.{name}.pole"] = np.full(count, COEFFICIENT_LOW)
     return numbers, possible
-
-
-def _turn(response: ComplexArray, margin_deg: FloatArray) -> FloatArray:
-    """Return (n,) the lead that is needed, degrees in -180 ... 180."""
-    wanted = margin_deg - 180.0 - np.degrees(np.angle(response))
-    return np.asarray((wanted + 180.0) % 360.0 - 180.0)
 
 
 def sampled_response(
@@ -97,11 +92,7 @@ def sampled_response(
         (n,) one for each variant.
     """
     machine, n = values.machine, len(piece.states)
-    rates = piece.base.copy()
-    for element in piece.elements:
-        law = element.modes[element.working_mode].law.copy()
-        law[:, -1] = 0.0
-        rates += element.direction[:, :, None] * law[:, None, :]
+    rates = working_rates(piece.base, piece.elements)
     count = len(rates)
     drive = piece.group.drives[0]
     delay = np.broadcast_to(
