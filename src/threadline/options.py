@@ -131,12 +131,7 @@ def parse_margin(text: str) -> float:
     OptionError
         If it is not at least 0 % and below 100 %.
     """
-    try:
-        value = parse_quantity(text, "")
-    except UnitError as error:
-        raise OptionError(
-            f"margin {text!r}: {error.message}", remedy='Write it like "20 %".'
-        ) from error
+    value = parse_number("margin", text, "", "20 %")
     if not 0.0 <= value < 1.0:
         raise OptionError(
             f"margin {text!r} must be at least 0 % and below 100 %",
