@@ -15,6 +15,7 @@ from pathlib import Path
 from threadline.errors import PlanError
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
+from threadline.signals.files.common import atomic_file
 from threadline.targets import nc_numbers as numbers
 from threadline.targets.nc_blocks import OutBlock, Wording, blocks_of
 from threadline.targets.nc_loops import Loop, fold
@@ -91,16 +92,12 @@ def write_part_program(
     ------
     PlanError
         As ``part_program_lines``.
+    RecordingError
+        If the file cannot be written.
     """
-    path = Path(path)
     lines = part_program_lines(job, machine, style=style, subroutines=subroutines, feed=feed)
-    partial = path.with_name(f"{path.name}.part")
-    try:
-        with partial.open("w", encoding="utf-8", newline="\n") as stream:
-            stream.writelines(f"{line}\n" for line in lines)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with atomic_file(Path(path)) as file:
+        file.writelines(f"{line}\n".encode() for line in lines)
 
 
 class _Writer:

@@ -10,10 +10,10 @@ from typing import Protocol
 from threadline.errors import OptionError
 from threadline.signals import Commands, SwitchSchedule, TickTable
 from threadline.signals.files.array import write_array
-from threadline.signals.files.common import Written, atomic_file, written
+from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.calculate import CompiledPlan
-from threadline.targets.nc import NcStyle, part_program_lines
+from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen
 from threadline.targets.schedule import Scheduled
@@ -49,9 +49,7 @@ def write_nc(plan: TimedPlan, path: Path) -> Written:
     # The plan has already been held to the operator's normal feed; its times are not to be
     # stretched again.
     machine = replace(plan.machine, operator=None)
-    with atomic_file(path) as file:
-        for line in part_program_lines(job, machine, style=NcStyle.LINUXCNC):
-            file.write(f"{line}\n".encode())
+    write_part_program(job, machine, path, style=NcStyle.LINUXCNC)
     return written(path)
 
 

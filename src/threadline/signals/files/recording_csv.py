@@ -98,7 +98,7 @@ def read_recording_csv(path: Path) -> Recording:
     A file that Threadline wrote gives back everything. Any other begins, after comment lines
     with ``#``, with a line that names its columns and their units, ``time [s],X [mm],A [deg]``,
     separated by commas, semicolons or tabs; its instants must lie on an even grid, within
-    ``files_grid.JITTER`` of a period. The whole file is checked before the first sample is
+    ``files.grid.JITTER`` of a period. The whole file is checked before the first sample is
     given out.
 
     Raises
