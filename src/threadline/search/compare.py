@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Proof, check_loops, plan_job, prove_plan
+from threadline.pipeline import Progress, Proof, check_loops, plan_job, prove_plan
 from threadline.search.gentle import FastestJob, fastest_job
 from threadline.verdict import Spec
 
@@ -50,7 +50,7 @@ def compare(
     options: Options,
     *,
     with_fastest: bool = True,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Prove ``job`` with every interpolation at every feed, and find the fastest of each."""
     check_loops(machine)

@@ -15,7 +15,7 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
-from threadline.pipeline import check_loops, plan_job
+from threadline.pipeline import Progress, check_loops, plan_job
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_region import Region, region_of
 from threadline.search.design_search import (
@@ -35,8 +35,6 @@ _MOST_PROOFS = 12
 _DELAYED = ("stitch_length_error", "stitch_placement_error")
 _DIGITS = 3
 _RETRIED = 8  # settings of a known answer that are tried over the tolerances
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -15,11 +15,9 @@ from threadline.machine.numbers import with_numbers
 from threadline.options import Options
 from threadline.pipeline import plan_job
 from threadline.search.design_gains import design_gains
-from threadline.search.design_judge import QuickJudge, Ratios, quick_judge
+from threadline.search.design_judge import HOPELESS, QuickJudge, Ratios, quick_judge
 from threadline.search.design_space import Space
 from threadline.verdict import Spec
-
-HOPELESS = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,9 +30,11 @@ from threadline.verdict.window import PathWindow
 
 SETTLE_S = 0.25
 MOST_SAMPLES = 60_000
+HOPELESS = 1e3
+"""The ratio, and the most, of a variant that cannot be planned, simulated or measured."""
+
 _CHUNK_BYTES = 2.5e8
 _AT_ONCE = 256
-_HOPELESS = 1e3
 _LENGTH = "stitch_length_error"
 _CHANNELS: Mapping[ChannelKind, tuple[tuple[str, str], ...]] = {
     ChannelKind.LOAD: (("actual", "load"),),
@@ -164,8 +166,8 @@ class QuickJudge:
             if count == 1:
                 return Ratios(
                     names=names,
-                    others=np.full((1, len(names)), _HOPELESS),
-                    length=np.full((1, delays), _HOPELESS) if delays else None,
+                    others=np.full((1, len(names)), HOPELESS),
+                    length=np.full((1, delays), HOPELESS) if delays else None,
                 )
             half = count // 2
             low = self._part({k: v[:half] for k, v in variants.items()}, half)
@@ -236,8 +238,8 @@ class QuickJudge:
 
 def _share(value: float, limit: float) -> float:
     if limit <= 0.0:
-        return 0.0 if value <= 0.0 else _HOPELESS
-    return min(value / limit, _HOPELESS)
+        return 0.0 if value <= 0.0 else HOPELESS
+    return min(value / limit, HOPELESS)
 
 
 def quick_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) -> QuickJudge:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.pipeline import Progress
 from threadline.verdict import Status, Verdict
 
 Judged = Callable[[float], Verdict]
@@ -64,7 +65,7 @@ def find_fastest(
     *,
     points: int = SCAN_POINTS,
     edge_relative: float = EDGE_RELATIVE,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
 

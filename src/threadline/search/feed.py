@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
+from threadline.pipeline import Progress, plan_job, prove_plan
 from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Spec, Verdict
 
@@ -34,7 +33,7 @@ def fastest_feed(
     low: float | None = None,
     high: float | None = None,
     points: int = SCAN_POINTS,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec."""
     lowest, highest = feed_range_m_s(machine)

@@ -7,13 +7,12 @@ share of the limits are searched together, and the shortest job wins.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import check_loops, plan_job
+from threadline.pipeline import Progress, check_loops, plan_job
 from threadline.search.fastest import Fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Spec
@@ -48,7 +47,7 @@ def fastest_job(
     *,
     low: float | None = None,
     high: float | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 

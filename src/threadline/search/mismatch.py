@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options
+from threadline.pipeline import Progress
 from threadline.search.fastest import Fastest
 from threadline.search.needle import fastest_needle
 from threadline.verdict import Spec
@@ -46,7 +46,7 @@ def needle_over_tolerances(
     *,
     low: float | None = None,
     high: float,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Mismatch]:
     """Return the needle speeds in spec at the ends of the tolerances of masses and stiffnesses.
 

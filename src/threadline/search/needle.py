@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from threadline.errors import LimitError, OptionError
@@ -10,7 +9,7 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
+from threadline.pipeline import Progress, plan_job, prove_plan
 from threadline.search.fastest import EDGE_RELATIVE, SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Result, Spec, Status, Verdict
 
@@ -45,7 +44,7 @@ def fastest_needle(
     low: float | None = None,
     high: float | None = None,
     points: int = SCAN_POINTS,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     actual: Machine | None = None,
     edge_relative: float = EDGE_RELATIVE,
 ) -> Fastest:
