@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from threadline.cli.start import leaving_on_interrupt
+from threadline.cli.interrupt import leaving_on_interrupt
 from threadline.errors import OptionError
 
 

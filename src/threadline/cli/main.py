@@ -11,8 +11,8 @@ import typer
 from typer.exceptions import TyperException
 
 from threadline import __version__
+from threadline.cli.interrupt import EXIT_INTERRUPTED, INTERRUPTED
 from threadline.cli.lazy import LazyGroup
-from threadline.cli.start import EXIT_INTERRUPTED, INTERRUPTED
 from threadline.errors import InputError, LinkFaultError, OptionError, ThreadlineError
 
 EXIT_WRONG_INPUT = 2
