@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from threadline.errors import OptionError
+from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.search import fastest_needle, needle_range_hz
+from threadline.search.fastest import find_fastest
+from threadline.search.needle import _beyond
 from threadline.verdict import load_spec
 
 SEAM = """
@@ -48,3 +50,16 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
         assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed is passes
     with pytest.raises(OptionError, match="between 50 and 40"):
         fastest_needle(file, machine, spec, Options(), low=50.0, high=40.0)
+
+
+def test_a_speed_that_is_refused_is_told_in_the_units_of_its_limit():
+    """A deceleration of 4.26 m/s^2 where 4 are allowed: no percentages, no sign."""
+    machine = load_machine("stitcher")
+    error = LimitError("-", axis="X", quantity="acceleration", value_si=-4.26, limit_si=4.0)
+    found = find_fastest(lambda _: _beyond(error, machine), 1.0, 2.0, points=3)
+    assert found.best is None and found.limited_by == "acceleration"
+    (result,) = found.verdict.results
+    assert (result.measured, result.limit, result.unit) == (4.26, 4.0, "m/s^2")
+    far = LimitError("-", axis="Y", quantity="travel", value_si=-0.2, limit_si=-0.15)
+    (result,) = _beyond(far, machine).results
+    assert (result.measured, result.limit, result.unit) == (pytest.approx(0.05), 0.0, "m")

@@ -73,7 +73,7 @@ def fastest_needle(
         try:
             plan = plan_job(job, machine, options)
         except LimitError as error:
-            return _beyond(error)
+            return _beyond(error, machine)
         return prove_plan(plan, spec, actual=actual).verdict
 
     return find_fastest(
@@ -81,14 +81,19 @@ def fastest_needle(
     )
 
 
-def _beyond(error: LimitError) -> Verdict:
-    """Return the verdict on a plan that was refused."""
+_PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
+
+
+def _beyond(error: LimitError, machine: Machine) -> Verdict:
+    """Return the verdict on a plan that was refused, as the criterion of its name has it."""
+    over = error.quantity == "travel"
+    base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
     failed = Result(
         name=error.quantity,
         axis=error.axis,
-        measured=error.value_si,
-        limit=error.limit_si,
-        unit="",
+        measured=abs(error.value_si - error.limit_si) if over else abs(error.value_si),
+        limit=0.0 if over else error.limit_si,
+        unit=f"{base}{_PER[error.quantity]}",
         status=Status.FAILED,
         note="the plan is refused",
     )
