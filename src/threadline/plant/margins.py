@@ -58,8 +58,12 @@ class Margins:
 
     @property
     def worst_phase(self) -> GainCrossover | None:
-        """The gain crossover with the smallest phase margin; None when the gain is never 1."""
-        return min(self.gain_crossovers, key=lambda c: c.phase_margin_deg, default=None)
+        """The gain crossover nearest to -180 degrees; None when the gain is never 1.
+
+        A stable loop that is conditionally so has negative margins too: so much lead, not lag,
+        would bring it to its limit.
+        """
+        return min(self.gain_crossovers, key=lambda c: abs(c.phase_margin_deg), default=None)
 
     @property
     def raise_to(self) -> float | None:
