@@ -124,3 +124,32 @@ def test_wrong_files_are_refused(change, message, tmp_path):
     with pytest.raises(MachineError) as caught:
         load_machine(str(file))
     assert message in str(caught.value) and "mine.toml" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        # A slipped decimal point, four edges a line forgotten, and a pulley of 21 teeth for 20.
+        (
+            '[axes.X]\ncounts = "26.34289 count/mm +- 2 %, assumed"',
+            "gives 263429: the load would go 0.1 times as far",
+        ),
+        (
+            '[sensors.y]\nreads = { y_motor = "2000 count/rev exact, assumed" }',
+            "gives 65857.2: the load would go 4 times as far",
+        ),
+        (
+            '[links.x_belt]\nstretch = { x_motor = "5.075 mm/rad exact, assumed" }\n'
+            '[axes.X]\ncounts = "263.4289 count/mm exact, assumed"',
+            "gives 250885: the load would go 1.05 times as far",
+        ),
+    ],
+)
+def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, said):
+    """By hand: 8000 counts a turn, 29 mm behind 6:1."""
+    file = tmp_path / "mine.toml"
+    file.write_text(f'base = "stitcher"\n{change}\n')
+    before = suspicions(load_machine("stitcher"))
+    (found,) = [text for text in suspicions(load_machine(str(file))) if "counts is" in text]
+    assert said in found
+    assert not any("counts is" in text for text in before)

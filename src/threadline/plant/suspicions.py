@@ -12,6 +12,7 @@ from threadline.plant.values import Values
 
 _VISCOUS_SHARE = 0.5
 _CONSTANTS_APART = 0.05
+_SCALES_APART = 0.01
 _DEAD_COUNTS = 5.0
 _SPARE = 1.0 + 1e-9
 
@@ -20,12 +21,15 @@ def suspicions(machine: Machine) -> list[str]:
     """Return one sentence for every number that asks for a second look; empty when none does.
 
     Found are torque and back-emf constants that disagree by more than 5 % (in SI they are
-    the same number), viscous friction that takes half of a motor's current or more at
-    the axis' working speed, a speed and acceleration that an axis works at and allows but that
-    need more current than there is, and a filter whose word is too coarse to see a small error.
+    the same number), counts of an axis that its sensor does not give over belt and gear (more
+    than 1 % and the tolerances off), viscous friction that takes half of a motor's current or
+    more at the axis' working speed, a speed and acceleration that an axis works at and allows but
+    that need more current than there is, and a filter whose word is too coarse to see a small
+    error.
     """
     found = [text for name in machine.drives for text in _constants(machine, name)]
     for name in machine.axes:
+        found += _scale(machine, name)
         found += _viscous(machine, name)
         found += _beyond_current(machine, name)
         found += _dead_band(machine, name)
@@ -43,6 +47,27 @@ def _constants(machine: Machine, name: str) -> list[str]:
     return [
         f"drives.{name}: torque_constant {torque.si:.4g} N m/A and back_emf {emf.si:.4g} V s/rad "
         f"should be the same number; they disagree by {abs(apart) * 100:.0f} %"
+    ]
+
+
+def _scale(machine: Machine, name: str) -> list[str]:
+    """Say so when a tenth of the counts, or an encoder's forgotten four edges, move the load."""
+    axis = machine.axes[name]
+    if axis.load is None:  # the load is then what the encoder reads
+        return []
+    sensor_name = machine.controllers[axis.controller].sensor
+    rates = rigid_motion(machine, name)
+    reads = machine.sensors[sensor_name].reads
+    given = sum(q.si * rates[b] for b, q in reads.items())
+    links = [q for link in machine.links.values() for q in link.stretch.values()]
+    numbers = [axis.counts, *reads.values(), *axis.load.values(), *links]
+    allowed = _SCALES_APART + sum(q.tolerance_si / abs(q.si) for q in numbers if q.si)
+    if abs(given / axis.counts.si - 1.0) <= allowed:
+        return []
+    return [
+        f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but over belt and gear "
+        f"sensors.{sensor_name} gives {given:.6g}: the load would go {axis.counts.si / given:.4g} "
+        f"times as far as it is told"
     ]
 
 
