@@ -89,6 +89,18 @@ def test_a_program_without_subroutines_is_one_circuit() -> None:
 
 
 def test_the_limit_of_the_old_plot_file_is_told() -> None:
-    found = calculate(plan_of((6000, (), 1), operator=False))
-    assert (found.record_every, found.data_points) == (1, 6001)
+    found = calculate(plan_of((120_000, (), 1)))
+    assert (found.record_every, found.data_points) == (20, 6001)
     assert "the 1994 plot file held 5000" in found.lines()[3]
+
+
+def test_a_machine_without_the_controller_of_1994_has_none_of_its_words() -> None:
+    found = calculate(plan_of((6000, (), 1), operator=False))
+    assert (found.record_every, found.data_points) == (None, 6001)
+    assert found.lines() == ["Ticks in all:         6000 (30 s; a tick is 5 ms)"]
+    twice = calculate(plan_of((10, (1,), 2), (10, (2,), 2), operator=False)).lines()
+    assert [line.split(":")[0] for line in twice] == [
+        "Ticks per circuit",
+        "Circuits",
+        "Ticks in all",
+    ]

@@ -49,7 +49,8 @@ class Calculation:
     data_points
         Samples that a recording every ``record_every`` ticks has, the first at tick 0.
     record_every
-        Ticks from one data point to the next.
+        Ticks from one data point to the next; None for a machine without operator's settings,
+        every tick of which is recorded.
     period_s
         Of a tick.
     """
@@ -59,7 +60,7 @@ class Calculation:
     shortest_ticks: int
     longest_ticks: int
     data_points: int
-    record_every: int
+    record_every: int | None
     period_s: Fraction
 
     def lines(self) -> list[str]:
@@ -71,10 +72,18 @@ class Calculation:
         if self.data_points > LINES_1994:
             more = f"; the 1994 plot file held {LINES_1994}"
         tick = f"{float(self.period_s * 1000):g} ms"
-        return [
+        whole = f"{float(self.ticks * self.period_s):.6g} s"
+        if self.record_every is None and self.circuits == 1:
+            return [f"Ticks in all:         {self.ticks} ({whole}; a tick is {tick})"]
+        shown = [
             f"Ticks per circuit:    {each} (a tick is {tick})",
             f"Circuits:             {self.circuits}",
-            f"Ticks in all:         {self.ticks} ({float(self.ticks * self.period_s):.6g} s)",
+            f"Ticks in all:         {self.ticks} ({whole})",
+        ]
+        if self.record_every is None:
+            return shown
+        return [
+            *shown,
             f"Data points recorded: {self.data_points} (every {self.record_every} ticks{more})",
         ]
 
@@ -102,13 +111,13 @@ def calculate(plan: CompiledPlan) -> Calculation:
     if not lengths.count:
         lengths = _Lengths(count=1, shortest=ticks, longest=ticks)
     operator = plan.machine.operator
-    every = 1 if operator is None else max(1, round(operator.record_every.si))
+    every = None if operator is None else max(1, round(operator.record_every.si))
     return Calculation(
         ticks=ticks,
         circuits=lengths.count,
         shortest_ticks=lengths.shortest,
         longest_ticks=lengths.longest,
-        data_points=ticks // every + 1,
+        data_points=ticks // (every or 1) + 1,
         record_every=every,
         period_s=table.clock.period_s,
     )
