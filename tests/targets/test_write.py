@@ -12,10 +12,12 @@ import pytest
 from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Move, SetOutput, Stop
+from threadline.machine import load_machine
 from threadline.signals import Clock, SwitchSchedule
 from threadline.signals.files import read_table
 from threadline.targets import compile_ticks, target_names, write
 from threadline.targets.planned_job import planned_job
+from threadline.targets.write import check_target
 
 from .makers import HERE, job_of, lines, polynomials, winder
 
@@ -158,3 +160,16 @@ def test_a_rest_that_no_dwell_asks_for_keeps_its_time() -> None:
     assert [type(o).__name__ for o in made] == ["Move", "Dwell", "SetOutput", "Move", "Stop"]
     assert made[1].duration_s == 0.75
     assert made[3].feed == Feed(FeedMode.INVERSE_TIME, 1.0)
+
+
+def test_a_target_is_refused_before_anything_is_planned() -> None:
+    """By its name and the kind of machine alone, with what would do."""
+    check_target("nc", winder())
+    with pytest.raises(OptionError, match=r"unknown target 'klipper'. Known: csv, nc, npz"):
+        check_target("klipper", winder())
+    with pytest.raises(OptionError, match=r"which lathe-winder is not\. Use csv, npz, ticks, nc"):
+        check_target("st", winder())
+    placer = load_machine("letter-placer")
+    check_target("plcopen", placer)
+    with pytest.raises(OptionError, match=r"letter-placer switches on and off\. Use plcopen or st"):
+        check_target("csv", placer)

@@ -37,7 +37,7 @@ from threadline.pipeline import plan_job
 from threadline.targets import write
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of
-from threadline.targets.write import TABLES
+from threadline.targets.write import TABLES, check_target
 from threadline.trajectory import check_limits
 
 
@@ -76,6 +76,7 @@ def compile_(
     chosen = machine_from(machine, par)
     keep_inputs(out, job, chosen.file, par)
     check_outputs(file=out)
+    check_target(target, chosen)
     if shaper == UNSHAPED_WORD and (mode is not None or damping is not None):
         raise OptionError("--mode and --damping are of a shaper", remedy="Give --shaper too.")
     if shaper != UNSHAPED_WORD and not chosen.cylinders:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from threadline.errors import OptionError
+from threadline.machine import Machine
 from threadline.signals import Commands, SwitchSchedule, TickTable
 from threadline.signals.files.array import write_array
 from threadline.signals.files.common import Written, written
@@ -68,6 +69,29 @@ SCHEDULES: dict[str, ScheduleWriter] = {
 def target_names() -> tuple[str, ...]:
     """Return the names of all targets."""
     return tuple(sorted([*TABLES, *PLANS, *SCHEDULES]))
+
+
+def check_target(target: str, machine: Machine) -> None:
+    """Refuse a target that is unknown or not of this kind of machine, before anything is planned.
+
+    Raises
+    ------
+    OptionError
+        If it is.
+    """
+    if target not in target_names():
+        raise OptionError(f"unknown target {target[:40]!r}", remedy=nearest(target, target_names()))
+    if machine.cylinders and target not in SCHEDULES:
+        raise OptionError(
+            f"target {target!r} is of machines with axes, and {machine.name} switches on and off",
+            remedy=f"Use {' or '.join(SCHEDULES)}.",
+        )
+    if not machine.cylinders and target in SCHEDULES:
+        raise OptionError(
+            f"target {target!r} is made from the schedule of an on/off machine, which "
+            f"{machine.name} is not",
+            remedy=f"Use {', '.join([*TABLES, *PLANS])}, or a machine with cylinders.",
+        )
 
 
 def write(plan: TimedPlan | Commands | Scheduled, target: str, out: str | Path) -> list[Written]:
