@@ -258,6 +258,35 @@ def test_a_recording_is_judged_as_the_run_was(
     assert "run.npz was recorded on another machine" in err
 
 
+def test_runs_are_judged_by_their_own_plan_and_count_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A copy is no second run, and another feed's plan says nothing of what was run."""
+    job = tmp_path / "there-and-back.prg"
+    job.write_text("%\nO1;\nG1 F2160;\nG91;\nX20;\nX-20;\nM30;\n%\n")
+    runs = {}
+    for name, options in (("run.npz", ()), ("slow.csv", ("--feed", "20 mm/s"))):
+        runs[name] = tmp_path / name
+        run(capsys, "prove", job, "-m", "lathe-winder", *options, "--recording", runs[name])
+    copy = tmp_path / "copy.npz"
+    copy.write_bytes(runs["run.npz"].read_bytes())
+    same = "same run"
+    for given, what in (
+        ((runs["run.npz"], runs["run.npz"]), same),
+        ((runs["run.npz"], runs["slow.csv"], copy), same),
+        ((runs["run.npz"], "--feed", "20 mm/s"), "run.npz was recorded with feed programmed"),
+        ((runs["run.npz"], "--interpolation", "linear"), "recorded with interpolation auto"),
+        ((runs["run.npz"], "--tolerance", "1 mm"), "recorded with tolerance 0.0001 m"),
+        ((runs["run.npz"], "--limits", "1 %"), "recorded with limits 100.0 %"),
+        ((runs["run.npz"], runs["slow.csv"]), "slow.csv was recorded with feed 0.02 m/s"),
+    ):
+        code, out, err = run(capsys, "judge", *given)
+        assert (code, out) == (2, ""), given
+        assert what in err
+    code, _, _ = run(capsys, "judge", runs["slow.csv"], "--feed", "1200 mm/min")
+    assert code == 0  # the same feed in other words
+
+
 def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -171,7 +171,7 @@ def record(
             if np.isnan(values[:, column]).all():
                 continue
             name = f"{axis}.{kind}"
-            unit = UNIT.get(kind, "m")
+            unit = UNIT.get(kind, "rad" if axis == "A" else "m")
             described.append(
                 Channel(name=name, kind=kind, unit=unit, clock=clock, axis=axis, stride=stride)
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -266,3 +267,18 @@ def test_damaged_and_foreign_recordings_are_refused() -> None:
         judge([], plan, spec)
     with pytest.raises(RecordingError, match="no position"):
         judge([record(("Z",), {K.LOAD: commanded[:, :1]}, operation)], plan, spec)
+
+
+def test_an_angle_is_no_length() -> None:
+    """Half a degree of a linear axis would be 8.7 mm."""
+    commanded, operation = follow(POINTS, 20)
+    plan, spec = plan_through(POINTS), spec_of(Criterion(name="contour_error"))
+    recording = record(("X", "Y"), {K.LOAD: commanded}, operation)
+    turned = replace(
+        recording,
+        channels=tuple(
+            replace(c, unit="rad") if c.name == "Y.load" else c for c in recording.channels
+        ),
+    )
+    with pytest.raises(RecordingError, match=r"'Y.load' is in rad.*Y of .* is linear.*mm"):
+        judge([turned], plan, spec)

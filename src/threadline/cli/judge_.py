@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from hashlib import file_digest
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +23,9 @@ from threadline.pipeline import plan_job, plan_switching
 from threadline.signals.files import read_recording
 from threadline.verdict import closing, load_spec, step_rows, verdict_json, verdict_rows
 from threadline.verdict import judge as judge_recordings
+
+_ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
+_PLANNED_WITH = (*_ALWAYS_SAID, "shaper", "feed-forward")
 
 
 def judge(
@@ -47,6 +52,7 @@ def judge(
     Example: threadline judge run.npz, or: threadline judge trace.csv --job x-180.prg
     -m lathe-winder --interpolation linear
     """
+    _refuse_copies(recordings)
     read = [read_recording(path) for path in recordings]
     origin = dict(read[0].origin)
     for key, text in (
@@ -70,6 +76,8 @@ def judge(
     origin.setdefault("tolerance", DEFAULT_TOLERANCE_TEXT)
     chosen = machine_from(origin["machine"], None)
     made = plan_switching if chosen.cylinders else plan_job
+    for path, recording in zip(recordings, read, strict=True):
+        _refuse_other_options(path, recording.origin, origin)
     plan = made(read_job(Path(origin["job"]), chosen), chosen, options_from(origin))
     for path, recording in zip(recordings, read, strict=True):
         if recording.job_sha256 and recording.job_sha256 != plan.job.sha256:
@@ -97,6 +105,39 @@ def judge(
             print_table("Step by step", *step_rows(verdict))
         typer.echo(closing(verdict))
     raise typer.Exit(0 if verdict.passed else 1)
+
+
+def _refuse_copies(recordings: Sequence[Path]) -> None:
+    """Refuse one run given twice: copies repeat themselves perfectly, machines do not."""
+    seen: dict[str, Path] = {}
+    for path in recordings if len(recordings) > 1 else ():
+        if path.is_file():
+            with path.open("rb") as file:
+                other = seen.setdefault(file_digest(file, "sha256").hexdigest(), path)
+            if other is not path:
+                raise OptionError(
+                    f"{path.name} holds the same bytes as {other.name}: it is the same run",
+                    remedy="Give every run once.",
+                )
+
+
+def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[str, str]) -> None:
+    """Refuse a plan made with other options than the run that is to be judged by it."""
+    if not recorded:
+        return  # of another controller: it says nothing of a plan
+    for key in _PLANNED_WITH:
+        ours = {name: text for name, text in chosen.items() if name != key}
+        if key in recorded:
+            ours[key] = recorded[key]
+        elif key in _ALWAYS_SAID:
+            continue
+        if options_from(ours) != options_from(chosen):
+            raise OptionError(
+                f"{path.name} was recorded with {key} {recorded.get(key, 'none')}, "
+                f"not {chosen.get(key, 'none')}",
+                remedy="Judge each run against its own plan: leave the option out, "
+                "and give runs with other options apart.",
+            )
 
 
 def register(app: typer.Typer) -> None:

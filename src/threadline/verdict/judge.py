@@ -25,6 +25,7 @@ from threadline.verdict.types import Criterion, Result, Spec, Verdict
 from threadline.verdict.window import PathWindow
 from threadline.wording import nearest
 
+_KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
 _EXCUSED = ("acceleration", "jerk")
 _Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
 
@@ -49,12 +50,14 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
     SpecError
         If a criterion names no measure.
     RecordingError
-        If there is no recording, one is of another job, or a trace is damaged.
+        If there is no recording, one is of another job, one has angles of a linear axis or
+        lengths of a rotary one, or a trace is damaged.
     """
     if not recordings:
         raise RecordingError("there is no recording to judge", remedy="Give at least one.")
     for recording in recordings:
         _check_same_job(recording, plan)
+        _check_units(recording, plan)
     if isinstance(plan, SwitchPlan):
         return judge_switching(recordings, plan, spec)
     by_time = any(recording.find(ChannelKind.OPERATION) is None for recording in recordings)
@@ -95,6 +98,20 @@ def _check_same_job(recording: Recording, plan: Plan | SwitchPlan) -> None:
             f"the recording is of another job (sha256 {theirs[:12]}) than the plan ({ours[:12]})",
             remedy="Judge it against the job that was run.",
         )
+
+
+def _check_units(recording: Recording, plan: Plan | SwitchPlan) -> None:
+    """Refuse angles of a linear axis and lengths of a rotary one: a number would pass for it."""
+    for channel in recording.channels:
+        axis = plan.machine.axes.get(channel.axis)
+        if axis is None or channel.unit not in _KIND_OF_UNIT:
+            continue
+        if axis.kind != _KIND_OF_UNIT[channel.unit]:
+            raise RecordingError(
+                f"channel {channel.name!r} is in {channel.unit}, and axis {channel.axis} of "
+                f"{plan.machine.name} is {axis.kind}",
+                remedy=f"Give it in {'deg or rad' if axis.kind == 'rotary' else 'mm or m'}.",
+            )
 
 
 def _told(result: Result) -> Result:
