@@ -58,6 +58,61 @@ def test_the_edge_is_found_from_the_passing_side(edge: float) -> None:
     assert edge * (1 - 2.1e-3) <= found.best <= edge
 
 
+def several(**excess: float | None) -> Verdict:
+    """A verdict with a required criterion of each name; None for one that was not measured."""
+    results = []
+    for name, value in excess.items():
+        status = Status.PASSED if value is not None and value <= 1.0 else Status.FAILED
+        status = Status.NOT_MEASURED if value is None else status
+        results.append(
+            Result(
+                name=name,
+                axis="",
+                measured=value,
+                limit=1.0,
+                unit="m",
+                status=status,
+                required=True,
+            )
+        )
+    return Verdict(results=tuple(results), simulated=True)
+
+
+def test_what_limits_is_what_fails_first_above_the_best_feed() -> None:
+    """Contour passes its limit at 2, jerk at 5 and by far more: contour ends the interval."""
+    found = find_fastest(lambda f: several(jerk=(f / 5.0) ** 9, contour=f / 2.0), 0.1, 10.0)
+    assert found.limited_by == "contour"
+    assert found.best is not None
+    # The verdict is the one at the best feed, not at another that passed.
+    assert found.verdict.result("contour").measured == found.best / 2.0
+
+
+def test_a_required_criterion_that_is_not_measured_ends_an_interval() -> None:
+    """Nothing else fails above 3: it is named. What fails by a number is closer than that."""
+    found = find_fastest(lambda f: several(settling=0.5 if f <= 3.0 else None), 0.1, 10.0)
+    assert found.limited_by == "settling"
+    assert found.best == pytest.approx(3.0, rel=2.1e-3)
+
+    none = find_fastest(
+        lambda f: several(settling=None, contour=1.1) if f < 1.0 else several(contour=50.0), 0.1, 9
+    )
+    assert none.best is None
+    assert none.verdict.result("contour").measured == 50.0
+
+
+def test_the_scan_is_even_on_a_logarithmic_scale_and_judges_no_feed_twice() -> None:
+    """0.2 ... 0.25 of 0.1 ... 100 is 1.5 of 47 steps by ratio, a fortieth of one by difference."""
+    tried: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        tried.append(feed)
+        return verdict(0.5 if 0.2 <= feed <= 0.25 else 2.0)
+
+    found = find_fastest(judged, 0.1, 100.0)
+    assert found.best == pytest.approx(0.25, rel=2.1e-3)
+    assert len(set(tried)) == len(tried) == found.tried
+
+
 @pytest.mark.parametrize(("low", "high", "points"), [(1.0, 1.0, 8), (0.0, 1.0, 8), (1.0, 2.0, 1)])
 def test_an_empty_range_is_refused(low: float, high: float, points: int) -> None:
     with pytest.raises(ValueError, match="nothing to scan"):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from threadline.signals import ChannelKind
 from threadline.verdict import Criterion, Status, judge
+from threadline.verdict.nearest import vertices_to_path
 
 from .builders import TICK_S, follow, plan_through, record, spec_of
 
@@ -203,8 +204,10 @@ def test_no_operation_after_the_end_means_the_last_one() -> None:
     assert result.job_line == 20
 
 
-def test_a_recording_that_ends_early_fails() -> None:
-    points = [[0.01 * i, 0] for i in range(11)]
+@pytest.mark.parametrize("vertices_per_block", [2, 1000])
+def test_a_recording_that_ends_early_fails(vertices_per_block: int) -> None:
+    """The end is 100 mm along a slanted line, 44 of them done, whether the rest was read or not."""
+    points = [[0.006 * i, 0.008 * i] for i in range(11)]
     commanded, operation = follow(points, 10)
     result = contour(
         points,
@@ -212,10 +215,30 @@ def test_a_recording_that_ends_early_fails() -> None:
         operation[:45],
         per_block=7,
         spec=spec_of(*CONTOUR.criteria, lag_s=0.0),
+        vertices_per_block=vertices_per_block,
     )
 
     assert result.measured == pytest.approx(0.1 - 0.044, abs=1e-12)
+    assert result.time_s == pytest.approx(44 * TICK_S)
+    assert result.job_line == 100
     assert "before" in result.note
+
+
+def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
+    """A cut across a right angle: half a diagonal from the corner, half-way in time."""
+    vertices = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    best, best_time_s = np.full(3, np.inf), np.zeros(3)
+    vertices_to_path(
+        np.array([[0.0, 0.0], [1.0, 1.0]]),
+        np.array([2.0, 4.0]),
+        np.array([1, 1]),
+        np.array([1, 2]),
+        vertices,
+        best,
+        best_time_s,
+    )
+    assert best == pytest.approx([0.0, 0.5, 0.0], abs=1e-15)
+    assert best_time_s == pytest.approx([2.0, 3.0, 4.0])
 
 
 @given(
