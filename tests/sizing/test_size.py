@@ -178,6 +178,68 @@ def test_move_lines_are_those_of_the_profile() -> None:
     assert result["move rms current"].value == pytest.approx(result["move rms torque"].value / 0.5)
 
 
+DRIVE = {
+    "speed_m_s": 0.4,
+    "acceleration_m_s2": 3.0,
+    "load_mass_kg": 20.0,
+    "load_damping_n_s_m": 30.0,
+    "friction_n": 15.0,
+    "pulley_radius_m": 0.02,
+    "gear_ratio": 2.5,
+    "motor_inertia_kg_m2": 2e-4,
+    "motor_damping_n_m_s": 1e-3,
+    "torque_constant_n_m_a": 0.1,
+    "back_emf_v_s": 0.1,
+    "resistance_ohm": 1.5,
+}
+
+
+def test_the_motor_against_the_forces_on_the_load() -> None:
+    """Newton at the load and at the rotor, which turns by 125 rad for a metre of the load."""
+    per_m = 2.5 / 0.02
+    cruise = (30.0 * 0.4 + 15.0) / per_m + 1e-3 * 0.4 * per_m
+    peak = cruise + 20.0 * 3.0 / per_m + 2e-4 * 3.0 * per_m
+    result = size(Demands(**DRIVE))
+
+    assert result["motor speed"].value == pytest.approx(0.4 * per_m, rel=1e-12)
+    assert result["cruise torque"].value == pytest.approx(cruise, rel=1e-12)
+    assert result["peak torque"].value == pytest.approx(peak, rel=1e-12)
+    assert result["peak current"].value == pytest.approx(peak / 0.1, rel=1e-12)
+    volts = 0.1 * 0.4 * per_m + 1.5 * peak / 0.1
+    assert result["peak voltage"].value == pytest.approx(volts, rel=1e-12)
+
+    # 100 mm in 0.5 s, a third of it at 0.3 m/s between two ramps, then as long a rest.
+    moved = size(Demands(**DRIVE, move_m=0.1, move_s=0.5, dwell_s=0.5))
+    inertia, damping = 2e-4 + 20.0 / per_m**2, 1e-3 + 30.0 / per_m**2
+    turn, friction = 0.3 * per_m, 15.0 / per_m
+    ramp = inertia * turn * 6.0  # the ramp takes a sixth of a second
+    u = (np.arange(20_000) + 0.5) / 20_000
+    up, down = ramp + damping * turn * u + friction, -ramp + damping * turn * u + friction
+    square = (np.mean(up**2) + np.mean(down**2) + (damping * turn + friction) ** 2) / 3.0
+    assert moved["move rms torque"].value == pytest.approx(math.sqrt(square / 2.0), rel=1e-6)
+
+
+def test_an_amplifier_that_is_too_small_is_named_and_one_that_suffices_is_not() -> None:
+    """The peak is 8.21 A, of which 2.66 A go on at full speed."""
+    figures = size(Demands(**DRIVE))
+    peak, cruise = figures["peak current"].value, figures["cruise current"].value
+    assert cruise < 0.45 * peak
+    for limit, warned in ((0.999 * peak, True), (1.001 * peak, False)):
+        warnings = size(Demands(**DRIVE, current_limit_a=limit)).warnings
+        assert any("the motion needs" in text for text in warnings) is warned
+        assert not any("cruising alone" in text for text in warnings)
+    for limit, warned in ((1.999 * cruise, True), (2.001 * cruise, False)):
+        warnings = size(Demands(**DRIVE, current_limit_a=limit)).warnings
+        assert any("cruising alone" in text for text in warnings) is warned
+
+
+def test_of_two_rules_the_larger_acceleration_counts() -> None:
+    """A loose placement leaves the ramp of two stitches as what asks for more."""
+    result = size(Demands(**{**STITCHER_X, "placement_m": 0.2 * IN}))
+    assert result["corner acceleration"].value < result["ramp acceleration"].value
+    assert result["acceleration"].value == result["ramp acceleration"].value
+
+
 def test_every_line_says_where_it_comes_from() -> None:
     result = size(Demands(**STITCHER_X, move_m=0.1, move_s=0.5, count_rate_limit_hz=1e4))
 
