@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from threadline.machine import load_machine
-from threadline.machine.vary import derate, vary
+from threadline.machine.vary import derate, off_tolerance, vary
 
 
 def test_friction_and_supply_are_scaled() -> None:
@@ -41,3 +41,17 @@ def test_derating_touches_acceleration_and_jerk_alone() -> None:
     assert (gentle.velocity_limit == machine.velocity_limit).all()
     with pytest.raises(ValueError, match="share"):
         derate(machine, 1.5)
+
+
+def test_off_tolerance_are_loads_and_links_and_nothing_else() -> None:
+    """Of the printed 111 kg +- 10 % and 6.24e5 N/m +- 20 % an end and a quarter of the way."""
+    machine = load_machine("stitcher")
+    other = off_tolerance(machine, mass=-1.0, stiffness=0.25)
+
+    assert other.bodies["x_head"].inertia.si == pytest.approx(0.9 * 111.0, rel=1e-12)
+    assert other.bodies["y_head"].inertia.si == pytest.approx(0.9 * 70.0, rel=1e-12)
+    for name in ("x_motor", "y_motor", "frame"):
+        assert other.bodies[name] == machine.bodies[name]
+    assert other.links["x_belt"].stiffness.si == pytest.approx(1.05 * 6.24e5, rel=1e-12)
+    assert other.links["frame_mount"].stiffness.si == pytest.approx(1.05 * 5e6, rel=1e-12)
+    assert replace(other, bodies=machine.bodies, links=machine.links) == machine
