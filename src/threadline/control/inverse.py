@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import expm, null_space
+from scipy.linalg import null_space
 
 from threadline.arrays import FloatArray
+from threadline.control.exponential import decay_and_moments
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.linear import StateSpace
@@ -24,7 +25,8 @@ from threadline.plant.values import Values
 from threadline.plant.zeros import Chain, chain_of
 
 _GAUSS_AT = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
-_GAUSS_WEIGHT = np.array([5.0, 8.0, 5.0]) / 18.0
+# Coefficients, from the constant up, of the parabolas that are 1 at one of these and 0 at others.
+_GAUSS_BASIS = np.linalg.inv(np.vander(_GAUSS_AT, increasing=True)).T
 
 
 class Motion(Protocol):
@@ -144,19 +146,19 @@ class Inverse:
         return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ still))
 
     def _inner(self, motion: Motion, t: FloatArray) -> FloatArray:
-        """Integrate the inner states: exponentials, and Gauss's three points for the motion."""
+        """Integrate the inner states: exactly, for the parabola through Gauss's three points."""
         inner = np.zeros((len(t), len(self.Q)))
         if not len(self.Q) or len(t) < 2:
             return inner
         step = float(t[1] - t[0])
-        decay = expm(self.Q * step)
+        decay, moments = decay_and_moments(self.Q, step, 3)
         first = float(motion(t[:1], 0)[0])
         push = np.zeros((len(t) - 1, len(self.Q)))
-        for at, weight in zip(_GAUSS_AT, _GAUSS_WEIGHT, strict=True):
+        for at, parabola in zip(_GAUSS_AT, _GAUSS_BASIS, strict=True):
             times = t[:-1] + at * step
             ladder = np.stack([motion(times, order) for order in range(self.degree)], axis=1)
             ladder[:, 0] -= first
-            push += weight * step * (ladder @ self.R.T) @ expm(self.Q * (1.0 - at) * step).T
+            push += ladder @ self.R.T @ np.tensordot(parabola, moments, axes=1).T
         for k in range(len(t) - 1):
             inner[k + 1] = decay @ inner[k] + push[k]
         return inner
