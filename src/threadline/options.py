@@ -179,6 +179,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
     return {
         "job": job.file,
         "machine": machine.reference,
+        **({"par": machine.parameters} if machine.parameters else {}),
         "interpolation": options.interpolation,
         "feed": feed,
         "tolerance": f"{options.tolerance_m!r} m",

@@ -25,7 +25,7 @@ from threadline.targets.schedule_options import shaping_of
 from threadline.trajectory import plan_trajectory
 from threadline.twin import simulate
 from threadline.twin.switching import simulate_switching
-from threadline.verdict import Spec, Verdict, judge
+from threadline.verdict import Criterion, Spec, Verdict, judge
 
 REPEAT_SEED = 1994
 
@@ -153,6 +153,18 @@ def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
     )
 
 
+def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
+    """Return what is asked, with ``shaping_deviation`` where the motion is shaped or smoothed.
+
+    What that does to the path is always said, with or without a limit.
+    """
+    shaped = options.shaper is not None or options.feed_forward_s is not None
+    named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
+    if machine.cylinders or named or not shaped:
+        return spec
+    return replace(spec, criteria=(*spec.criteria, Criterion(name="shaping_deviation")))
+
+
 def prove(
     job_file: Path,
     machine: Machine,
@@ -191,7 +203,8 @@ def prove_plan(
         raise PlanError(f"{plan.job.name}: only tick tables can be simulated on axes")
     random = np.random.default_rng(REPEAT_SEED)
     machine = plan.machine if actual is None else actual
-    first = replace(simulate(plan.commands, machine), origin=dict(plan.options))
+    origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
+    first = replace(simulate(plan.commands, machine), origin=origin)
     recordings = [first if progress is None else _watched(first, plan, progress)]
     for _ in range(repeats - 1):
         other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))

@@ -287,6 +287,32 @@ def test_runs_are_judged_by_their_own_plan_and_count_once(
     assert code == 0  # the same feed in other words
 
 
+PARAMETERS = "1994\nwinder\n\n20 ; manual\n15 ; normal\n30 ; limit\n20 ; record\n4 ; knots\n"
+
+
+@pytest.mark.parametrize(
+    "made_with",
+    [
+        ["--par", "FW-CNC.PAR"],
+        ["--actual", "lathe-winder+physical"],
+        ["--par", "FW-CNC.PAR", "--actual", "lathe-winder+physical"],
+        ["--interpolation", "parabolic", "--shaper", "zv:12Hz:0.02"],
+    ],
+)
+def test_a_recording_says_all_that_its_run_was_made_with(
+    made_with: list[str], examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "FW-CNC.PAR").write_text(PARAMETERS)
+    options = [str(tmp_path / o) if o == "FW-CNC.PAR" else o for o in made_with]
+    trace = tmp_path / "run.npz"
+    common = ["-m", "lathe-winder", *options, "--recording", trace, "--json"]
+    code, first, _ = run(capsys, "prove", examples / "x-180.prg", *common)
+    judged, second, _ = run(capsys, "judge", trace, "--json")
+
+    assert judged == code
+    assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
+
+
 def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,7 +19,7 @@ from threadline.cli.output import print_json, print_table
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.options import DEFAULT_INTERPOLATION, options_from
-from threadline.pipeline import plan_job, plan_switching
+from threadline.pipeline import plan_job, plan_switching, with_shaping
 from threadline.signals.files import read_recording
 from threadline.verdict import closing, load_spec, step_rows, verdict_json, verdict_rows
 from threadline.verdict import judge as judge_recordings
@@ -43,6 +43,10 @@ def judge(
     feed: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     tolerance: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     limits: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    par: Annotated[Path | None, typer.Option(help="FW-CNC.PAR; default: likewise.")] = None,
+    actual: Annotated[
+        str | None, typer.Option(help="The machine that ran the plan; default: likewise.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Judge what a machine did, recorded by Threadline or by anything that writes a table.
@@ -62,6 +66,8 @@ def judge(
         ("limits", limits),
         ("job", None if job is None else str(job)),
         ("machine", machine),
+        ("par", None if par is None else str(par)),
+        ("actual", actual),
     ):
         if text is not None:
             origin[key] = text
@@ -74,11 +80,14 @@ def judge(
     origin.setdefault("interpolation", DEFAULT_INTERPOLATION)
     origin.setdefault("feed", "programmed")
     origin.setdefault("tolerance", DEFAULT_TOLERANCE_TEXT)
-    chosen = machine_from(origin["machine"], None)
+    settings = Path(origin["par"]) if "par" in origin else None
+    chosen = machine_from(origin["machine"], settings)
+    ran = machine_from(origin["actual"], settings) if "actual" in origin else chosen
+    options = options_from(origin)
     made = plan_switching if chosen.cylinders else plan_job
     for path, recording in zip(recordings, read, strict=True):
         _refuse_other_options(path, recording.origin, origin)
-    plan = made(read_job(Path(origin["job"]), chosen), chosen, options_from(origin))
+    plan = made(read_job(Path(origin["job"]), chosen), chosen, options)
     for path, recording in zip(recordings, read, strict=True):
         if recording.job_sha256 and recording.job_sha256 != plan.job.sha256:
             raise OptionError(
@@ -86,14 +95,15 @@ def judge(
                 f"(sha256 {recording.job_sha256[:12]}, now {plan.job.sha256[:12]})",
                 remedy="Give the job file that was run with --job.",
             )
-        if recording.machine_sha256 and recording.machine_sha256 != chosen.sha256:
+        if recording.machine_sha256 and recording.machine_sha256 != ran.sha256:
             raise OptionError(
                 f"{path.name} was recorded on another machine, or another version of its file, "
-                f"than {chosen.name} (sha256 {recording.machine_sha256[:12]}, "
-                f"now {chosen.sha256[:12]})",
-                remedy="Give the machine file of the run with --machine.",
+                f"than {ran.name} (sha256 {recording.machine_sha256[:12]}, "
+                f"now {ran.sha256[:12]})",
+                remedy="Give the machine file of the run with --machine, and what else it was "
+                "made with: --par, --actual.",
             )
-    verdict = judge_recordings(read, plan, load_spec(spec, chosen))
+    verdict = judge_recordings(read, plan, with_shaping(load_spec(spec, chosen), chosen, options))
     if json:
         print_json(verdict_json(verdict, plan))
     else:

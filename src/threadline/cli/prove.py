@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -37,13 +36,12 @@ from threadline.cli.outputs import appearing, check_outputs
 from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.pipeline import Proof, SwitchProof, prove_switching
+from threadline.pipeline import Proof, SwitchProof, prove_switching, with_shaping
 from threadline.pipeline import prove as prove_job
 from threadline.report import write_report, write_switching
 from threadline.signals.files import write_recording
 from threadline.targets import calculate
 from threadline.verdict import (
-    Criterion,
     closing,
     load_spec,
     step_rows,
@@ -91,7 +89,7 @@ def prove(
     keep_inputs(recording, job, chosen.file, par, spec)
     check_outputs(file=recording, folder=report)
     options = options_of(interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing)
-    asked = load_spec(spec, chosen)
+    asked = with_shaping(load_spec(spec, chosen), chosen, options)
     if chosen.cylinders and actual is not None:
         raise OptionError(f"--actual is of machines with loops, which {chosen.name} does not have")
     if chosen.cylinders and repeats > 1:
@@ -99,13 +97,6 @@ def prove(
             f"--repeats varies loops and encoders, which {chosen.name} does not have",
             remedy="Leave it out; overlays like +hysteresis vary an on/off machine.",
         )
-    if (
-        not chosen.cylinders
-        and (shaper is not None or feed_forward)
-        and all(c.name != "shaping_deviation" for c in asked.criteria)
-    ):
-        # What the shaper or the smoothing does to the path is always said, with or without a limit.
-        asked = replace(asked, criteria=(*asked.criteria, Criterion(name="shaping_deviation")))
     with progress_bar(not json) as progress:
         proof: Proof | SwitchProof
         if chosen.cylinders:

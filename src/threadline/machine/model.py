@@ -54,6 +54,8 @@ class Machine:
         Of the resolved content: base file and overlays included.
     file, reference
         Where it was read from, and what to ask for to read it again.
+    parameters
+        The parameter file whose settings replaced those of the file; empty without one.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Machine:
     sha256: str = ""
     file: str = ""
     reference: str = ""
+    parameters: str = ""
 
     @model_validator(mode="after")
     def _references(self) -> Machine:

@@ -89,7 +89,7 @@ def read_parameters(path: str | Path, machine: Machine) -> Machine:
     sha256 = hashlib.sha256(machine.sha256.encode() + data).hexdigest()
     return dataclasses.replace(
         machine, operator=operator, axes=axes, inputs=inputs, controllers=controllers,
-        sha256=sha256,
+        sha256=sha256, parameters=str(path),
     )  # fmt: skip
 
 
