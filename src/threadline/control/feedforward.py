@@ -93,7 +93,7 @@ def feed_forward(
     """
     from scipy.signal import lfilter
 
-    controller = machine.controllers[machine.axes[axis].controller]
+    controller = machine.controller_of(axis)
     inverse = inverse_of(machine, axis, model)
     loop = inverse.loop
     timing = timing_of(machine, axis, inverse)
@@ -112,7 +112,7 @@ def feed_forward(
     wanted = (sensed.measured_counts + error) / loop.counts_per_unit
     rows = int(np.floor((ticks[-1] - held - begin) / step)) + 1
     due = begin + step * np.arange(rows)
-    limit = machine.drives[controller.drive].amplifier.current_limit
+    limit = machine.drive_of(axis).amplifier.current_limit
     return FeedForward(
         reference_si=np.interp(due + held, ticks, wanted),
         start_s=begin,

@@ -89,7 +89,7 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
     MachineError
         If its filter has no stable inverse, or makes its positions itself.
     """
-    controller = machine.controllers[machine.axes[axis].controller]
+    controller = machine.controller_of(axis)
     if isinstance(controller, ProfileController):
         raise MachineError(
             f"axis {axis}: a controller of kind {controller.kind!r} makes its positions itself and "
@@ -144,8 +144,8 @@ class AxisPreview:
     def __init__(self, machine: Machine, axis: str, model: Values | None = None) -> None:
         self.inverse = inverse_of(machine, axis, model)
         self.timing = timing_of(machine, axis, self.inverse)
-        controller = machine.controllers[machine.axes[axis].controller]
-        limit = machine.drives[controller.drive].amplifier.current_limit
+        controller = machine.controller_of(axis)
+        limit = machine.drive_of(axis).amplifier.current_limit
         self._axis = axis
         self._volt_limit = controller.dac.range.si
         self._current_limit_a = np.inf if limit is None else limit.si

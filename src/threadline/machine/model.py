@@ -156,6 +156,14 @@ class Machine:
         """Names of the axes, in the order of all arrays."""
         return tuple(self.axes)
 
+    def controller_of(self, axis: str) -> Controller:
+        """Return the controller that moves an axis."""
+        return self.controllers[self.axes[axis].controller]
+
+    def drive_of(self, axis: str) -> DcMotor:
+        """Return the drive that the axis's controller commands."""
+        return self.drives[self.controller_of(axis).drive]
+
     def clock(self, name: str) -> Clock:
         """Return the clock called ``name``."""
         period = self.clocks[name].exact_s
@@ -165,7 +173,7 @@ class Machine:
     @property
     def tick_clock(self) -> Clock:
         """The clock on which the axes' references are given: that of the first controller."""
-        first = self.controllers[next(iter(self.axes.values())).controller]
+        first = self.controller_of(next(iter(self.axes)))
         return self.clock(first.reference_clock or first.clock)
 
     def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:

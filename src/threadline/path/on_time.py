@@ -76,8 +76,8 @@ def _current_time_s(way: FloatArray, axis: str, machine: Machine) -> FloatArray:
 
     At each u the current is f + c v/T + k a/T^2, so that 1/T is bounded by a quadratic equation.
     """
-    limit = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
-    most = limit.amplifier.current_limit
+    drive = machine.drive_of(axis)
+    most = drive.amplifier.current_limit
     if most is None:
         return np.zeros(len(way))
     per_speed = current_needed(machine, axis, 2.0, 0.0) - current_needed(machine, axis, 1.0, 0.0)

@@ -43,7 +43,7 @@ class Actuator:
 
 def actuator_of(machine: Machine, axis: str) -> Actuator:
     """Return the actuator of an axis."""
-    name = machine.controllers[machine.axes[axis].controller].drive
+    name = machine.controller_of(axis).drive
     drive = machine.drives[name]
     alone = dataclasses.replace(machine, links={})
     model = next(m for m in linear_model(alone) if f"drives.{name}" in m.inputs)
@@ -67,7 +67,7 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
 
 
 def _loaded(machine: Machine, axis: str) -> float | None:
-    drive = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
+    drive = machine.drive_of(axis)
     rates = rigid_motion(machine, axis)
     turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
     viscous = current_needed(machine, axis, 1.0, 0.0) - current_needed(machine, axis, 0.0, 0.0)

@@ -346,7 +346,7 @@ class _Builder:
         axis = self.machine.axes[axis_name]
         if axis.load is not None:
             return self._weights(dict(axis.load), self.position)
-        sensor = self.machine.controllers[axis.controller].sensor
+        sensor = self.machine.controller_of(axis_name).sensor
         return self._sensor_row(sensor) / axis.counts.si
 
 
@@ -374,7 +374,7 @@ def _linear(machine: Machine, piece: PiecewiseLinear) -> StateSpace:
         rows.append(piece.sensor_rows[0, index, :n])
         names.append(f"sensors.{sensor}")
     for index, axis in enumerate(group.axes):
-        sensor = machine.controllers[machine.axes[axis].controller].sensor
+        sensor = machine.controller_of(axis).sensor
         counts = piece.sensor_rows[0, group.sensors.index(sensor), :n]
         rows += [counts / machine.axes[axis].counts.si, piece.load_rows[0, index, :n]]
         names += [f"{axis}.measured", f"{axis}.load"]

@@ -19,7 +19,7 @@ def current_needed(
         Of the axis, in m/s and m/s^2 or rad/s and rad/s^2.
     """
     rates = rigid_motion(machine, axis)
-    drive = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
+    drive = machine.drive_of(axis)
     turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
     force = 0.0
     for name, body in machine.bodies.items():
@@ -45,7 +45,7 @@ def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
     if part.load is not None:
         rows.append(_row(bodies, {b: q.si for b, q in part.load.items()}))
     else:
-        sensor = machine.sensors[machine.controllers[part.controller].sensor]
+        sensor = machine.sensors[machine.controller_of(axis).sensor]
         rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
     wanted = np.zeros(len(rows))
     wanted[-1] = 1.0

@@ -124,7 +124,7 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
         If the axis cannot be swept to 200 Hz.
     """
     rates = rigid_motion(machine, axis)
-    drive = machine.drives[machine.controllers[machine.axes[axis].controller].drive]
+    drive = machine.drive_of(axis)
     # Radians of the motor per unit of the axis.
     ratio = abs(sum(q.si * rates[b] for b, q in drive.acts_on.items()))
     fast = at_filter_rate(machine)

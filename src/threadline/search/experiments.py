@@ -128,7 +128,7 @@ def stepped_sine(
         could then not be seen (``at_filter_rate`` speeds them up).
     """
     index = _axis(machine, axis)
-    controller = machine.controllers[machine.axes[axis].controller]
+    controller = machine.controller_of(axis)
     if controller.reference_clock not in {None, controller.clock}:
         raise OptionError(
             f"axis {axis}: references come on the clock {controller.reference_clock!r}, slower "
@@ -233,7 +233,7 @@ def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.
     times, measured = recording.samples(f"{axis}.measured")
     _, load = recording.samples(f"{axis}.load")
     _, current = recording.samples(f"{axis}.current_peak")
-    amplifier = machine.drives[machine.controllers[machine.axes[axis].controller].drive].amplifier
+    amplifier = machine.drive_of(axis).amplifier
     peak = float(np.abs(current).max())
     size = counts / machine.axes[axis].counts.si
     share = measured / size

@@ -72,9 +72,7 @@ class _DacSaturation:
     def __init__(self, setting: Setting) -> None:
         machine = setting.plan.machine
         self._axes = setting.axes
-        self._dacs: list[Dac] = [
-            machine.controllers[machine.axes[axis].controller].dac for axis in setting.axes
-        ]
+        self._dacs: list[Dac] = [machine.controller_of(axis).dac for axis in setting.axes]
         self._clamped = [0] * len(setting.axes)
         self._count = 0
         self._first: dict[str, Finding] = {}
