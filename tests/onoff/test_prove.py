@@ -185,6 +185,27 @@ def test_limits_of_the_valves_are_judged(shaped: SwitchProof, name: str) -> None
     assert result.measured == pytest.approx(wanted, abs=1e-9)
 
 
+def test_flow_controls_of_a_closed_valve_are_no_level(shaped: SwitchProof) -> None:
+    """All that lets Z down opens while no air goes that way: too much of nothing is not over.
+
+    The two flow controls sum to 1; the judge is given 0.6 for one of them, as above.
+    """
+    machine = shaped.plan.machine
+    way = machine.cylinders["Z"].forward
+    more = replace(way, flows={n: replace(flow, si=0.6) for n, flow in way.flows.items()})
+    cylinders = {**machine.cylinders, "Z": replace(machine.cylinders["Z"], forward=more)}
+    scheduled = replace(shaped.plan.scheduled, machine=replace(machine, cylinders=cylinders))
+    plan = replace(shaped.plan, scheduled=scheduled)
+
+    def change(samples: dict[str, Any]) -> None:
+        for flow in way.flows:
+            samples[flow][:] = samples[way.valve] == 0
+
+    verdict = judge([altered(shaped.recording, change)], plan, shaped.spec)
+    assert verdict.result("over_level").measured == 0.0
+    assert verdict.result("switching_order").status is Status.FAILED
+
+
 def test_ringing_between_the_moves_is_seen(shaped: SwitchProof) -> None:
     """0.2 mm at 3 Hz added to the frame: half its peak-to-peak is 0.2 mm, and fails 0.1 mm."""
 

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from math import degrees
 from pathlib import Path
 
+import pytest
+
 from threadline.jobs import read_job
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
 from threadline.options import Options
+from threadline.pipeline import plan_job, prove_plan
 from threadline.search import fastest_feed, fastest_job
+from threadline.search.feed import feed_range_m_s
 from threadline.verdict import load_spec
 
 
@@ -19,12 +25,30 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     result = fastest_job(job, machine, spec, Options(), low=0.05, high=0.5)
     all_limits = next(rung for rung in result.rungs if rung.share == 1.0)
 
-    assert all_limits.found.best is None or all_limits.duration_s is not None
     assert result.best.share < 1.0
     assert result.best.duration_s is not None
+    # 360 mm; with all of the limits the job crawls, if it is in spec at all.
     assert result.best.duration_s < 1.2
+    assert all_limits.duration_s is None or all_limits.duration_s > 1.5 * result.best.duration_s
+    assert result.best.duration_s == min(r.duration_s for r in result.rungs if r.duration_s)
+    # The ladder halves the share; about its best rung it is searched four times as closely.
+    assert {1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125} < {rung.share for rung in result.rungs}
+    # The feed that was found and the share are what the duration is of.
+    chosen = Options(
+        feed=Feed(FeedMode.FASTEST_AXIS, result.best.found.best), limit_share=result.best.share
+    )
+    again = plan_job(job, machine, chosen)
+    assert again.trajectory.duration_s == result.best.duration_s
+    assert prove_plan(again, spec).verdict.passed
 
-    assert result.best.found.verdict.passed
+
+def test_the_range_of_feeds_is_a_count_a_tick_to_the_velocity_limit() -> None:
+    """A, at 100 mm, is the coarsest with 35.18159 counts a degree and the fastest of the three."""
+    machine = load_machine("lathe-winder")
+    low, high = feed_range_m_s(machine)
+    assert low == pytest.approx(0.1 / degrees(35.18159) / 0.005, rel=1e-6)
+    assert high == pytest.approx(0.1 * machine.axes["A"].velocity.si, rel=1e-12)
+    assert high > machine.axes["X"].velocity.si == machine.axes["Y"].velocity.si
 
 
 def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) -> None:

@@ -171,15 +171,37 @@ def test_velocity_ripple_away_from_corners() -> None:
     assert found.unit == ""
 
 
-def test_velocity_ripple_on_chords_that_go_straight_on() -> None:
-    """3 % too fast on 200 short chords: the lag reaches over 20 of them; the end is exempt."""
+@pytest.mark.parametrize("factor", [1.03, 0.97])
+def test_velocity_ripple_on_chords_that_go_straight_on(factor: float) -> None:
+    """3 % too fast or slow on 200 short chords: the lag is 20 of them; the end is exempt."""
     points = [[k * 5e-3, 0.0] for k in range(201)]
     commanded, operation = follow(points, 1)
-    load = commanded * 1.03
+    load = commanded * factor
     plan = plan_through(points, move_s=TICK_S, vertices_per_block=17)
     recording = record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: load}, operation)
     found = judge([recording], plan, spec_of(Criterion(name="velocity_ripple")))
     assert found.result("velocity_ripple").measured == pytest.approx(0.03, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("third", "lost"),
+    [
+        # 4 samples are 2 and 2 of two legs at a right angle: sqrt(1/2) of the way.
+        ([0.5, 0.5], 1.0 - np.sqrt(0.5)),
+        # Straight on at a fifth of the speed; what led to the first sample there was 5 times that.
+        ([0.6, 0.0], 4.0),
+    ],
+)
+def test_velocity_ripple_is_exempt_beside_a_corner_and_a_new_speed(third, lost) -> None:
+    """The load is on its command: nothing is wrong, but for the samples that span two chords."""
+    points = [[0.0, 0.0], [0.5, 0.0], third]
+    commanded, operation = follow(points, 100)
+    plan = plan_through(points, move_s=100 * TICK_S)
+    recording = record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: commanded}, operation)
+    criterion = Criterion(name="velocity_ripple", options={"over": 4 * TICK_S})
+    for lag, expected in ((4, 0.0), (0, lost)):
+        found = judge([recording], plan, spec_of(criterion, lag_s=lag * TICK_S))
+        assert found.result("velocity_ripple").measured == pytest.approx(expected, abs=1e-9)
 
 
 def runs(count: int, scale: float = 5e-5):
