@@ -145,6 +145,7 @@ def test_calls_without_end_or_of_the_wrong_thing(tmp_path: Path) -> None:
     """Recursion, doubled and missing programs, missing M99: each at its line."""
     main = "O1\nG91 G1 F5\nM98 P5\nM30\n"
     cases = {
+        "O1\nG91\nG1 X1 F60\nM98 P1\nM30\n": "a.nc:4: O 1 calls itself without end: O 1 -> O 1",
         "O5\nX1\nM98 P5\nM99\n" + main: "a.nc:3: O 5 calls itself without end: O 5 -> O 5",
         "O5\nM98 P6\nM99\nO6\nM98 P5\nM99\n" + main: "O 5 -> O 6 -> O 5",
         "O5\nX1\nM99\nO5\nX1\nM99\n" + main: "a.nc:4: O 5 is defined twice, first on line 1",

@@ -199,6 +199,12 @@ class Collector:
                     place=self._file.place(call.line),
                     remedy="Take one of the calls out.",
                 )
+            if callee.ends_with != 99:
+                raise JobError(
+                    f"subroutine {callee.name} ends with M{callee.ends_with} and not with M99",
+                    place=self._file.place(call.line),
+                    remedy="Close it with M99.",
+                )
             if len(chain) > MAX_DEPTH:
                 raise JobError(
                     f"calls are nested more than {MAX_DEPTH} deep",
@@ -219,11 +225,5 @@ class Collector:
                 f"subroutine O {label} does not exist",
                 place=place,
                 remedy=f"The file has {known or 'no other program'}.",
-            )
-        if callee.ends_with != 99:
-            raise JobError(
-                f"subroutine {callee.name} ends with M{callee.ends_with} and not with M99",
-                place=place,
-                remedy="Close it with M99.",
             )
         return callee
