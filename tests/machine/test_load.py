@@ -219,6 +219,11 @@ VALUES = {
         'gain = "0.45 A/V exact, printed',
         "V/V",
     ),
+    "plain gain of a current amplifier": (
+        'mode = "voltage"',
+        'mode = "current"',
+        "is in A/V, not V/V, a plain number",
+    ),
     "kind": ('kind = "encoder"', 'kind = "encodr"', "encoder"),
     "amplifier mode": ('mode = "voltage"', 'mode = "volts"', "'voltage' or 'current'"),
     "bits in parts": ('bits = "12 bit', 'bits = "0.5 bit', "must be a whole number"),

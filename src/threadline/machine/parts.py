@@ -128,7 +128,8 @@ class Amplifier:
         wanted = "" if self.mode == "voltage" else "A/V"
         if self.gain.unit != wanted:
             raise ValueError(
-                f"gain of a {self.mode} amplifier is in {wanted or 'V/V'}, not {self.gain.unit}"
+                f"gain of a {self.mode} amplifier is in {wanted or 'V/V'}, not "
+                f"{self.gain.unit or 'V/V, a plain number'}"
             )
         return self
 
