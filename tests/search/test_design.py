@@ -229,6 +229,22 @@ def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) 
     assert result.nearest.binding in {"stitch_length_error", "contour_error"}
 
 
+def test_where_settings_are_enough_the_margin_decides(
+    stitcher: Machine, spec: Spec, tmp_path: Path
+) -> None:
+    """At 30 stitch/s many settings of the machine as it is pass, all at no cost.
+
+    10 %: the settings of the one found are rounded to what the chip takes before it is proved.
+    """
+    slow = tmp_path / "slow.seam.toml"
+    slow.write_text(CORNER.replace("75 stitch/s", "30 stitch/s"))
+    result = design(slow, two_parameters(stitcher), spec, Options(), effort=SMALL)
+    assert result.found is not None
+    assert result.found.candidate.cost == 0.0
+    assert result.found.candidate.ratio <= 1.1 * result.as_built.ratio
+    assert result.nearest.ratio == result.as_built.ratio < 0.9
+
+
 def test_known_answers_are_in_the_machine_file(stitcher: Machine) -> None:
     """The thesis: 100 times the stiffness, half the mass."""
     space = design_space(stitcher)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Job
@@ -233,10 +233,17 @@ def design(
 
 def _nearest(space: Space, tried: Tried) -> int:
     """Return the cheapest that is in spec, else the one with the least ratio."""
+    good = _cheapest_first(space, tried)
+    return int(good[0]) if len(good) else int(np.argmin(tried.ratio))
+
+
+def _cheapest_first(space: Space, tried: Tried) -> IntArray:
+    """Return those in spec, the cheapest first, of equal cost that with most margin.
+
+    Settings cost nothing: where some alone are enough, many candidates cost the same.
+    """
     good = np.flatnonzero(tried.ratio <= 1.0)
-    if len(good):
-        return int(good[np.argmin(space.cost(tried.points[good]))])
-    return int(np.argmin(tried.ratio))
+    return np.asarray(good[np.lexsort((tried.ratio[good], space.cost(tried.points[good])))])
 
 
 def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: FloatArray) -> Candidate:
@@ -288,9 +295,8 @@ def _proved(
     space: Space, evaluator: Evaluator, tried: Tried, spec: Spec
 ) -> tuple[Found | None, tuple[str, ...]]:
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
-    good = np.flatnonzero(tried.ratio <= 1.0)
     refused: list[str] = []
-    for index in good[np.argsort(space.cost(tried.points[good]), kind="stable")][:_MOST_PROOFS]:
+    for index in _cheapest_first(space, tried)[:_MOST_PROOFS]:
         own = tried.points[index]
         for point in (_rounded(space, own), own):
             once = evaluator.tried(point[None], tried.level[index : index + 1])
