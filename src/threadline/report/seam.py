@@ -72,7 +72,7 @@ def seam_figure(proof: Proof) -> Figure | None:
     )  # fmt: skip
     graph.plot(
         number[~exempt], 100.0 * by_length[~exempt], linestyle="none", marker="|", markersize=7,
-        color="#0072B2", label=f"length, of {length_limit:.3g} of it (exempt left out)",
+        color="#0072B2", label=f"length off by, of {length_limit * 100:.3g} % (exempt left out)",
     )  # fmt: skip
     graph.axhline(100.0, color="#D55E00", linestyle=(0, (1, 1.5)), lw=1.4)
     graph.set_ylim(0.0, max(120.0, 110.0 * float(share.max())))
