@@ -31,7 +31,7 @@ def tables(heading: str) -> list[dict[str, list[str]]]:
 
 def test_every_key_is_told_and_no_other() -> None:
     contour, point = tables("`[[contour]]`")
-    assert list(tables("`[drawing]`")[0]) == list(_DRAWING[:2]) + ["origin", "gap", "by"]
+    assert list(tables("`[drawing]`")[0]) == ["file", "unit", "origin", "gap", "by"]
     assert set(_DRAWING) == {"file", "unit", "origin", "gap", "by"}
     assert list(tables("`[[seam]]`")[0]) == list(_SEAM)
     assert set(tables("`[stitching]`")[0]) == set(_SETTINGS)
