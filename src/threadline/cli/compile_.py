@@ -76,7 +76,6 @@ def compile_(
     chosen = machine_from(machine, par)
     keep_inputs(out, job, chosen.file, par)
     check_outputs(file=out)
-    check_target(target, chosen)
     if shaper == UNSHAPED_WORD and (mode is not None or damping is not None):
         raise OptionError("--mode and --damping are of a shaper", remedy="Give --shaper too.")
     if shaper != UNSHAPED_WORD and not chosen.cylinders:
@@ -84,6 +83,7 @@ def compile_(
             f"--shaper {shaper[:60]!r} is of an on/off machine, which {chosen.name} is not",
             remedy="Leave it out; threadline prove shapes the motion of axes.",
         )
+    check_target(target, chosen)
     options = options_of(
         interpolation,
         feed,
