@@ -375,3 +375,9 @@ def test_a_circle_through_folders_is_noticed(tmp_path) -> None:
     (tmp_path / "a" / "m.toml").write_text('base = "../a/m.toml"\n')
     with pytest.raises(MachineError, match="in a circle"):
         load_machine(tmp_path / "a" / "m.toml")
+
+
+def test_an_unknown_table_is_found_by_the_header_of_a_table_in_it(refused) -> None:
+    text = edit("[tool]", "[link.feet]\n[tool]")
+    message = refused(text)
+    assert f"mine.toml:{line_of(text, '[link.feet]')}: unknown key 'link'" in message

@@ -78,6 +78,8 @@ def line_of(text: str, location: tuple[str, ...]) -> int:
         else:
             continue
         depth = len(path) if path == location[: len(path)] else 0
+        if header and depth == 0 and location == table[: len(location)]:
+            depth = len(location)  # a table that its header opens together with those around it
         if depth > best_depth:
             best, best_depth = number, depth
     return best
