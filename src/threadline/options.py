@@ -86,10 +86,10 @@ def parse_feed(text: str) -> Feed:
         else:
             feed = Feed(FeedMode.FASTEST_AXIS, parse_quantity(text, "m/s"))
     except UnitError as error:
-        raise OptionError(
-            f"feed {text!r}: {error.message}",
-            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min".',
-        ) from error
+        remedy = 'Write it like "10 count/tick", "36 mm/s" or "500 mm/min".'
+        if "stitch" in text:
+            remedy = f'The needle speed of a seam stands in its file: needle_speed = "{text}".'
+        raise OptionError(f"feed {text!r}: {error.message}", remedy=remedy) from error
     if feed.value <= 0:
         raise OptionError(f"feed {text!r} must be greater than zero")
     return feed
