@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from importlib import import_module
@@ -64,3 +65,15 @@ def test_every_command_of_the_table_is_there(name: str) -> None:
     assert command.name == name
     assert command.callback is not None
     assert f"Example: threadline {name}" in (command.callback.__doc__ or "")
+
+
+def test_the_module_runs_as_the_command_does() -> None:
+    """``python -m threadline`` where the scripts of the environment are not on the path."""
+    made = subprocess.run(
+        [sys.executable, "-m", "threadline", "law", "cubic", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (made.returncode, made.stderr) == (0, "")
+    assert json.loads(made.stdout)["name"] == "cubic"

@@ -23,7 +23,7 @@ from threadline.opening import read_text
 from threadline.wording import field_fault, nearest, toml_fault
 
 _MAX_BYTES = 1_000_000
-_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+) names the ")
+_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+)(?: names the |: )")
 _DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
 _OURS = ("sha256", "file", "reference", "parameters")
 """Fields of the model that no file may hold."""

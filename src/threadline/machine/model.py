@@ -120,6 +120,12 @@ class Machine:
             raise ValueError("cylinders are switched by a PLC: [plc] is missing")
         if self.plc is not None:
             _known([self.plc.clock], self.clocks, "plc.clock", "clock")
+            scan_s = self.clocks[self.plc.clock].si
+            if self.plc.watchdog.si <= scan_s:
+                raise ValueError(
+                    f"plc.watchdog: {1e3 * self.plc.watchdog.si:g} ms is not longer than a scan, "
+                    f"{1e3 * scan_s:g} ms: every scan would be a fault"
+                )
         used: dict[str, str] = {}
         for name, cylinder in self.cylinders.items():
             where = f"cylinders.{name}"
@@ -140,11 +146,15 @@ class Machine:
             if contact.cylinder is not None:
                 at = f"contacts.{name}.cylinder"
                 _known([contact.cylinder], self.cylinders, at, "cylinder")
-        addresses = [o.address for o in self.outputs.values()]
-        addresses += [c.address for c in self.contacts.values()]
-        for address in addresses:
-            if addresses.count(address) > 1:
-                raise ValueError(f"the address {address} is given twice")
+        taken: dict[str, str] = {}
+        for table, parts in (("outputs", self.outputs), ("contacts", self.contacts)):
+            for name, part in parts.items():
+                if part.address in taken:
+                    raise ValueError(
+                        f"{table}.{name}.address: {part.address} is that of "
+                        f"{taken[part.address]} already"
+                    )
+                taken[part.address] = name
 
     @property
     def place(self) -> Place | None:
