@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.errors import JobError, PlanError
+from threadline.errors import JobError, PlanError, RecordingError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.plant.pneumatic import step_ringing
@@ -99,6 +99,51 @@ def test_wrong_move_lists_are_refused_with_their_line(
         read_job(file, load_machine("letter-placer"))
     assert words in str(caught.value)
     assert f"m.toml:{line}:" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("wait", "told"),
+    [
+        (
+            'wait = "z_is_down"',
+            "'z_is_down' would never come: Z stands at 50 mm then, and z_is_down",
+        ),
+        ('wait = "z_is_up"', "'z_is_up' would never come"),
+        ('wait = "x_is_left"\nis = false', "'x_is_left' would never go: X stands at 0 mm"),
+    ],
+)
+def test_waits_that_no_move_ends_are_refused(tmp_path: Path, wait: str, told: str) -> None:
+    """A program for the PLC would stop at them with a fault in every cycle."""
+    file = tmp_path / "m.toml"
+    file.write_text(
+        '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { Z = "50 mm" }\n'
+        f"[[operation]]\n{wait}\n"
+    )
+    machine = load_machine("letter-placer")
+    with pytest.raises(PlanError) as caught:
+        compile_schedule(read_job(file, machine), machine)
+    assert f"m.toml:5: the input {told}" in str(caught.value)
+
+
+def test_an_input_that_nothing_moves_goes_when_its_end_is_waited_for(tmp_path: Path) -> None:
+    """The vacuum's switch: on while the letter is held, off before the arm leaves it."""
+    file = tmp_path / "m.toml"
+    file.write_text(
+        '[[operation]]\nwait = "letter_held"\n'
+        '[[operation]]\ndwell = "50 ms"\n'
+        '[[operation]]\nwait = "letter_held"\nis = false\n'
+        '[[operation]]\ndwell = "50 ms"\n'
+    )
+    machine = load_machine("letter-placer")
+    made = compile_schedule(read_job(file, machine), machine)
+    recording = simulate_switching(made.commands, machine, SwitchOptions(after_s=0.1))
+    times, held = recording.samples("letter_held")
+    # The first wait takes its own scan, the dwell five: it goes at 60 ms.
+    assert (held[times < 0.06] == 1).all()
+    assert (held[times >= 0.06] == 0).all()
+    with pytest.raises(RecordingError, match="'letter_held' did not become off within 60 s"):
+        stuck = SwitchOptions(inputs={"letter_held": True})
+        simulate_switching(made.commands, machine, stuck).samples("letter_held")
 
 
 def ringing_after_cycle(made: Scheduled) -> float:

@@ -142,7 +142,8 @@ class _Builder:
                 self.tick += self._ticks(ramp.si) if ramp is not None and value else 1
             case Dwell(duration_s=duration):
                 self.tick += self._ticks(duration)
-            case WaitInput(name=name, value=value, timeout_s=timeout):
+            case WaitInput(name=name, value=value, timeout_s=timeout, source=source):
+                self._check_wait(name, bool(value), source)
                 self.events.append(
                     Event(tick=self.tick, kind="wait", operation=index, name=name, value=value)
                 )
@@ -176,6 +177,21 @@ class _Builder:
                 f"the soft-start valve {closed[0]!r} is closed when a cylinder is to move",
                 place=source.place,
                 remedy=f'Begin with [[operation]] valve = "{closed[0]}".',
+            )
+
+    def _check_wait(self, name: str, value: bool, source: Source) -> None:
+        contact = self.machine.contacts[name]
+        if contact.cylinder is None or contact.at is None:
+            return
+        at_m, place_m = contact.at.si, self.position[contact.cylinder]
+        on = place_m <= at_m if contact.beyond == "below" else place_m >= at_m
+        if on != value:
+            raise PlanError(
+                f"the input {name!r} would never {'come' if value else 'go'}: "
+                f"{contact.cylinder} stands at {place_m * 1e3:g} mm then, and {name} is on "
+                f"{contact.beyond} {at_m * 1e3:g} mm",
+                place=source.place,
+                remedy="Wait for another input, or move there first.",
             )
 
     def _stroke(self, index: int, axis: str, distance: float, source: Source) -> int:

@@ -41,7 +41,8 @@ class SwitchOptions:
         When a beam of the light grid is broken: the next scan switches everything off. None for
         never.
     inputs
-        Contacts that no cylinder closes, and what they read; true unless they are named.
+        Contacts that no cylinder closes, and what they read; the others are true until they are
+        waited for, and then what is waited for.
     """
 
     after_s: float = 1.0
@@ -112,6 +113,7 @@ class _Run:
         self.on = dict.fromkeys(commands.outputs, 0)
         self.asked = dict.fromkeys(machine.cylinders, 0.0)
         self.operation = 0
+        self.free = dict(options.inputs or {})
         self.levels: dict[str, list[float]] = {n: [] for n in machine.cylinders}
 
     def _channels(self) -> Iterator[Channel]:
@@ -136,7 +138,7 @@ class _Run:
         if contact.kind == "light-grid":
             return self.options.break_s is None or time_s < self.options.break_s
         if contact.cylinder is None:
-            return (self.options.inputs or {}).get(name, True)
+            return self.free.get(name, True)
         assert contact.at is not None
         place = self.twins[contact.cylinder].stroke_m
         return place <= contact.at.si if contact.beyond == "below" else place >= contact.at.si
@@ -159,6 +161,9 @@ class _Run:
                 self.on = dict(zip(commands.outputs, values.tolist(), strict=True))
                 self.operation = int(operation)
             held = bool(waits) and waits[0].tick <= tick
+            if held and waits[0].name not in (self.options.inputs or {}):
+                # What no cylinder closes comes, or goes, when it is waited for.
+                self.free[waits[0].name] = bool(waits[0].value)
             if held and self._contact(waits[0].name, now_s) == bool(waits[0].value):
                 done = waits.pop(0)
                 self.events.append(
@@ -175,7 +180,9 @@ class _Run:
                 stalled += 1
                 if stalled * period_s > _MAX_STALL_S:
                     raise RecordingError(
-                        f"the input {waits[0].name!r} did not come within {_MAX_STALL_S:g} s"
+                        f"the input {waits[0].name!r} did not become "
+                        f"{'on' if waits[0].value else 'off'} within {_MAX_STALL_S:g} s",
+                        remedy="Let an end switch close before the very end of the stroke.",
                     )
             else:
                 tick += 1
