@@ -59,6 +59,9 @@ def test_levels_without_valves_are_refused(examples: Path) -> None:
     with pytest.raises(PlanError, match=r"no valves of 'z_down' make the level 0\.50"):
         cycle(examples, "letter-placer", "zv")
     assert cycle(examples, TRIMMED, "zv").moves
+    with pytest.raises(PlanError, match="or take a um- shaper, which needs none but 0 and 1"):
+        cycle(examples, "letter-placer", "zv")
+    assert cycle(examples, "letter-placer", "um-zv").moves
 
 
 def test_over_pressure_is_refused(examples: Path) -> None:

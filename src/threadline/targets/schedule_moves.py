@@ -142,10 +142,14 @@ def open_flows(level: float, way: Way, machine: Machine, place: Place) -> tuple[
     sets = way.levels()
     best = min(sets, key=lambda chosen: abs(sets[chosen] - level))
     if abs(sets[best] - level) > tolerance:
-        known = ", ".join(f"{value:.3g}" for value in sorted(sets.values()))
+        known = ", ".join(dict.fromkeys(f"{value:.3g}" for value in sorted(sets.values())))
+        unshaped = abs(level - 1.0) <= tolerance
         raise PlanError(
             f"no valves of {way.valve!r} make the level {level:.4f}; they make {known}",
             place=place,
-            remedy=f"Set the flow controls {', '.join(way.flows)} for this shaper.",
+            remedy=f"The flows {', '.join(way.flows)} must add up to 1."
+            if unshaped
+            else f"Set the flow controls {', '.join(way.flows)} so that one or some of them make "
+            "it, or take a um- shaper, which needs none but 0 and 1.",
         )
     return best

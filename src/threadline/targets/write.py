@@ -64,6 +64,7 @@ SCHEDULES: dict[str, ScheduleWriter] = {
     "st": write_structured_text,
 }
 """Targets of on/off machines."""
+_FOR_ON_OFF = f"An on/off machine is written as {' and '.join(sorted(SCHEDULES, reverse=True))}."
 
 
 def target_names() -> tuple[str, ...]:
@@ -126,16 +127,17 @@ def write(plan: TimedPlan | Commands | Scheduled, target: str, out: str | Path) 
     if target in SCHEDULES:
         if not isinstance(plan, Scheduled):
             raise OptionError(
-                f"target {target!r} is made from the schedule of an on/off machine, not from a "
-                f"{type(plan).__name__}",
+                f"target {target!r} is made from the schedule of an on/off machine",
                 remedy="Give a move list and a machine with cylinders.",
             )
         return SCHEDULES[target](plan, path)
     if target in PLANS:
         if isinstance(plan, TickTable | SwitchSchedule | Scheduled):
+            switched = isinstance(plan, SwitchSchedule | Scheduled)
             raise OptionError(
-                f"target {target!r} is made from a plan, not from a {type(plan).__name__}",
-                remedy="Give the job and the machine.",
+                f"target {target!r} is made from the planned motion of axes, which "
+                f"{'an on/off machine does not have' if switched else 'a tick table is not'}",
+                remedy=_FOR_ON_OFF if switched else "Give the job and the machine.",
             )
         return [PLANS[target](plan, path)]
     if target not in TABLES:
@@ -143,7 +145,7 @@ def write(plan: TimedPlan | Commands | Scheduled, target: str, out: str | Path) 
     commands = plan if isinstance(plan, TickTable | SwitchSchedule) else plan.commands
     if not isinstance(commands, TickTable):
         raise OptionError(
-            f"target {target!r} takes a tick table, not a {type(commands).__name__}",
-            remedy="Choose a target for this kind of machine.",
+            f"target {target!r} is a table of counts, which an on/off machine does not have",
+            remedy=_FOR_ON_OFF,
         )
     return [TABLES[target](commands, path)]
