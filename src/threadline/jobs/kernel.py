@@ -139,6 +139,9 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                     if c == _EQUALS or c > 126 or (c < _BLANK and c != _TAB):
                         plain = False
                         break
+                    if code_seen and (c == _SEMICOLON or c == _OPEN):
+                        plain = False  # a further part, which may read as a block too
+                        break
                     if first and code_seen and at + 1 < end:
                         d = data[at + 1]
                         is_letter = (_UPPER_A <= c <= _UPPER_Z) or (_LOWER_A <= c <= _LOWER_Z)

@@ -88,12 +88,15 @@ def _without_comments(text: str, file: str, line: int) -> tuple[str, str]:
                 place=Place(file, line),
                 remedy="Put a comment between one ( and one ) on the same line.",
             )
-    if comment.strip() and code.strip() and _WORD.match(comment) and _BLOCK.fullmatch(comment):
-        raise JobError(
-            f"what follows ';' reads as another block: {_shown(comment.strip())}",
-            place=Place(file, line),
-            remedy="Put it on a line of its own, or in parentheses if it is a comment.",
-        )
+    if comment.strip() and code.strip():
+        # Behind "X1; Y2;" or "X1; home; Y2" the printed dialect would move Y, too.
+        for part in _PARENTHESES.sub(" ", comment).split(";"):
+            if _WORD.match(part) and _BLOCK.fullmatch(part):
+                raise JobError(
+                    f"what follows ';' reads as another block: {_shown(part.strip())}",
+                    place=Place(file, line),
+                    remedy="Put it on a line of its own, or in parentheses if it is a comment.",
+                )
     return code, comment
 
 
