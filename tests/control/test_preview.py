@@ -52,10 +52,11 @@ def test_runs_give_what_the_whole_gives(axis, run):
 def test_filters_without_a_stable_inverse_are_refused(tmp_path):
     file = tmp_path / "m.toml"
     file.write_text(
-        'base = "stitcher"\n[controllers.x]\nkind = "pd"\nkp = "0.1 dac/count exact, assumed"\n'
-        'kd = "-1 dac/count exact, assumed"\ngain = "none"\nzero = "none"\npole = "none"\n'
+        'base = "stitcher"\n[controllers.x]\nkind = "pd"\nkp = "0 dac/count exact, assumed"\n'
+        'kd = "1 dac/count exact, assumed"\ngain = "none"\nzero = "none"\npole = "none"\n'
     )
-    with pytest.raises(MachineError):
+    # kp e + kd (e - e before): the zero lies at kd / (kp + kd), here 1.
+    with pytest.raises(MachineError, match=r"no stable inverse, a zero lies at \|z\| = 1\. "):
         AxisPreview(load_machine(str(file)), "X")
 
 

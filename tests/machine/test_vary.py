@@ -21,6 +21,13 @@ def test_friction_and_supply_are_scaled() -> None:
     assert body.stiction.si == pytest.approx(1.3 * 0.06)
     assert drive.amplifier.current_limit is not None
     assert drive.amplifier.current_limit.si == pytest.approx(0.95 * 4.0)
+    amplifier = machine.drives["x"].amplifier
+    assert amplifier.current_limit is not None
+    supplied = replace(amplifier, voltage_limit=replace(amplifier.current_limit, si=24.0, unit="V"))
+    drives = {**machine.drives, "x": replace(machine.drives["x"], amplifier=supplied)}
+    low = vary(replace(machine, drives=drives), supply=0.95).drives["x"].amplifier.voltage_limit
+    assert low is not None
+    assert low.si == pytest.approx(0.95 * 24.0)
     # The gain is set by feedback: it stays.
     assert drive.amplifier.gain == machine.drives["x"].amplifier.gain
     assert replace(other, bodies=machine.bodies, drives=machine.drives) == machine

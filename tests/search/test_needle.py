@@ -40,6 +40,9 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
     # The velocity limit of both axes is 7.8 in/s, the stitch 0.1 in.
     assert high == pytest.approx(78.0)
     assert low < 2.0
+    slow = replace(machine.axes["Y"], velocity=replace(machine.axes["Y"].velocity, si=0.05))
+    slower = replace(machine, axes={**machine.axes, "Y": slow})
+    assert needle_range_hz(read_job(file, machine), slower)[1] == pytest.approx(0.05 / 2.54e-3)
     found = fastest_needle(file, machine, spec, Options(), low=10.0, high=high, points=6)
     assert found.best is not None
 

@@ -109,6 +109,22 @@ def test_settling_time_is_that_of_the_last_sample_outside(per_block: int) -> Non
     assert cut.result("settling_time").status is Status.NOT_MEASURED
 
 
+def test_settling_is_by_the_distance_at_the_tool() -> None:
+    """Off by 0.8 of the band in both axes for 30 samples: by 1.13 of it at the tool."""
+    commanded, operation = follow(POINTS, 20)
+    load = commanded.copy()
+    load[20:51] += 0.8e-4
+    criterion = Criterion(name="settling_time", options={"band": 1e-4})
+    verdict = judged({K.COMMANDED: commanded, K.LOAD: load}, operation, criterion)
+    assert verdict.result("settling_time").measured == pytest.approx(31 * TICK_S, abs=1e-9)
+    # A and the length of 0.1 m at which it acts: a tenth of the rad counts.
+    turned = commanded.copy()
+    turned[20:51, 1] += 0.8e-3
+    channels = {K.COMMANDED: commanded, K.LOAD: turned}
+    found = judged(channels, operation, criterion, axes=("X", "A")).result("settling_time")
+    assert found.measured == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_pause_within_the_job_is_not_the_end() -> None:
     """The load is off during the pause and calm after the end: nothing remains."""
     points = [[0.0, 0.0], [0.05, 0.0], [0.05, 0.0], [0.1, 0.0]]
