@@ -291,6 +291,26 @@ def test_a_dwell_is_one_standing_piece_of_its_own_length() -> None:
         assert start[still] == pytest.approx([0.2 + design("zvd", MODE).duration_s])
 
 
+@pytest.mark.parametrize("cuts", [[], [1, 2, 3], [2]])
+def test_every_rest_makes_all_that_follows_later(cuts: list[int]) -> None:
+    """Four moves of 0.2 s with an output between each two: the train is played four times."""
+    (block,) = list(rest_to_rest(0.1, 0.2))
+    out = block.coefficients[0]
+    back = -out.copy()
+    back[0] = out.sum(axis=0)
+    shaper = design("zvd", MODE)
+    plain = made([0.2] * 4, np.stack([out, back, out, back]), [0, 2, 4, 6], cuts)
+    shaped = shape_trajectory(plain, shaper, None)
+    every = 0.2 + shaper.duration_s
+    assert shaped.duration_s == pytest.approx(4 * every, rel=1e-12)
+    for k in range(4):
+        middle = shaped(k * every + 0.1)
+        assert np.abs(shaped(k * every, 1)).max() < 1e-12
+        first = middle - shaped(k * every)
+        assert np.abs(first).max() > 1e-3  # under way
+    assert shaped(np.array([every, 3 * every]))[:, 0] == pytest.approx([0.1, 0.1], abs=1e-12)
+
+
 def test_a_dwell_between_steps_of_speed_is_a_rest() -> None:
     """Historical motion: constant speeds with a dwell between them."""
     c = np.zeros((3, 2, 2))

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -87,6 +89,26 @@ def test_breaking_a_limit_is_an_error_that_names_it():
     assert caught.value.axis == "X"
     slower = trajectory_of([[0, 0, 0, 1.0, -1.5, 0.6]], [0.6])
     assert all(p.ratio < 1 for p in check_limits(slower, WINDER))
+
+
+def test_a_limit_holds_to_a_thousandth_anywhere():
+    """The law 10 u^3 - 15 u^4 + 6 u^5 reaches 15/8 h / T half-way, where no piece ends."""
+    for share, refused in ((1.0009, False), (1.0011, True)):
+        trajectory = trajectory_of([[0, 0, 0, 1.0, -1.5, 0.6]], [0.1 * 15 / 8 / share])
+        peaks = limit_peaks(trajectory, wide(acceleration=1e3, jerk=1e6))
+        assert peak(peaks, "velocity").ratio == pytest.approx(share, rel=1e-9)
+        if refused:
+            with pytest.raises(LimitError, match="velocity reaches"):
+                check_limits(trajectory, wide(acceleration=1e3, jerk=1e6))
+        else:
+            check_limits(trajectory, wide(acceleration=1e3, jerk=1e6))
+
+
+def wide(**limits):
+    """The winder with other limits of X, SI."""
+    axis = WINDER.axes["X"]
+    other = {name: replace(getattr(axis, name), si=value) for name, value in limits.items()}
+    return replace(WINDER, axes={**WINDER.axes, "X": replace(axis, **other)})
 
 
 def test_historical_demands_are_reported_not_refused():

@@ -48,17 +48,21 @@ def test_a_trace_without_operations_is_judged_as_one_with_them(per_block: int) -
         assert "operations from the plan" not in with_.note
 
 
-def test_another_clock_and_a_later_beginning_count_from_the_same_start() -> None:
-    """Every third sample from the seventh tick on, on a clock of its own."""
+@pytest.mark.parametrize(
+    ("clock", "stride"), [(Clock("logger", Fraction(15, 1000)), 1), (SERVO, 3)]
+)
+def test_another_clock_and_a_later_beginning_count_from_the_same_start(clock, stride) -> None:
+    """Every third sample from the seventh tick on, on a clock of its own or on the machine's."""
     actual, operation = off_the_path()
     plan = plan_through(POINTS, XY)
     sparse, rows = actual[6::3], operation[6::3]
-    slow = Clock("logger", Fraction(15, 1000))
     results = []
     for given in (rows, None):
-        made = record(XY, {ChannelKind.LOAD: sparse}, given, clock=slow)
+        made = record(XY, {ChannelKind.LOAD: sparse}, given, clock=clock, stride=stride)
         blocks = [
-            type(b)(first_tick={"logger": b.first_tick["logger"] + 2}, samples=b.samples)
+            type(b)(
+                first_tick={clock.name: b.first_tick[clock.name] + 2 * stride}, samples=b.samples
+            )
             for b in made
         ]
         shifted = type(made)(
@@ -71,7 +75,7 @@ def test_another_clock_and_a_later_beginning_count_from_the_same_start() -> None
         results.append(judge([shifted], plan, SPEC).result("contour_error"))
     assert results[0].measured == results[1].measured
     assert results[0].operation == results[1].operation
-    assert SERVO.period_s * 3 == slow.period_s
+    assert SERVO.period_s * 3 == clock.period_s * stride
 
 
 def test_without_the_load_nothing_is_proved_and_the_remedy_is_named() -> None:

@@ -138,6 +138,21 @@ def test_beyond_the_travel_fails_and_an_endless_axis_has_none() -> None:
         verdict.result("travel", "A")
     with pytest.raises(KeyError):
         verdict.result("travel", "Y")  # not an axis of the job
+    every = judged(plan)  # of every axis, as no file would say it
+    assert every.result("travel", "X").measured == pytest.approx(0.1)
+    with pytest.raises(KeyError):
+        every.result("travel", "A")
+
+
+def test_an_axis_that_is_asked_for_by_name_is_not_measured_where_the_job_lacks_it() -> None:
+    """Of every axis it is left out; by name it is listed, and fails what requires it."""
+    plan = with_pieces((0.2 * QUINTIC)[None, :, None], [0.5])
+    by_name = Criterion(name="velocity", axis="Y", limit=1.0, required=True)
+    found = judged(plan, spec_of(by_name))
+    assert found.result("velocity", "Y").status is Status.NOT_MEASURED
+    assert "no axis Y" in found.result("velocity", "Y").note
+    assert not found.passed
+    assert not judged(plan, spec_of(replace(by_name, every_axis=True))).results
 
 
 def test_path_deviation_of_a_cut_corner() -> None:

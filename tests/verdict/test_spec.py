@@ -72,6 +72,12 @@ def test_a_file(tmp_path: Path) -> None:
     assert dict(named(spec, "residual_vibration", "Y")[0].options) == {"after": 0.02}
 
 
+def test_an_endless_axis_has_no_travel_to_keep_within(tmp_path: Path) -> None:
+    text = GOOD + '[[criteria]]\nname = "travel"\naxis = "{}"\nlimit = "machine"\n'
+    assert [c.limit for c in named(read(tmp_path, text.format("A")), "travel", "A")] == [None]
+    assert [c.limit for c in named(read(tmp_path, text.format("X")), "travel", "X")] == [0.0]
+
+
 @pytest.mark.parametrize("written", ["contour error", "contour-error"])
 def test_a_criterion_may_be_written_as_people_say_it(tmp_path: Path, written: str) -> None:
     spec = read(tmp_path, GOOD.replace("contour_error", written))
