@@ -14,6 +14,7 @@ from threadline.cli.tolerance import warn_tolerance
 from threadline.cli.warn import warn
 from threadline.errors import OptionError, UnitError
 from threadline.jobs import Job, read_job
+from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import plan_job
@@ -85,7 +86,6 @@ def fastest_seam(
 
 _ABOVE = 1.1  # a machine off its file is rarely faster than by that
 _UNKNOWN_HZ = 100.0
-_NEEDLE_HZ = (1e-3, 1000.0)  # what a seam may ask for
 
 
 def _interval_content(found: Fastest) -> dict[str, Any]:
@@ -157,11 +157,10 @@ def needle_hz(text: str | None) -> float | None:
             f"{text!r}: {error.message}",
             remedy='The search of a seam runs in stitches: "40 stitch/s".',
         ) from error
-    low, high = _NEEDLE_HZ
-    if not low <= found <= high:
+    if not LEAST_NEEDLE_HZ <= found <= MOST_NEEDLE_HZ:
         raise OptionError(
-            f"{text!r} is no needle speed: it must be at least {low:g} and at most "
-            f"{high:g} stitch/s",
+            f"{text!r} is no needle speed: it must be at least {LEAST_NEEDLE_HZ:g} and at most "
+            f"{MOST_NEEDLE_HZ:g} stitch/s",
             remedy="Correct --low or --high.",
         )
     return found

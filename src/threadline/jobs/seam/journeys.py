@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from threadline.jobs.seam.settings import Stitching
+from threadline.jobs.seam.settings import MOST_SETTLE_S, Stitching
 from threadline.machine import Machine
 from threadline.plant.modes import Oscillation, locked_modes
 
@@ -47,7 +47,3 @@ def with_journeys(
 def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
     """Return the modes of the axes with their motors held."""
     return tuple(mode for axis in axes for mode in locked_modes(machine, axis))
-
-
-MOST_SETTLE_S = 60.0
-"""As much as a seam file may ask for."""

@@ -16,6 +16,12 @@ EXAMPLE = (
     'stitch_length = "0.1 in", needle_speed = "75 stitch/s".'
 )
 
+LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ = 1e-3, 1000.0
+"""The needle speeds that a seam may ask for."""
+
+MOST_SETTLE_S = 60.0
+"""The longest rest before the needle that a seam may ask for."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stitching:
@@ -109,7 +115,9 @@ class _Setting:
 
 _SETTINGS = {
     "stitch_length": _Setting("stitch_length_m", "m", low=1e-5, high=0.1),
-    "needle_speed": _Setting("needle_speed_hz", "stitch/s", low=1e-3, high=1000.0),
+    "needle_speed": _Setting(
+        "needle_speed_hz", "stitch/s", low=LEAST_NEEDLE_HZ, high=MOST_NEEDLE_HZ
+    ),
     "tolerance": _Setting("tolerance", "", low=1e-4, high=0.5),
     "placement": _Setting("placement_m", "m", low=1e-6, high=0.1),
     "corner_angle": _Setting(
@@ -130,7 +138,7 @@ _SETTINGS = {
     "end": _Setting("end_m", "m", open_low=True),
     "reverse": _Setting("reverse", kind=bool),
     "travel_speed": _Setting("travel_speed_m_s", "m/s", low=1e-4, high=10.0, endless="fastest"),
-    "settle": _Setting("settle_s", "s", high=60.0),
+    "settle": _Setting("settle_s", "s", high=MOST_SETTLE_S),
 }
 STITCHING_KEYS = tuple(_SETTINGS)
 
