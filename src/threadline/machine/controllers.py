@@ -28,10 +28,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.machine.parts import STRICT, Dac, Encoder, PdController, Potentiometer
+from threadline.machine.parts import STRICT
 from threadline.machine.quantity import Quantity, Units
 
 Gain = Annotated[Quantity, Units(("dac/count",), not_negative=True)]
@@ -44,6 +44,20 @@ VELOCITY_LOW, VELOCITY_HIGH = -128.0, 127.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Dac:
+    """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped."""
+
+    bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
+    range: Annotated[Quantity, Units(("V",), positive=True)]
+    zero_on_reversal: StrictBool = False
+
+    @property
+    def volt_per_level(self) -> float:
+        """Size of one level in V."""
+        return float(2.0 * self.range.si / 2.0**self.bits.si)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class PController:
     """Proportional gain on the error in counts."""
 
@@ -52,6 +66,20 @@ class PController:
     sensor: str
     drive: str
     kp: Gain
+    dac: Dac
+    reference_clock: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PdController:
+    """Proportional gain on the error in counts, differential gain on its change per tick."""
+
+    kind: Literal["pd"]
+    clock: str
+    sensor: str
+    drive: str
+    kp: Gain
+    kd: Gain
     dac: Dac
     reference_clock: str | None = None
 
@@ -176,4 +204,3 @@ Controller = Annotated[
     | TrapezoidController,
     Field(discriminator="kind"),
 ]
-Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]

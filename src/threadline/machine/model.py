@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place
-from threadline.machine.controllers import Controller, Sensor
+from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
 from threadline.machine.parts import (
     STRICT,
@@ -23,6 +23,7 @@ from threadline.machine.parts import (
     Link,
     Operator,
     PositiveTime,
+    Sensor,
     Tool,
 )
 from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc

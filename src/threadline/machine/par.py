@@ -21,8 +21,9 @@ import re
 from pathlib import Path
 
 from threadline.errors import MachineError, Place
+from threadline.machine.controllers import PdController
 from threadline.machine.model import Machine
-from threadline.machine.parts import Operator, PdController
+from threadline.machine.parts import Operator
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.opening import refuse_special
 

@@ -1,4 +1,4 @@
-"""The parts of a machine: bodies and links between them, drives, sensors, controllers, switches.
+"""The parts of a machine: bodies and links between them, drives, sensors, axes, switches.
 
 Every part is data from the machine file. A machine is a network: each body has one coordinate,
 each link a stretch that is a weighted sum of coordinates, so that a belt between a motor, a head
@@ -164,32 +164,7 @@ class Potentiometer:
     reads: dict[str, Sensitivity] = Field(min_length=1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class Dac:
-    """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped."""
-
-    bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
-    range: Annotated[Quantity, Units(("V",), positive=True)]
-    zero_on_reversal: StrictBool = False
-
-    @property
-    def volt_per_level(self) -> float:
-        """Size of one level in V."""
-        return float(2.0 * self.range.si / 2.0**self.bits.si)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class PdController:
-    """Proportional gain on the error in counts, differential gain on its change per tick."""
-
-    kind: Literal["pd"]
-    clock: str
-    sensor: str
-    drive: str
-    kp: Annotated[Quantity, Units(("dac/count",), not_negative=True)]
-    kd: Annotated[Quantity, Units(("dac/count",), not_negative=True)]
-    dac: Dac
-    reference_clock: str | None = None
+Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

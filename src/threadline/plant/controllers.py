@@ -19,10 +19,10 @@ from threadline.machine import Machine
 from threadline.machine.controllers import (
     LeadFilter,
     PController,
+    PdController,
     PiController,
     VelocityController,
 )
-from threadline.machine.parts import PdController
 from threadline.plant.values import Values
 
 

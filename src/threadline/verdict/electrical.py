@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.machine.parts import Dac
+from threadline.machine.controllers import Dac
 from threadline.verdict.measure import Block, Finding, Measure, Setting, largest
 
 
