@@ -34,6 +34,23 @@ def test_two_intervals_are_both_reported_the_faster_first() -> None:
     assert found.verdict.passed
 
 
+def test_narrow_intervals_beyond_an_edge_are_found() -> None:
+    """Where times are rounded to whole ticks, the thinnest margins pass and fail in turn."""
+    wanted = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]
+
+    def judged(feed: float) -> Verdict:
+        return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
+
+    found = find_fastest(judged, 0.1, 10.0, near=16)
+
+    assert [(i.low, i.high) for i in reversed(found.intervals)] == [
+        (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in wanted
+    ]
+    # 47 steps from 0.1 to 10, and 17 where the scan had one.
+    assert found.step == pytest.approx(100 ** (1 / 47) - 1)
+    assert found.near_step == pytest.approx(100 ** (1 / (47 * 17)) - 1)
+
+
 def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:
     """The least excess is at 2.0, inside the range: neither the slowest nor the fastest feed."""
     found = find_fastest(lambda f: verdict(1.5 + abs(f - 2.0)), 0.1, 10.0, points=41)

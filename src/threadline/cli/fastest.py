@@ -171,6 +171,8 @@ def _content(result: FastestJob) -> dict[str, Any]:
         "limited_by": found.limited_by,
         "limits": result.best.share,
         "duration_s": result.best.duration_s,
+        "step": found.step,
+        "step_at_edges": found.near_step,
         "tried": sum(rung.found.tried for rung in result.rungs),
         "verdict": _verdict_content(found),
         "rungs": [
@@ -212,6 +214,10 @@ def _show(result: FastestJob, title: str) -> None:
         f"fastest: {best.duration_s:.3f} s at {best.found.best * 1e3:.2f} mm/s with "
         f"{best.share:.1%} of the limits, limited by {limit_words(best.found.limited_by)}; "
         f"{tried} plans tried"
+    )
+    typer.echo(
+        f"feeds tried in steps of {best.found.step:.0%}, about the edges of the fastest of "
+        f"{best.found.near_step:.1%}: a narrower interval can be missed"
     )
     print_table("verdict at the fastest", head, body)
 

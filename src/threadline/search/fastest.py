@@ -1,7 +1,9 @@
 """The fastest feed that stays in spec.
 
 Passing is not monotone in speed: a loop that rings at one feed can be quiet at a higher one. So
-the whole range is scanned first, then the edges of every interval that passes are refined.
+the whole range is scanned first, then finer about every change between pass and fail, where a
+margin is so thin that the rounding of times to whole ticks decides, and then the edges of every
+interval that passes are refined.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from threadline.verdict import Status, Verdict
 Judged = Callable[[float], Verdict]
 SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
+NEAR_POINTS = 16
 RANGE = "range"
 """What limits a search that ended before anything failed."""
 
@@ -45,12 +48,17 @@ class Fastest:
         At the best feed; when nothing passes, where the search came closest.
     tried
         Number of feeds tried.
+    step, near_step
+        From one feed of the scan to the next, relative; about the edges. What is narrower can be
+        missed.
     """
 
     intervals: tuple[Interval, ...]
     limited_by: str
     verdict: Verdict
     tried: int
+    step: float = 0.0
+    near_step: float = 0.0
 
     @property
     def best(self) -> float | None:
@@ -65,6 +73,7 @@ def find_fastest(
     *,
     points: int = SCAN_POINTS,
     edge_relative: float = EDGE_RELATIVE,
+    near: int = 0,
     progress: Progress | None = None,
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
@@ -81,6 +90,8 @@ def find_fastest(
         resolution of the search.
     edge_relative
         Edges are refined until pass and fail are this close, relative to the feed.
+    near
+        Feeds tried within each gap of the scan between pass and fail, and in the gaps beside it.
 
     Raises
     ------
@@ -102,6 +113,11 @@ def find_fastest(
     feeds = [float(f) for f in np.geomspace(low, high, points)]
     feeds[0], feeds[-1] = low, high
     passes = [verdict_at(feed).passed for feed in feeds]
+    if near:
+        feeds = _finer(feeds, passes, near)
+        passes = [verdict_at(feed).passed for feed in feeds]
+    step = (high / low) ** (1.0 / (points - 1))
+    steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0}
     intervals: list[Interval] = []
     start: float | None = None
     for index, feed in enumerate(feeds):
@@ -117,7 +133,7 @@ def find_fastest(
     if not intervals:
         closest = min(seen.values(), key=lambda verdict: _worst(verdict)[1])
         return Fastest(
-            intervals=(), limited_by=_worst(closest)[0], verdict=closest, tried=len(seen)
+            intervals=(), limited_by=_worst(closest)[0], verdict=closest, tried=len(seen), **steps
         )
     best = intervals[0].high
     above = [feed for feed in seen if feed > best]
@@ -127,7 +143,23 @@ def find_fastest(
         limited_by=limited_by,
         verdict=seen[best],
         tried=len(seen),
+        **steps,
     )
+
+
+def _finer(feeds: list[float], passes: list[bool], near: int) -> list[float]:
+    """Return ``feeds`` with ``near`` more in each gap where pass turns to fail, and beside it."""
+    last = len(feeds) - 1
+    gaps: set[int] = set()  # by the feed below
+    for gap in range(last):
+        if passes[gap] != passes[gap + 1]:
+            gaps |= {gap - 1, gap, gap + 1}
+    finer = []
+    for gap, feed in enumerate(feeds):
+        finer.append(feed)
+        if gap in gaps and gap < last:
+            finer += [float(f) for f in np.geomspace(feed, feeds[gap + 1], near + 2)[1:-1]]
+    return finer
 
 
 def _edge(verdict_at: Judged, passing: float, failing: float, edge_relative: float) -> float:

@@ -8,7 +8,7 @@ from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Progress, plan_job, prove_plan
-from threadline.search.fastest import SCAN_POINTS, Fastest, find_fastest
+from threadline.search.fastest import NEAR_POINTS, SCAN_POINTS, Fastest, find_fastest
 from threadline.verdict import Spec, Verdict
 
 
@@ -33,9 +33,13 @@ def fastest_feed(
     low: float | None = None,
     high: float | None = None,
     points: int = SCAN_POINTS,
+    near: int = NEAR_POINTS,
     progress: Progress | None = None,
 ) -> Fastest:
-    """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec."""
+    """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
+
+    ``points`` and ``near`` are those of ``find_fastest``, whose steps are the resolution.
+    """
     lowest, highest = feed_range_m_s(machine)
 
     def judged(feed_m_s: float) -> Verdict:
@@ -47,5 +51,6 @@ def fastest_feed(
         lowest if low is None else low,
         highest if high is None else high,
         points=points,
+        near=near,
         progress=progress,
     )

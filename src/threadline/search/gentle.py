@@ -13,7 +13,7 @@ from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Progress, check_loops, plan_job
-from threadline.search.fastest import Fastest
+from threadline.search.fastest import NEAR_POINTS, Fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Spec
 
@@ -58,19 +58,21 @@ def fastest_job(
     rungs: dict[float, Rung] = {}
     expected = 1 if historical else len(_LADDER) + 4
 
-    def tried(share: float, points: int) -> Rung:
-        if share not in rungs:
+    def tried(share: float, points: int, near: int = 0) -> Rung:
+        if share not in rungs or near:
             if progress is not None:
                 progress(f"limits {share:.0%}", min(len(rungs) / expected, 1.0))
             chosen = replace(options, limit_share=share)
-            found = fastest_feed(job, machine, spec, chosen, low=low, high=high, points=points)
+            found = fastest_feed(
+                job, machine, spec, chosen, low=low, high=high, points=points, near=near
+            )
             rungs[share] = Rung(
                 share=share, found=found, duration_s=_duration_s(job, machine, chosen, found)
             )
         return rungs[share]
 
     if historical:
-        best = tried(1.0, 48)
+        best = tried(1.0, 48, NEAR_POINTS)
         return FastestJob(best=best, rungs=(best,))
     best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
     if best.duration_s is not None:
@@ -79,6 +81,11 @@ def fastest_job(
             while share <= 1.0 and _order(tried(share, _SCAN_POINTS)) < _order(best):
                 best = tried(share, _SCAN_POINTS)
                 share = round(share * factor, 6)
+    finer: set[float] = set()
+    while best.duration_s is not None and best.share not in finer:
+        finer.add(best.share)
+        tried(best.share, _SCAN_POINTS, NEAR_POINTS)
+        best = min(rungs.values(), key=_order)
     ordered = tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
     return FastestJob(best=min(ordered, key=_order), rungs=ordered)
 
