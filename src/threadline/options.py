@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode, Job
@@ -23,6 +24,9 @@ class Options:
         Name of the interpolation.
     feed
         Replaces every programmed feed; None keeps the job's.
+    feed_mode
+        Text of what F of a part program means where axes of several kinds move together; None is
+        the reader's default.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
     limit_share
@@ -38,6 +42,7 @@ class Options:
 
     interpolation: str = DEFAULT_INTERPOLATION
     feed: Feed | None = None
+    feed_mode: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
     shaper: str | None = None
@@ -93,6 +98,16 @@ def parse_feed(text: str) -> Feed:
     if feed.value <= 0:
         raise OptionError(f"feed {text!r} must be greater than zero")
     return feed
+
+
+def parse_feed_mode(text: str) -> dict[str, Any]:
+    """Return the reader's options for what F means: ``"path"``, ``"base-axes:A,X"``.
+
+    The reader knows the modes and the machine's axes, and refuses others.
+    """
+    mode, _, axes = text.partition(":")
+    base = tuple(name.strip().upper() for name in axes.split(",")) if axes.strip() else ()
+    return {"feed_mode": mode.strip(), "base_axes": base}
 
 
 def parse_tolerance_m(text: str) -> float:
@@ -182,6 +197,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         **({"par": machine.parameters} if machine.parameters else {}),
         "interpolation": options.interpolation,
         "feed": feed,
+        **({} if options.feed_mode is None else {"feed-mode": options.feed_mode}),
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
         **({} if options.shaper is None else {"shaper": options.shaper}),
@@ -206,6 +222,7 @@ def options_from(description: dict[str, str]) -> Options:
         return Options(
             interpolation=description["interpolation"],
             feed=None if feed_text == "programmed" else parse_feed(feed_text),
+            feed_mode=description.get("feed-mode"),
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),
             shaper=description.get("shaper"),

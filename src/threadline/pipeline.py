@@ -13,7 +13,13 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
-from threadline.options import DEFAULT_INTERPOLATION, Options, describe, refuse_axis_options
+from threadline.options import (
+    DEFAULT_INTERPOLATION,
+    Options,
+    describe,
+    parse_feed_mode,
+    refuse_axis_options,
+)
 from threadline.path import check_budget, on_time_path, plan_path, programmed_path
 from threadline.plan import Plan, SwitchPlan
 from threadline.plant.analysis import unstable_loops
@@ -74,6 +80,21 @@ def check_loops(machine: Machine) -> None:
             place=machine.place,
             remedy="Lower the gain of its controller; threadline analyse shows the loop.",
         )
+
+
+def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
+    """Return the job in a file, read as the options say.
+
+    Raises
+    ------
+    JobError
+        If it cannot be read.
+    OptionError
+        If F is given a meaning that the format or the machine does not have.
+    """
+    if options.feed_mode is None:
+        return read_job(job_file, machine)
+    return read_job(job_file, machine, **parse_feed_mode(options.feed_mode))
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
@@ -176,7 +197,7 @@ def prove(
 ) -> Proof:
     """Plan, simulate and judge a job: the whole question, answered once."""
     check_loops(machine)
-    plan = plan_job(read_job(job_file, machine), machine, options)
+    plan = plan_job(open_job(job_file, machine, options), machine, options)
     return prove_plan(plan, spec, progress, repeats, actual)
 
 

@@ -314,6 +314,50 @@ def test_a_recording_says_all_that_its_run_was_made_with(
     assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
 
 
+@pytest.mark.parametrize(
+    ("mode", "length_mm"),
+    [
+        (None, 100.0),  # of the fastest axis: 1 rad of A at 100 mm
+        ("fastest-axis", 100.0),
+        ("base-axes:A", 100.0),  # CADFIL's mode 1
+        ("base-axes:A,X", np.hypot(100.0, 50.0)),  # CADFIL's mode 2
+        ("base-axes:X", 50.0),
+        ("path", np.hypot(50.0, 20.0)),
+    ],
+)
+def test_what_f_means_can_be_chosen(
+    mode: str | None, length_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A move takes its length, counted as the mode says, over F: docs/part-programs.md."""
+    job, trace = tmp_path / "wind.prg", tmp_path / "wind.npz"
+    job.write_text("O1\nG91 G1 A57.29577951 X50 Y20 F600\nM30\n")
+    chosen = [] if mode is None else ["--feed-mode", mode]
+    common = ["-m", "lathe-winder", "--interpolation", "linear", "--json"]
+    _, first, _ = run(capsys, "prove", job, *common, *chosen, "--recording", trace)
+    _, second, _ = run(capsys, "judge", trace, "--json")
+
+    # 600 mm/min is 10 mm/s; linear takes whole ticks of 5 ms.
+    assert json.loads(first)["duration_s"] == pytest.approx(length_mm / 10.0, abs=0.0051)
+    assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--feed-mode", "cadfil"], "F cannot be read as 'cadfil'"),
+        (["--feed-mode", "base-axes"], "base axes go with the feed mode base-axes"),
+        (["--feed-mode", "base-axes:Q"], "the base axis 'Q' is not one of"),
+        (["--feed-mode", "path", "--feed", "10 mm/s"], "--feed replaces every F"),
+    ],
+)
+def test_a_meaning_that_f_cannot_have_is_refused(
+    options: list[str], said: str, examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, "prove", examples / "x-180.prg", "-m", "lathe-winder", *options)
+    assert (code, out) == (2, "")
+    assert said in err
+
+
 def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

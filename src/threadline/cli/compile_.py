@@ -13,6 +13,7 @@ from threadline.cli.options import (
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     FeedForwardOption,
+    FeedModeOption,
     FeedOption,
     InterpolationOption,
     JobArgument,
@@ -33,7 +34,7 @@ from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.options import refuse_axis_options
-from threadline.pipeline import plan_job
+from threadline.pipeline import open_job, plan_job
 from threadline.targets import write
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of
@@ -48,6 +49,7 @@ def compile_(
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     feed: FeedOption = None,
+    feed_mode: FeedModeOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     feed_forward: FeedForwardOption = False,
@@ -91,6 +93,7 @@ def compile_(
         limits,
         feed_forward=feed_forward,
         smoothing=smoothing,
+        feed_mode=feed_mode,
     )
     if chosen.cylinders:
         refuse_axis_options(chosen, options)
@@ -106,7 +109,7 @@ def compile_(
                 f"feed-forward gives a reference for every tick, which target {target!r} has not",
                 remedy=f"Use {' or '.join(TABLES)}.",
             )
-        plan = plan_job(read_job(job, chosen), chosen, options)
+        plan = plan_job(open_job(job, chosen, options), chosen, options)
         warn(
             chosen, plan.job, [*feed_forward_warnings(plan.feed_forward), *tolerance_warnings(plan)]
         )

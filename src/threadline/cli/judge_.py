@@ -17,15 +17,14 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import print_json, print_table
 from threadline.errors import OptionError
-from threadline.jobs import read_job
 from threadline.options import DEFAULT_INTERPOLATION, options_from
-from threadline.pipeline import plan_job, plan_switching, with_shaping
+from threadline.pipeline import open_job, plan_job, plan_switching, with_shaping
 from threadline.signals.files import read_recording
 from threadline.verdict import closing, load_spec, step_rows, verdict_json, verdict_rows
 from threadline.verdict import judge as judge_recordings
 
 _ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
-_PLANNED_WITH = (*_ALWAYS_SAID, "shaper", "feed-forward")
+_PLANNED_WITH = (*_ALWAYS_SAID, "feed-mode", "shaper", "feed-forward")
 
 
 def judge(
@@ -41,6 +40,7 @@ def judge(
     ] = None,
     interpolation: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     feed: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    feed_mode: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     tolerance: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     limits: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     par: Annotated[Path | None, typer.Option(help="FW-CNC.PAR; default: likewise.")] = None,
@@ -62,6 +62,7 @@ def judge(
     for key, text in (
         ("interpolation", interpolation),
         ("feed", feed),
+        ("feed-mode", feed_mode),
         ("tolerance", tolerance),
         ("limits", limits),
         ("job", None if job is None else str(job)),
@@ -87,7 +88,7 @@ def judge(
     made = plan_switching if chosen.cylinders else plan_job
     for path, recording in zip(recordings, read, strict=True):
         _refuse_other_options(path, recording.origin, origin)
-    plan = made(read_job(Path(origin["job"]), chosen), chosen, options)
+    plan = made(open_job(Path(origin["job"]), chosen, options), chosen, options)
     for path, recording in zip(recordings, read, strict=True):
         if recording.job_sha256 and recording.job_sha256 != plan.job.sha256:
             raise OptionError(

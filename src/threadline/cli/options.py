@@ -50,6 +50,13 @@ InterpolationOption = Annotated[
 FeedOption = Annotated[
     str | None, typer.Option(help='Replaces every programmed feed: "10 count/tick", "36 mm/s".')
 ]
+FeedModeOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What F of a part program means: fastest-axis (default), path, or base-axes:A and "
+        "base-axes:A,X, CADFIL's modes 1 and 2."
+    ),
+]
 ToleranceOption = Annotated[
     str,
     typer.Option(
@@ -150,21 +157,29 @@ def options_of(
     shaper: str | None = None,
     feed_forward: bool = False,
     smoothing: str | None = None,
+    feed_mode: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text.
 
     Raises
     ------
     OptionError
-        If one is unreadable, or a smoothing is given without feed-forward.
+        If one is unreadable, a smoothing is given without feed-forward, or a meaning of F with a
+        feed that replaces it.
     """
     if smoothing is not None and not feed_forward:
         raise OptionError(
             f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
         )
+    if feed is not None and feed_mode is not None:
+        raise OptionError(
+            f"--feed-mode {feed_mode!r} says what F means, and --feed replaces every F",
+            remedy="Leave one of them out.",
+        )
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
+        feed_mode=feed_mode,
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,

@@ -14,6 +14,7 @@ from threadline.cli.options import (
     DEFAULT_TOLERANCE_TEXT,
     ActualOption,
     FeedForwardOption,
+    FeedModeOption,
     FeedOption,
     InterpolationOption,
     JobArgument,
@@ -56,6 +57,7 @@ def prove(
     spec: SpecOption = None,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     feed: FeedOption = None,
+    feed_mode: FeedModeOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     shaper: ShaperOption = None,
@@ -88,7 +90,9 @@ def prove(
     chosen = machine_from(machine, par)
     keep_inputs(recording, job, chosen.file, par, spec)
     check_outputs(file=recording, folder=report)
-    options = options_of(interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing)
+    options = options_of(
+        interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing, feed_mode
+    )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     if chosen.cylinders and actual is not None:
         raise OptionError(f"--actual is of machines with loops, which {chosen.name} does not have")
