@@ -12,6 +12,7 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.machine import load_machine
+from threadline.signals import ChannelKind
 from threadline.signals.files import read_recording
 
 
@@ -312,6 +313,25 @@ def test_a_recording_says_all_that_its_run_was_made_with(
 
     assert judged == code
     assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
+
+
+def test_a_plot_file_has_a_line_every_n_ticks_as_the_operator_set_it(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plot, every_tick = tmp_path / "run.plt", tmp_path / "run.csv"
+    (tmp_path / "FW-CNC.PAR").write_text(PARAMETERS.replace("20 ; record", "7 ; record"))
+    common = ["-m", "lathe-winder", "--par", tmp_path / "FW-CNC.PAR", "--interpolation", "linear"]
+    for path in (plot, every_tick):
+        run(capsys, "prove", examples / "x-180.prg", *common, "--recording", path)
+    head, *lines = plot.read_text().splitlines()
+    recording = read_recording(every_tick)
+    channel = recording.find(ChannelKind.MEASURED, "X")
+    assert channel is not None
+    samples = np.concatenate([block.samples[channel.name] for block in recording])
+
+    assert head.endswith("every 7 ticks of 5 ms")
+    x_mm = np.array([float(line.split("\t")[0]) for line in lines])
+    np.testing.assert_allclose(x_mm, samples[::7] * 1e3, atol=0.51e-4)  # four decimals of a mm
 
 
 @pytest.mark.parametrize(

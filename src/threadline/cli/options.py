@@ -91,7 +91,10 @@ ReportOption = Annotated[
 ]
 RecordingOption = Annotated[
     Path | None,
-    typer.Option(help="Write the recording to this file: .npz, .csv or .plt."),
+    typer.Option(
+        help="Write the recording to this file: .npz, .csv, or .plt, a line every "
+        "operator.record_every ticks."
+    ),
 ]
 ShaperOption = Annotated[
     str | None,

@@ -37,6 +37,7 @@ from threadline.cli.outputs import appearing, check_outputs
 from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
+from threadline.machine import Machine
 from threadline.pipeline import Proof, SwitchProof, prove_switching, with_shaping
 from threadline.pipeline import prove as prove_job
 from threadline.report import write_report, write_switching
@@ -110,7 +111,7 @@ def prove(
             proof = prove_job(job, chosen, asked, options, progress, repeats, other)
         with appearing(recording) as temporary:
             if temporary is not None:
-                write_recording(proof.recording, temporary)
+                write_recording(proof.recording, temporary, plot_every=_plot_every(chosen))
             written = None
             if report is not None and isinstance(proof, SwitchProof):
                 written = write_switching(proof, report)
@@ -142,6 +143,11 @@ def prove(
         if written is not None:
             typer.echo(f"Report: {written}")
     raise typer.Exit(0 if proof.verdict.passed else 1)
+
+
+def _plot_every(machine: Machine) -> int | None:
+    """Return the ticks from line to line of a plot file: the operator's setting."""
+    return None if machine.operator is None else round(machine.operator.record_every.si)
 
 
 def show_proof(proof: Proof) -> None:

@@ -76,8 +76,20 @@ def read_recording(path: str | Path) -> Recording:
         return _RECORDING_READERS[_ending(path, _RECORDING_READERS, "recording")](path)
 
 
-def write_recording(recording: Recording, path: str | Path) -> Written:
+def write_recording(
+    recording: Recording, path: str | Path, *, plot_every: int | None = None
+) -> Written:
     """Write a recording; the ending of ``path`` says how. Only ``.npz`` keeps every clock.
+
+    Parameters
+    ----------
+    recording
+        What happened.
+    path
+        Where to.
+    plot_every
+        Ticks from line to line of a ``.plt``, as the operator has set it; by default every
+        sample. The other formats keep all.
 
     Raises
     ------
@@ -85,7 +97,10 @@ def write_recording(recording: Recording, path: str | Path) -> Written:
         If it cannot be written so, or not there.
     """
     path = Path(path)
-    return _RECORDING_WRITERS[_ending(path, _RECORDING_WRITERS, "recording")](recording, path)
+    ending = _ending(path, _RECORDING_WRITERS, "recording")
+    if ending == ".plt":
+        return write_plt(recording, path, every=plot_every)
+    return _RECORDING_WRITERS[ending](recording, path)
 
 
 def read_table(path: str | Path) -> TickTable:
