@@ -315,6 +315,18 @@ def test_a_recording_says_all_that_its_run_was_made_with(
     assert json.loads(second)["criteria"] == json.loads(first)["criteria"]
 
 
+def test_prove_says_how_many_points_auto_added(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One on either side of each of the two corners: a square's three sides."""
+    job = tmp_path / "corners.prg"
+    job.write_text("O1\nG91 G1 X50 F600\nY50\nX-50\nM30\n")
+    _, out, _ = run(capsys, "prove", job, "-m", "lathe-winder")
+    assert re.search(r"^Points added: +4 \(", out, re.MULTILINE)
+    _, out, _ = run(capsys, "prove", job, "-m", "lathe-winder", "--interpolation", "linear")
+    assert "Points added" not in out
+
+
 def test_a_plot_file_has_a_line_every_n_ticks_as_the_operator_set_it(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

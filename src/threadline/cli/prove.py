@@ -157,6 +157,9 @@ def show_proof(proof: Proof) -> None:
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
     for line in [*feed_forward_lines(plan.feed_forward), *calculate(plan).lines()]:
         typer.echo(line)
+    added = plan.path.summary.get("points_added")
+    if added is not None:
+        typer.echo(f"Points added:         {added:.0f} (path_deviation is what is left, and where)")
     typer.echo(closing(proof.verdict))
 
 
