@@ -21,6 +21,7 @@ from threadline.plant.rigid import current_needed
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
+from threadline.signals.files import read_recording
 from threadline.targets import feedforward as targets
 from threadline.trajectory import averaged
 from threadline.verdict import load_spec
@@ -273,3 +274,25 @@ def test_mistakes_are_said(capsys, seam, tmp_path):
         "-o", str(table),
     )  # fmt: skip
     assert code == 0 and table.exists()
+
+
+def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys, seam, tmp_path):
+    """A controller that ran the feed-forward table and knows nothing of it: as prove judged it."""
+    trace, npz = tmp_path / "trace.csv", tmp_path / "run.npz"
+    proving = ("prove", str(seam), "-m", "stitcher", "--feed-forward", "--json")
+    _, out, _ = run(capsys, *proving, "--recording", str(npz))
+    proved = {(c["name"], c["axis"]): c for c in json.loads(out)["criteria"]}
+    recording = read_recording(npz)
+    times, x = recording.samples("X.load")
+    _, y = recording.samples("Y.load")
+    lines = ["time [s];X.load [mm];Y.load [mm]"]
+    rows = zip(times, 1e3 * x, 1e3 * y, strict=True)
+    lines += [f"{t:.6f};{a:.7f};{b:.7f}" for t, a, b in rows]
+    trace.write_text("\n".join(lines) + "\n")
+    judging = ("judge", str(trace), "--job", str(seam), "-m", "stitcher")
+    _, out, _ = run(capsys, *judging, "--feed-forward", "--json")
+    found = {(c["name"], c["axis"]): c for c in json.loads(out)["criteria"]}
+    for key in (("stitch_length_error", ""), ("shaping_deviation", "")):
+        assert found[key]["measured"] == pytest.approx(proved[key]["measured"], rel=1e-3)
+    code, _, err = run(capsys, *judging, "--smoothing", "40 ms")
+    assert code == 2 and "--smoothing is of --feed-forward" in err

@@ -11,6 +11,7 @@ import typer
 
 from threadline.cli.options import (
     DEFAULT_TOLERANCE_TEXT,
+    FEED_FORWARD,
     JsonOption,
     SpecOption,
     machine_from,
@@ -47,6 +48,16 @@ def judge(
     actual: Annotated[
         str | None, typer.Option(help="The machine that ran the plan; default: likewise.")
     ] = None,
+    shaper: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    feed_forward: Annotated[
+        bool,
+        typer.Option(
+            "--feed-forward", help="The table was made with it; the recording may say so itself."
+        ),
+    ] = False,
+    smoothing: Annotated[
+        str | None, typer.Option(help=f'Of feed-forward: likewise, else "{FEED_FORWARD}".')
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Judge what a machine did, recorded by Threadline or by anything that writes a table.
@@ -65,6 +76,8 @@ def judge(
         ("feed-mode", feed_mode),
         ("tolerance", tolerance),
         ("limits", limits),
+        ("shaper", shaper),
+        ("feed-forward", smoothing),
         ("job", None if job is None else str(job)),
         ("machine", machine),
         ("par", None if par is None else str(par)),
@@ -78,6 +91,10 @@ def judge(
                 f"{recordings[0].name} does not say which {key} it is a recording of",
                 remedy=f"Give it with {option}.",
             )
+    if feed_forward:
+        origin.setdefault("feed-forward", FEED_FORWARD)
+    elif smoothing is not None and "feed-forward" not in read[0].origin:
+        raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
     origin.setdefault("interpolation", DEFAULT_INTERPOLATION)
     origin.setdefault("feed", "programmed")
     origin.setdefault("tolerance", DEFAULT_TOLERANCE_TEXT)
