@@ -281,3 +281,31 @@ def test_a_cylinder_can_have_its_own_shaper(cycle: Path) -> None:
     job = read_job(cycle, machine)
     moves = plan_switching(job, machine, Options(shaper="X=zv, Z=none")).scheduled.moves
     assert {(m.axis, len(m.levels.ticks)) for m in moves} == {("X", 4), ("Z", 2)}
+
+
+def test_a_table_made_by_hand_is_judged_as_the_recording_is(
+    cycle: Path, shaped: SwitchProof, tmp_path: Path
+) -> None:
+    """Outputs, an input and frames as columns of a spreadsheet: what was proved comes out."""
+    switched = shaped.plan.commands.outputs
+    columns = {f"{name}.output": shaped.recording.samples(name)[1] for name in switched}
+    columns["x_is_left.input"] = shaped.recording.samples("x_is_left")[1]
+    for axis in "XZ":
+        columns[f"{axis}.frame [um]"] = 1e6 * shaped.recording.samples(f"{axis}.frame")[1]
+    times_s, _ = shaped.recording.samples("X.frame")
+    trace = tmp_path / "trace.csv"
+    table = np.column_stack([times_s, *columns.values()])
+    head = ";".join(["time [s]", *columns])
+    np.savetxt(trace, table, fmt="%.6g", delimiter=";", header=head, comments="")
+    words = ["judge", str(trace), "--job", str(cycle), "-m", TRIMMED, "--json"]
+    code, text = run(*words, "--shaper", "zv")
+    assert code == 0
+    found = {(c["name"], c["axis"], c.get("step")): c for c in json.loads(text)["criteria"]}
+    for result in shaped.verdict.results:
+        if result.name in ("residual_vibration", "cycle_time", "switching_order"):
+            made = found[result.name, result.axis, result.step or None]
+            assert made["measured"] == pytest.approx(result.measured, abs=1e-8), result
+    code, text = run(*words)  # a plan without the shaper is not what this machine was told
+    assert code == 1
+    criteria = json.loads(text)["criteria"]
+    assert [c["name"] for c in criteria if c["status"] == "failed"] == ["switching_order"]

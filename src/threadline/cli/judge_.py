@@ -48,7 +48,7 @@ def judge(
     actual: Annotated[
         str | None, typer.Option(help="The machine that ran the plan; default: likewise.")
     ] = None,
-    shaper: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    shaper: Annotated[str | None, typer.Option(help="As with prove; default: likewise.")] = None,
     feed_forward: Annotated[
         bool,
         typer.Option(

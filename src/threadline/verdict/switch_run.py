@@ -90,7 +90,8 @@ class SwitchRun:
         if missing:
             raise RecordingError(
                 f"the recording has no output channel {missing[0]!r}",
-                remedy="Record every output of the PLC: they tell when it switched.",
+                remedy="Record every output of the PLC, 0 or 1, in a table as a column "
+                f'"{missing[0]}.output": they tell when it switched.',
             )
         columns = [self._samples(name) for name in self.commands.outputs]
         self.time_s = columns[0][0]

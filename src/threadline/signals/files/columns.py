@@ -14,6 +14,8 @@ AXES = ("A", "B", "C", "U", "V", "W", "X", "Y", "Z")
 TIME = "time"
 
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
+_SWITCHED = re.compile(r"(?P<name>[A-Za-z][A-Za-z0-9_-]*)\.(?P<kind>output|input)")
+"""An output or input of the PLC, by its name in the machine file; 0 or 1."""
 _POSITIONS = frozenset(
     {
         ChannelKind.COMMANDED,
@@ -42,7 +44,8 @@ def parse_column(text: str, place: Place) -> Column:
     """Return what a column is by its heading.
 
     ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` and the like name another kind
-    of channel; ``operation`` has no unit.
+    of channel; ``operation`` has no unit, nor have ``valve.output`` and ``switch.input``, which
+    are outputs and inputs of a PLC.
 
     Raises
     ------
@@ -63,6 +66,11 @@ def parse_column(text: str, place: Place) -> Column:
         if unit:
             raise RecordingError(f"{name!r} has no unit, found [{unit[:20]}]", place=place)
         return Column(name, ChannelKind.OPERATION, "", "", 1.0)
+    switched = _SWITCHED.fullmatch(name)
+    if switched is not None:
+        if unit:
+            raise RecordingError(f"{name[:60]!r} has no unit, found [{unit[:20]}]", place=place)
+        return Column(switched["name"], ChannelKind(switched["kind"]), "", "", 1.0)
     axis, dot, kind_name = name.partition(".")
     known = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
     if axis not in AXES or (dot and name not in known):
