@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import lambertw
 
 import control
+from threadline.arrays import FloatArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
 from threadline.plant.analysis import analyse_axis, loop_figures, unstable_loops
@@ -17,7 +18,7 @@ from threadline.plant.controllers import DigitalFilter, digital_filter
 from threadline.plant.delayed import closed_poles
 from threadline.plant.linear import StateSpace
 from threadline.plant.locus import root_locus
-from threadline.plant.loop import Loop, axis_loop, axis_loops
+from threadline.plant.loop import ComplexArray, Loop, axis_loop, axis_loops
 from threadline.plant.margins import loop_margins, margins_of
 from threadline.plant.nyquist import unstable_count
 from threadline.plant.sampled import sample
@@ -397,3 +398,26 @@ def test_the_phase_margin_of_a_conditionally_stable_loop_is_the_nearest():
     pm = control.stability_margins((np.abs(found), np.degrees(np.unwrap(np.angle(found))), grid))[1]
     assert margins.worst_phase.phase_margin_deg == pytest.approx(pm, abs=0.1)
     assert 60 < pm < 75
+
+
+def test_thousands_of_crossings_are_closed_in_on_together() -> None:
+    """K exp(-i w T) / (i w) crosses -180 degrees at w T = pi/2 + 2 pi n, and 1 at w = K.
+
+    A gain typed a thousand times too large gives so many; one search each took minutes.
+    """
+    gain, dead_s, calls = 1e5, 0.02, 0
+
+    def response(omega: FloatArray) -> ComplexArray:
+        nonlocal calls
+        calls += 1
+        return np.asarray(gain * np.exp(-1j * omega * dead_s) / (1j * omega))
+
+    found = margins_of(response, np.geomspace(1.0, 5e5, 400_001))
+    turns = np.arange(len(found.phase_crossovers))
+    at = np.array([c.omega_rad_s for c in found.phase_crossovers])
+    assert len(at) == 1592  # 5e5 x 0.02 / (2 pi) = 1591.5
+    np.testing.assert_allclose(at, (np.pi / 2 + 2 * np.pi * turns) / dead_s, rtol=1e-10)
+    factors = [c.gain_factor for c in found.phase_crossovers]
+    np.testing.assert_allclose(factors, at / gain, rtol=1e-12)
+    assert [c.omega_rad_s for c in found.gain_crossovers] == pytest.approx([gain], rel=1e-10)
+    assert calls < 150  # of thousands of frequencies each, instead of tens of thousands of one

@@ -24,6 +24,7 @@ _ROUNDS = 14
 _MOST_POINTS = 400_000
 _START_POINTS = 600
 _NEGLIGIBLE = 1e-3
+_HALVINGS = 48  # of an interval that the grid has left: to the last digits of a double
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,23 +130,22 @@ def refined_grid(
 def margins_of(response: Response, grid: FloatArray) -> Margins:
     """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12."""
     values = response(grid)
-
-    def one(omega: float) -> complex:
-        return complex(response(np.array([omega]))[0])
-
-    gains, phases = [], []
     size = np.log(np.abs(values))
-    for k in np.nonzero(size[:-1] * size[1:] <= 0)[0]:
-        if size[k] == 0.0 and size[k + 1] == 0.0:
-            continue
-        at = _root(lambda w: float(np.log(abs(one(w)))), grid[k], grid[k + 1])
-        angle = float(np.degrees(np.angle(-one(at))))
-        gains.append(GainCrossover(omega_rad_s=at, phase_margin_deg=angle))
-    across = (values.imag[:-1] * values.imag[1:] <= 0) & (values.real[:-1] + values.real[1:] < 0)
-    for k in np.nonzero(across)[0]:
-        at = _root(lambda w: one(w).imag, grid[k], grid[k + 1])
-        if one(at).real < 0:
-            phases.append(PhaseCrossover(omega_rad_s=at, gain_factor=1.0 / abs(one(at))))
+    here = (size[:-1] * size[1:] <= 0) & ((size[:-1] != 0.0) | (size[1:] != 0.0))
+    at = _roots(lambda w: np.log(np.abs(response(w))), grid[:-1][here], grid[1:][here])
+    angle = np.degrees(np.angle(-response(at))) if len(at) else at
+    gains = [
+        GainCrossover(omega_rad_s=float(w), phase_margin_deg=float(p))
+        for w, p in zip(at, angle, strict=True)
+    ]
+    here = (values.imag[:-1] * values.imag[1:] <= 0) & (values.real[:-1] + values.real[1:] < 0)
+    at = _roots(lambda w: response(w).imag, grid[:-1][here], grid[1:][here])
+    there = response(at) if len(at) else np.empty(0, dtype=np.complex128)
+    phases = [
+        PhaseCrossover(omega_rad_s=float(w), gain_factor=float(1.0 / abs(v)))
+        for w, v in zip(at, there, strict=True)
+        if v.real < 0
+    ]
     return Margins(
         gain_crossovers=tuple(gains),
         phase_crossovers=tuple(phases),
@@ -153,15 +153,28 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
     )
 
 
-def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    from scipy.optimize import brentq
+def _roots(
+    function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Return a root of ``function`` between each (n,) ``low`` and ``high``, all halved together.
 
-    first, last = function(low), function(high)
-    if first == 0.0:
+    A loop with dead time and a high gain crosses tens of thousands of times: one by one they
+    would take minutes. A pair without a change of sign has its root at one end, or so nearly that
+    rounding hid it: ``low`` where the function is 0 there, else ``high``.
+    """
+    if not len(low):
         return low
-    if last == 0.0 or first * last > 0:
-        return high
-    return float(brentq(function, low, high, rtol=1e-12, xtol=1e-14 * high))
+    first, last = function(low), function(high)
+    bracketed = first * last < 0
+    a, b = low[bracketed], high[bracketed]
+    falling = first[bracketed] > 0
+    for _ in range(_HALVINGS if len(a) else 0):
+        middle = 0.5 * (a + b)
+        above = (function(middle) > 0) == falling
+        a, b = np.where(above, middle, a), np.where(above, b, middle)
+    found = np.where(first == 0.0, low, high)
+    found[bracketed] = 0.5 * (a + b)
+    return found
 
 
 def loop_grid(loop: Loop, model: Model = "sampled") -> FloatArray:
@@ -201,6 +214,5 @@ def bandwidth_rad_s(closed: Response, grid: FloatArray) -> float | None:
     if not len(below):
         return None
     k = int(below[0])
-    return _root(
-        lambda w: float(abs(closed(np.array([w]))[0]) - level), float(grid[k - 1]), float(grid[k])
-    )
+    ends = grid[k - 1 : k + 1]
+    return float(_roots(lambda w: np.abs(closed(w)) - level, ends[:1], ends[1:])[0])
