@@ -9,6 +9,7 @@ import pytest
 
 from threadline.errors import MachineError
 from threadline.machine import load_machine
+from threadline.machine.load import library_file
 from threadline.plant.network import linear_model
 from threadline.plant.rigid import current_needed, rigid_motion
 from threadline.plant.suspicions import suspicions
@@ -153,3 +154,18 @@ def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, said)
     (found,) = [text for text in suspicions(load_machine(str(file))) if "counts is" in text]
     assert said in found
     assert not any("counts is" in text for text in before)
+
+
+def test_a_motor_without_back_emf_is_suspicious(tmp_path) -> None:
+    """It would turn without end at any voltage; a current amplifier doesn't care."""
+    text = (
+        library_file("lathe-winder")
+        .read_text()
+        .replace('back_emf = "8.6 V/krpm', 'back_emf = "0 V/krpm')
+    )
+    file = tmp_path / "no-back-emf.toml"
+    file.write_text(text)
+    found = suspicions(load_machine(str(file)))
+    assert len(found) == 3
+    assert all("back_emf 0 V s/rad" in text and "100 %" in text for text in found)
+    assert suspicions(load_machine(f"{file}+current")) == []

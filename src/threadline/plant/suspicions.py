@@ -39,8 +39,8 @@ def suspicions(machine: Machine) -> list[str]:
 def _constants(machine: Machine, name: str) -> list[str]:
     drive = machine.drives[name]
     torque, emf = drive.torque_constant, drive.back_emf
-    if emf.si <= 0:
-        return []
+    if emf.si <= 0 and drive.amplifier.mode == "current":
+        return []  # such an amplifier makes the current whatever the motor gives back
     apart = emf.si / torque.si - 1.0
     if abs(apart) <= _CONSTANTS_APART:
         return []
