@@ -85,7 +85,6 @@ def compile_(
             f"--shaper {shaper[:60]!r} is of an on/off machine, which {chosen.name} is not",
             remedy="Leave it out; threadline prove shapes the motion of axes.",
         )
-    check_target(target, chosen)
     options = options_of(
         interpolation,
         feed,
@@ -95,6 +94,7 @@ def compile_(
         smoothing=smoothing,
         feed_mode=feed_mode,
     )
+    check_target(target, chosen)
     if chosen.cylinders:
         refuse_axis_options(chosen, options)
         shaping = shaping_of(chosen, shaper, mode=mode, damping_ratio=damping)
