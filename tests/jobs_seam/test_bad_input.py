@@ -127,6 +127,10 @@ BAD_SVG = {
     "image": (f'{SVG}{LINE}\n<image href="a.png" width="1" height="1"/></svg>', "image cannot be"),
     "nothing": (f"{SVG}</svg>", "nothing to sew"),
     "path": (f'{SVG}<path d="M0 0 L 1 abc" stroke="red"/></svg>', "the data of a path is wrong"),
+    "stray": (
+        f'{SVG}{LINE}\n<path d="M0 0 L10 0 foo L10 10"/></svg>',
+        "t.svg:2: the data of a path is wrong: 'foo' at character 12",
+    ),
     "nan": (f'{SVG}{LINE}\n<path d="M0 0L nan 9"/></svg>', "t.svg:2: 'nan' in the data of a path"),
     "half a point": (f'{SVG}{LINE}\n<path d="M0 0L 9"/></svg>', "t.svg:2: the data of a path"),
     "latin": (f"{SVG}<desc>\u00e4</desc></svg>".encode("latin-1"), "byte 0xe4 is not UTF-8"),

@@ -23,6 +23,9 @@ _XLINK = "http://www.w3.org/1999/xlink "
 _UNSEEN = ("mask", "marker", "symbol", "clipPath", "pattern", "linearGradient", "radialGradient")
 _PHYSICAL = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|in|pt|pc)\s*")
 _UNIT_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72.0, "pc": 0.0254 / 6.0}
+# What no path data has; svgelements would take the path up to there, and leave the rest out.
+_STRAY = re.compile(r"[^MmZzLlHhVvCcSsQqTtAa0-9eE+\-.,\s]+|[eE](?![-+]?[0-9])|(?<![0-9.])[eE]")
+_NO_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)  # these are told when the path is read
 _TEXTS = ("text", "tspan", "textPath", "flowRoot")
 
 
@@ -117,6 +120,8 @@ class _Visit:
             self._root(name, attributes)
         if depth > _MAX_DEPTH:
             raise JobError(f"elements are nested more than {_MAX_DEPTH} deep", place=self.place())
+        if name == "path":
+            self._refuse_stray(attributes.get("d", ""))
         layer = self.layers[-1]
         note = f' {LINE}="{self.parser.CurrentLineNumber}"'
         label = attributes.get(f"{_INKSCAPE}label", attributes.get("id", ""))
@@ -153,6 +158,15 @@ class _Visit:
         self.nodes.append(node)
         if node.identity:
             self.by_id[node.identity] = node
+
+    def _refuse_stray(self, data: str) -> None:
+        stray = None if _NO_NUMBER.search(data) else _STRAY.search(data)
+        if stray is not None:
+            raise JobError(
+                f"the data of a path is wrong: {stray[0][:40]!r} at character {stray.start() + 1}",
+                place=self.place(),
+                remedy="Correct it, or draw the path again and save as plain SVG.",
+            )
 
     def end(self, _: str) -> None:
         self.layers.pop()
