@@ -127,6 +127,21 @@ def test_steps_are_told_with_their_lines(shaped: SwitchProof, cycle: Path) -> No
         assert lines[row.job_line] == f'step = "{row.step}"'
 
 
+def test_every_stroke_ends_where_the_job_says(shaped: SwitchProof) -> None:
+    """The last target of X is where it began: forward and back again, each within a millimetre."""
+    ends = [r for r in shaped.verdict.results if r.name == "end_position_error"]
+    assert {r.axis for r in ends} == {"X", "Z"}
+    assert len([r for r in ends if r.axis == "X"]) >= 2
+    assert all(r.measured is not None and 0.0 <= r.measured < 1e-3 for r in ends)
+
+    def change(samples: dict[str, Any]) -> None:
+        samples["X.load"] -= 3e-3
+
+    off = judge([altered(shaped.recording, change)], shaped.plan, shaped.spec)
+    found = [r.measured for r in off.results if (r.name, r.axis) == ("end_position_error", "X")]
+    assert all(m is not None and abs(m - 3e-3) < 1e-3 for m in found)
+
+
 def test_cycle_time_is_the_schedule_and_its_waits(shaped: SwitchProof) -> None:
     """None comes late: 903 scans of 10 ms. Half a second without air in a wait adds as much."""
     measured = shaped.verdict.result("cycle_time").measured

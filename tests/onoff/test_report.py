@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -139,7 +140,10 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert len(frame.lines) == 2
     lanes = [t.get_text() for t in cycle.axes[-1].get_yticklabels()]
     assert lanes == list(machine.outputs)
+    scheduled = replace(proof.plan.scheduled, warnings=("X is told 50.1 mm instead",))
+    proof = replace(proof, plan=replace(proof.plan, scheduled=scheduled))
     page = write_switching(proof, tmp_path / "report").read_text(encoding="utf-8")
+    assert "X is told 50.1 mm instead" in page
     assert "IN SPEC" in page
     for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
         assert words in page

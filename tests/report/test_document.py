@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
+
+from matplotlib.figure import Figure
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -10,7 +13,7 @@ from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
-from threadline.report.document import Document, Table, _pages
+from threadline.report.document import Document, Table, _pages, write_document
 from threadline.report.figures import error_figure
 from threadline.report.style import AXES, LIMIT, figure_style
 from threadline.report.traces import collect
@@ -49,6 +52,35 @@ def test_line_and_note_stand_apart() -> None:
     page.canvas.draw()
     boxes = {text.get_text(): text.get_window_extent() for text in page.texts}
     assert boxes[ROW[2]].x1 + 3 < boxes[ROW[3]].x0
+
+
+def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_path) -> None:
+    """Two drawings with clipped lines: every identifier is there once, every reference has one."""
+    figures = {}
+    with figure_style():
+        for name in ("one", "two"):
+            figures[name] = Figure()
+            figures[name].add_subplot().plot([0, 1], [0, 1])
+        document = Document(
+            title="a <b> & c",
+            subtitle="b",
+            verdicts=[("IN SPEC", True)],
+            tables=[],
+            figures=figures,
+            captions={"one": "first", "two": "second"},
+            facts=[],
+            warnings=["mind the <gap>"],
+        )
+        page = write_document(document, tmp_path / "report", "r").read_text(encoding="utf-8")
+        printed = [text.get_text() for text in _pages(document)[0].texts]
+    names = re.findall(r'\bid="([^"]+)"', page)
+    wanted = re.findall(r'(?:href="|url\()#([^")]+)', page)
+    assert len(names) == len(set(names)) > 10
+    assert len(wanted) > 4
+    assert set(wanted) <= set(names)
+    assert "a &lt;b&gt; &amp; c" in page
+    assert "mind the &lt;gap&gt;" in page
+    assert any("warning: mind the <gap>" in text for text in printed)
 
 
 def test_no_axis_looks_like_a_limit_in_grey() -> None:

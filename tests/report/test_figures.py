@@ -87,6 +87,33 @@ def test_a_comparison_shows_over_travel_at_the_turn() -> None:
     assert highest == pytest.approx([-0.463, -8.573, 0.001], abs=2e-3)
 
 
+def test_traces_are_differences_over_the_ticks_of_the_recording() -> None:
+    """Their sums are the positions and speeds again; 10 counts a tick are 36.13 mm/s."""
+    traces = collect(proof_of("x-180.prg", "linear", "10 count/tick"))
+    assert traces.stride == 1
+    tick_s = 0.005
+    assert np.diff(traces.time_s) == pytest.approx(tick_s, rel=1e-9)
+    position, speed = traces.actual["X"], traces.velocity["X"]
+    assert np.cumsum(speed) * tick_s == pytest.approx(position - position[0], abs=1e-9)
+    assert np.cumsum(traces.acceleration["X"]) * tick_s == pytest.approx(speed, abs=1e-9)
+    assert np.median(np.abs(speed)) == pytest.approx(10 / 55.358e3 / tick_s, rel=0.01)
+
+
+def test_the_turn_that_is_missed_by_most_is_shown_also_at_the_low_end(tmp_path: Path) -> None:
+    """100 mm to the left and back: as short of it as on the right, and the start is met."""
+    job = tmp_path / "left.prg"
+    job.write_text("G91 G1 X -100 F 2160\nX 100\nM30\n")
+    machine = load_machine("lathe-winder")
+    options = Options(interpolation="linear", feed=parse_feed("10 count/tick"))
+    proof = prove_plan(plan_job(read_job(job, machine), machine, options), load_spec(None, machine))
+    with figure_style():
+        figures, _ = overlays([("linear", proof, collect(proof))])
+    (panel,) = figures["turning-X"].axes
+    assert panel.get_title(loc="left").endswith("X turning at -100 mm")
+    # A count is 0.018 mm.
+    assert panel.lines[0].get_ydata().max() == pytest.approx(-0.463, abs=0.04)
+
+
 def test_a_comparison_shows_the_path_of_the_eye(winding: Proof) -> None:
     with figure_style():
         figures, _ = overlays([("linear", winding, collect(winding))])

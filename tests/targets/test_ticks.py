@@ -22,6 +22,7 @@ from threadline.jobs.operations import (
     WaitInput,
 )
 from threadline.machine.quantity import Provenance, Quantity
+from threadline.signals import Stream
 from threadline.targets import compile_ticks
 from threadline.trajectory.types import Trajectory
 
@@ -218,6 +219,15 @@ def test_a_job_without_motion_keeps_its_events() -> None:
     table = compile_ticks(empty, winder(), job_of([SetOutput("valve", 1, HERE), Stop(True, HERE)]))
     assert table.tick_count() == 0
     assert [(e.tick, e.kind) for e in events_of(table)] == [(0, "output"), (0, "end")]
+
+
+def test_without_motion_the_table_starts_where_the_job_does() -> None:
+    """12 and -7 mm at 62.294 and 55.358 counts a millimetre, in the machine's order of axes."""
+    job = replace(job_of([], axes=("Y", "X")), start=(0.012, -0.007))
+    still = Trajectory(axes=("Y", "X"), blocks=Stream.of([]))
+    table = compile_ticks(still, winder(), job)
+    assert table.start_counts.tolist() == [0, round(-7 * 55.358), round(12 * 62.294)]
+    assert list(table) == []
 
 
 def test_hashes_and_axes_come_from_job_and_machine() -> None:

@@ -81,6 +81,26 @@ def test_steps_count_as_infinite():
     assert peak(peaks, "jerk").value_si == np.inf
 
 
+@pytest.mark.parametrize("per_block", [1, 2])
+def test_a_step_of_acceleration_alone_counts_as_infinite_jerk(per_block):
+    """c u^3, then its mirror image: at rest at both ends, 6 c and then -6 c half-way."""
+    c = 0.02
+    whole = next(iter(trajectory_of([[0, 0, 0, c], [c, 3 * c, -3 * c, c]], [1.0, 1.0])))
+    blocks = [
+        TrajectoryBlock(
+            start_s=whole.start_s[k : k + per_block],
+            duration_s=whole.duration_s[k : k + per_block],
+            coefficients=whole.coefficients[k : k + per_block],
+            operation=whole.operation[k : k + per_block],
+        )
+        for k in range(0, 2, per_block)
+    ]
+    peaks = limit_peaks(Trajectory(axes=("X",), blocks=Stream.of(blocks)), WINDER)
+    assert abs(peak(peaks, "acceleration").value_si) == pytest.approx(6 * c)
+    assert peak(peaks, "jerk").value_si == np.inf
+    assert (peak(peaks, "jerk").time_s, peak(peaks, "jerk").operation) == (1.0, 1)
+
+
 def test_breaking_a_limit_is_an_error_that_names_it():
     """0.1 m in 50 ms needs 3.75 m/s of X, which has 1 m/s."""
     fast = trajectory_of([[0, 0, 0, 1.0, -1.5, 0.6]], [0.05])

@@ -104,10 +104,10 @@ def find_fastest(
     expected = points + 2.0 * np.log2(np.log(high / low) / points / edge_relative + 1.0)
 
     def verdict_at(feed: float) -> Verdict:
-        if feed not in seen:
-            seen[feed] = judged(feed)
-            if progress is not None:
-                progress("searching", min(len(seen) / float(expected), 1.0))
+        # No feed comes twice: those of the scan differ, and an edge lies between two of them.
+        seen[feed] = judged(feed)
+        if progress is not None:
+            progress("searching", min(len(seen) / float(expected), 1.0))
         return seen[feed]
 
     feeds = [float(f) for f in np.geomspace(low, high, points)]
