@@ -15,9 +15,11 @@ from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
 from threadline.report.document import Document, Table, _pages, write_document
 from threadline.report.figures import error_figure
+from threadline.report.mismatch import draw_mismatch
 from threadline.report.style import AXES, LIMIT, figure_style
 from threadline.report.traces import collect
-from threadline.verdict import load_spec
+from threadline.search import Fastest, Interval, Mismatch
+from threadline.verdict import Verdict, load_spec
 
 HEADER = ("criterion", "axis", "line", "note")
 ROW = ("contour_error", "X", "23 (pass 12)", "programmed point missed")
@@ -81,6 +83,25 @@ def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_pat
     assert "a &lt;b&gt; &amp; c" in page
     assert "mind the &lt;gap&gt;" in page
     assert any("warning: mind the <gap>" in text for text in printed)
+
+
+def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
+    """Nine cells in any order; no speed at all is drawn as 0."""
+    nothing = Verdict(results=(), simulated=True)
+    cells = []
+    for mass in (1.0, -1.0, 0.0):
+        for stiffness in (0.0, 1.0, -1.0):
+            high = 50.0 + 10.0 * stiffness - mass
+            best = (Interval(low=1.0, high=high),) if (mass, stiffness) != (1.0, -1.0) else ()
+            found = Fastest(intervals=best, limited_by="range", verdict=nothing, tried=2)
+            cells.append(Mismatch(mass=mass, stiffness=stiffness, found=found))
+    (panel,) = draw_mismatch(cells, "a title").axes
+    drawn = {line.get_label(): line.get_xydata().tolist() for line in panel.lines}
+    assert drawn == {
+        "loads: lower end": [[-1.0, 41.0], [0.0, 51.0], [1.0, 61.0]],
+        "loads: as in the file": [[-1.0, 40.0], [0.0, 50.0], [1.0, 60.0]],
+        "loads: upper end": [[-1.0, 0.0], [0.0, 49.0], [1.0, 59.0]],
+    }
 
 
 def test_no_axis_looks_like_a_limit_in_grey() -> None:

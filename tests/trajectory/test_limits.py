@@ -81,6 +81,15 @@ def test_steps_count_as_infinite():
     assert peak(peaks, "jerk").value_si == np.inf
 
 
+def test_an_end_at_speed_counts_as_infinite_acceleration():
+    """c u^3 begins at rest with nothing that steps; it ends at 3 c a second."""
+    peaks = limit_peaks(trajectory_of([[0, 0, 0, 0.02]], [1.0]), WINDER)
+    for quantity in ("acceleration", "jerk"):
+        assert peak(peaks, quantity).value_si == np.inf
+        assert peak(peaks, quantity).time_s == pytest.approx(1.0)
+    assert peak(peaks, "velocity").value_si == pytest.approx(0.06)
+
+
 @pytest.mark.parametrize("per_block", [1, 2])
 def test_a_step_of_acceleration_alone_counts_as_infinite_jerk(per_block):
     """c u^3, then its mirror image: at rest at both ends, 6 c and then -6 c half-way."""
