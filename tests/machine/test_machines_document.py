@@ -15,7 +15,7 @@ from threadline.plant.suspicions import suspicions
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "machines.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
-OURS = {"sha256", "file", "reference"}
+OURS = {"sha256", "file", "reference", "parameters"}
 CONTROLLERS = tuple(field_node(("controllers", "x"))["discriminator"]["mapping"])
 
 PARTS = {
@@ -68,7 +68,7 @@ def model(heading: str) -> tuple[dict[str, dict], set[str]]:
     required: set[str] = set()
     for place in PARTS[heading]:
         node = field_node(tuple(place.split(".")) if place else ())
-        keys |= {k: v for k, v in node["properties"].items() if k not in OURS}
+        keys |= {k: v for k, v in node["properties"].items() if place or k not in OURS}
         required |= set(node.get("required", []))
     return keys, required
 
@@ -103,7 +103,7 @@ def test_no_part_of_a_machine_is_left_out() -> None:
         node = plain_node(node)
         found = {place} if node.get("properties") and place else set()
         for key, value in node.get("properties", {}).items():
-            if key not in OURS:
+            if place or key not in OURS:
                 found |= tables(f"{place}.{key}".strip("."), value)
         inner = [*node.get("patternProperties", {}).values(), node.get("additionalProperties")]
         for entry in inner:
