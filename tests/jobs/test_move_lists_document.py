@@ -1,0 +1,35 @@
+"""``docs/move-lists.md`` against the reader: every key is there, and its list can be read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from threadline.jobs import read_job
+from threadline.jobs.moves_keys import DEFAULT_TIMEOUT_S, OPERATION_KEYS
+from threadline.machine import load_machine
+from threadline.targets.schedule import REST_LAGS, compile_schedule
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "move-lists.md").read_text(encoding="utf-8")
+
+
+def test_the_table_has_every_key_and_no_other() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", TEXT, flags=re.MULTILINE))
+    assert list(rows) == list(OPERATION_KEYS)
+    for verb, keys in OPERATION_KEYS.items():
+        beside = set(re.findall(r"`(on|is|timeout)\b", rows[verb]))
+        assert beside == set(keys) - {verb}
+    assert f"{DEFAULT_TIMEOUT_S:g} s where it is left out" in rows["wait"]
+    assert REST_LAGS == 4.0
+    assert "four lags" in rows["move"]
+
+
+def test_the_list_can_be_read_and_scheduled(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```toml\n(.*?)```", TEXT, flags=re.DOTALL)
+    file = tmp_path / "pick.toml"
+    file.write_text(block, encoding="utf-8")
+    machine = load_machine("letter-placer")
+    made = compile_schedule(read_job(file, machine), machine)
+    out = [m for m in made.moves if m.step == "out"]
+    assert {m.axis for m in out} == {"X", "Z"}
+    assert len({m.first_tick for m in out}) == 1
