@@ -63,6 +63,8 @@ class Scheduled:
         One for each event of kind ``wait``, in order.
     warnings
         Distances that whole scans do not meet.
+    shaping
+        How each cylinder was shaped; those that are not named move unshaped.
     """
 
     job: Job
@@ -71,6 +73,7 @@ class Scheduled:
     moves: tuple[ScheduledMove, ...]
     wait_timeouts_s: tuple[float, ...]
     warnings: tuple[str, ...] = ()
+    shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
 
 
 def compile_schedule(
@@ -292,6 +295,7 @@ class _Builder:
             moves=tuple(self.moves),
             wait_timeouts_s=tuple(self.timeouts),
             warnings=tuple(self.warnings),
+            shaping=self.shaping,
         )
 
 

@@ -16,6 +16,7 @@ from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import PetriNet, petri_net
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
 from threadline.targets.schedule import Scheduled
+from threadline.targets.schedule_moves import AxisShaping
 from threadline.targets.structured_text_body import Words, body_lines
 
 _INTERNAL = (
@@ -85,7 +86,21 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         f"Call it every {net.scan_ms} ms from a timed task. Place 0 has every output off.",
         "A broken light grid, a missing enable or a late scan switches all outputs off in the",
         "same scan; only a new rising edge of the start input begins again, from place 1.",
+        "It is no safety function: what protects people has to cut the air without it.",
+        *(
+            f"{axis}: {_shaped(scheduled.shaping.get(axis))}"
+            for axis in scheduled.machine.cylinders
+        ),
     )
+
+
+def _shaped(shaping: AxisShaping | None) -> str:
+    if shaping is None:
+        return "unshaped"
+    modes = " and ".join(
+        f"{m.frequency_hz:.4g} Hz, damping ratio {m.damping_ratio:.4g}" for m in shaping.modes
+    )
+    return f"shaped by {shaping.shaper.name} for {modes}"
 
 
 def _block_variables(words: Words, net: PetriNet) -> tuple[Block, ...]:
