@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from threadline.jobs import read_job
 from threadline.jobs.moves_keys import DEFAULT_TIMEOUT_S, OPERATION_KEYS
+
+from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.targets.schedule import REST_LAGS, compile_schedule
 
