@@ -305,6 +305,14 @@ def test_csv_in_all_its_spellings() -> None:
         assert stroke.pieces.line.tolist() == [3, 4, 5] if name == "semicolon" else [2, 3, 4]
 
 
+def test_the_unit_of_a_column_goes_before_that_of_the_table():
+    """An inch is 25.4 mm; the column without a unit has the one that was given."""
+    content = b"x [in],y\n0,0\n2,3\n"
+    (stroke,) = read_csv(content, "t.csv", "mm").strokes
+    point, *_ = stroke.pieces.evaluate(np.array([0]), np.array([1.0]))
+    assert np.ravel(point) == pytest.approx([2 * 25.4e-3, 3e-3], rel=1e-12)
+
+
 def test_csv_blank_rows_part_contours_and_layers() -> None:
     text = "x [in],y [in],layer\n0,0,a\n1,0,a\n\n\n0,1,b\n1,1,b\n2,1,b\n"
     strokes = read_csv(text.encode(), "t.csv").strokes

@@ -9,6 +9,7 @@ import pytest
 
 from threadline.errors import JobError, PlanError, RecordingError
 from threadline.jobs import read_job
+from threadline.jobs.operations import WaitInput
 from threadline.machine import load_machine
 from threadline.plant.pneumatic import step_ringing
 from threadline.signals import SwitchSchedule
@@ -172,6 +173,20 @@ def test_waits_hold_the_schedule_until_the_piston_is_there(examples: Path) -> No
     assert [e.name for e in waits] == [e.name for e in made.commands.events if e.kind == "wait"]
     right = next(e for e in waits if e.name == "x_is_right")
     assert stroke[right.tick] >= 0.194
+
+
+def test_a_wait_may_be_for_an_input_to_go(tmp_path: Path) -> None:
+    """``is`` and ``timeout`` are what they say; without them it waits for true, and longer."""
+    file = tmp_path / "w.toml"
+    file.write_text(
+        '[[operation]]\nwait = "x_is_right"\nis = false\ntimeout = "250 ms"\n'
+        '[[operation]]\nwait = "x_is_right"\n'
+    )
+    gone, there = read_job(file, load_machine("letter-placer"))
+    assert isinstance(gone, WaitInput) and isinstance(there, WaitInput)
+    assert (gone.name, gone.value, gone.timeout_s) == ("x_is_right", 0.0, 0.25)
+    assert there.value == 1.0
+    assert there.timeout_s > 1.0
 
 
 def test_a_broken_beam_shuts_everything_in_the_next_scan(examples: Path) -> None:

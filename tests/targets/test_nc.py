@@ -145,6 +145,15 @@ def test_what_a_part_program_cannot_say_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_job_that_begins_elsewhere_is_refused(tmp_path: Path) -> None:
+    """Part programs begin where all axes are 0: the first block would go somewhere else."""
+    job = Job(name="made", file="made", sha256="", axes=("A", "X", "Y"), start=(0.0, 0.01, 0.0),
+              operations=Stream.of([]))  # fmt: skip
+    with pytest.raises(PlanError, match="does not begin at the start position"):
+        write_part_program(job, MACHINE, tmp_path / "b.nc")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_blocks_are_as_in_the_printed_listing(examples: Path) -> None:
     """Blanks between letter and number and a semicolon at the end, as Figure 9-1 has them."""
     lines = list(part_program_lines(read_job(examples / "x-180.prg", MACHINE), MACHINE))
