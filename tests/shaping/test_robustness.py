@@ -12,6 +12,7 @@ from threadline.shaping.combine import convolve
 from threadline.shaping.controller import ControllerLimits, realise
 from threadline.shaping.designs import UNIT_MAGNITUDE, design
 from threadline.shaping.higher_modes import check_higher_modes
+from threadline.shaping.klipper import klipper_impulses
 from threadline.shaping.oscillator import simulated_vibration
 from threadline.shaping.robustness import insensitivity, sensitivity_map
 from threadline.shaping.types import UNSHAPED, FlexibleMode, ShaperError
@@ -141,3 +142,10 @@ def test_at_most_n_impulses() -> None:
         realise(design("negative-zv", MODE), [MODE], ControllerLimits(0.001, max_impulses=2))
     with pytest.raises(OptionError, match="tick_s"):
         ControllerLimits(0.0)
+
+
+def test_klipper_is_not_asked_for_more_damping_than_it_takes() -> None:
+    """Its fit of three humps is valid to 0.2: beyond it Klipper would play something else."""
+    assert len(klipper_impulses("3hump_ei", FlexibleMode(10.0, 0.2)).times_s) == 5
+    with pytest.raises(OptionError, match=r"3hump_ei takes damping ratios up to 0\.2, got 0\.25"):
+        klipper_impulses("3hump_ei", FlexibleMode(10.0, 0.25))
