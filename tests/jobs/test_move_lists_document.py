@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from threadline.jobs.moves_keys import DEFAULT_TIMEOUT_S, OPERATION_KEYS
-
 from threadline.jobs import read_job
+from threadline.jobs.moves import DEFAULT_TIMEOUT_S, OPERATION_KEYS
 from threadline.machine import load_machine
 from threadline.targets.schedule import REST_LAGS, compile_schedule
 

@@ -104,7 +104,7 @@ def find_fastest(
     expected = points + 2.0 * np.log2(np.log(high / low) / points / edge_relative + 1.0)
 
     def verdict_at(feed: float) -> Verdict:
-        # No feed comes twice: those of the scan differ, and an edge lies between two of them.
+        # No feed comes twice: those of a scan differ, and an edge lies between two of them.
         seen[feed] = judged(feed)
         if progress is not None:
             progress("searching", min(len(seen) / float(expected), 1.0))
@@ -115,7 +115,7 @@ def find_fastest(
     passes = [verdict_at(feed).passed for feed in feeds]
     if near:
         feeds = _finer(feeds, passes, near)
-        passes = [verdict_at(feed).passed for feed in feeds]
+        passes = [(seen.get(feed) or verdict_at(feed)).passed for feed in feeds]
     step = (high / low) ** (1.0 / (points - 1))
     steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0}
     intervals: list[Interval] = []
