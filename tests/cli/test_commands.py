@@ -112,7 +112,7 @@ def test_wrong_options_exit_with_two_and_one_line(
         ("compile", "letter-cycle.toml", ["--mode", "3 Hz"], ["Give --shaper too"]),
         ("compile", "letter-cycle.toml", ["--shaper", "zv", "--mode", "0 Hz"], ["positive"]),
         ("compile", "letter-cycle.toml", ["--limits", "50 %"], ["switches on and off"]),
-        ("compile", "x-180.prg", ["--shaper", "zv"], ["'zv' is of an on/off machine"]),
+        ("compile", "x-180.prg", ["--shaper", "zv:12Hz", "--mode", "3 Hz"], ['"zv:12Hz:0.02"']),
         ("compile", "x-180.prg", ["--feed-forward", "--smoothing", ""], ["not a number"]),
         ("fastest", "strap.seam.toml", ["--smoothing", "36 ms"], ["Give --feed-forward too"]),
         ("fastest", "strap.seam.toml", ["--report", "file"], ["--mismatch alone"]),
@@ -144,6 +144,27 @@ def test_options_that_do_not_fit_are_refused_before_the_work(
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
     for word in words:
         assert word in err
+
+
+def test_the_table_of_a_shaped_motion_is_what_was_proved(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The counts written add up to the positions that the simulated machine was commanded."""
+    common = [examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "parabolic"]
+    shaped = ["--shaper", "zv:12Hz:0.02"]
+    table, trace = tmp_path / "table.csv", tmp_path / "run.npz"
+    run(capsys, "prove", *common, *shaped, "--recording", trace)
+    code, _, _ = run(capsys, "compile", *common, *shaped, "--target", "csv", "-o", table)
+    assert code == 0
+    plain = tmp_path / "plain.csv"
+    run(capsys, "compile", *common, "--target", "csv", "-o", plain)
+    counts, unshaped = (
+        np.array([int(x) for x in re.findall(r"^\d+,-?\d+,(-?\d+),", f.read_text(), re.M)])
+        for f in (table, plain)
+    )
+    commanded = read_recording(trace).samples("X.commanded")[1] * 55.358e3
+    np.testing.assert_allclose(np.cumsum(counts), commanded[1 : len(counts) + 1], atol=1e-6)
+    assert len(counts) > len(unshaped)
 
 
 def test_missing_job_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:

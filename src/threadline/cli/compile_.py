@@ -56,10 +56,17 @@ def compile_(
     smoothing: SmoothingOption = None,
     par: ParOption = None,
     shaper: Annotated[
-        str, typer.Option(help="Of an on/off machine: zv, um-2ei, zv*um-2ei ... or none.")
+        str,
+        typer.Option(
+            help='As with prove: "zv:12Hz:0.02" shapes the motion of axes; of an on/off machine '
+            "zv, um-2ei, zv*um-2ei ... or none."
+        ),
     ] = UNSHAPED_WORD,
     mode: Annotated[
-        str | None, typer.Option(help='Mode it is made for: "3.04 Hz"; default: the machine\'s.')
+        str | None,
+        typer.Option(
+            help='Of an on/off machine: the mode it is made for, "3.04 Hz"; default: its own.'
+        ),
     ] = None,
     damping: Annotated[
         float | None, typer.Option(help="Damping ratio of that mode; default: the machine's.")
@@ -80,16 +87,18 @@ def compile_(
     check_outputs(file=out)
     if shaper == UNSHAPED_WORD and (mode is not None or damping is not None):
         raise OptionError("--mode and --damping are of a shaper", remedy="Give --shaper too.")
-    if shaper != UNSHAPED_WORD and not chosen.cylinders:
+    shapes_axes = shaper != UNSHAPED_WORD and not chosen.cylinders
+    if shapes_axes and (mode is not None or damping is not None):
         raise OptionError(
-            f"--shaper {shaper[:60]!r} is of an on/off machine, which {chosen.name} is not",
-            remedy="Leave it out; threadline prove shapes the motion of axes.",
+            f"--mode and --damping are of on/off machines, which {chosen.name} is not",
+            remedy='Write both with the shaper: --shaper "zv:12Hz:0.02".',
         )
     options = options_of(
         interpolation,
         feed,
         tolerance,
         limits,
+        shaper if shapes_axes else None,
         feed_forward=feed_forward,
         smoothing=smoothing,
         feed_mode=feed_mode,
@@ -104,9 +113,10 @@ def compile_(
         for warning in files[0].warnings:
             typer.echo(f"warning: {warning}", err=True)
     else:
-        if feed_forward and target not in TABLES:
+        if (feed_forward or shapes_axes) and target not in TABLES:
+            what = "feed-forward" if feed_forward else "a shaper"
             raise OptionError(
-                f"feed-forward gives a reference for every tick, which target {target!r} has not",
+                f"{what} gives a reference for every tick, which target {target!r} has not",
                 remedy=f"Use {' or '.join(TABLES)}.",
             )
         plan = plan_job(open_job(job, chosen, options), chosen, options)
