@@ -94,7 +94,7 @@ def test_a_number_in_its_own_unit_is_unchanged(value: float, unit: str) -> None:
         ("fast", "m/s", "'fast' is not a number with a unit"),
         ("1 mm", "s", r"'mm' is not a unit of the kind of 's'"),
         ("1 deg", "m", "not a unit of the kind"),
-        ("1 rad", "", "not a unit of the kind"),
+        ("1 rad", "", "'rad' is a unit; a number or a percentage is wanted.*20 %"),
         ("1", "m", r"'1' has no unit. Write it like .1 m."),
         ("1 furlong", "m", "unknown unit 'furlong'"),
         ("1 m/", "m", "unknown unit"),

@@ -9,7 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.fastest_seam import fastest_seam, needle_hz
-from threadline.cli.found import command_line, limit_words, margin_words, merged
+from threadline.cli.found import (
+    command_line,
+    limit_words,
+    margin_words,
+    merged,
+    resolution_words,
+)
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -215,10 +221,7 @@ def _show(result: FastestJob, title: str) -> None:
         f"{best.share:.1%} of the limits, limited by {limit_words(best.found.limited_by)}; "
         f"{tried} plans tried"
     )
-    typer.echo(
-        f"feeds tried in steps of {best.found.step:.0%}, about the edges of the fastest of "
-        f"{best.found.near_step:.1%}: a narrower interval can be missed"
-    )
+    typer.echo(f"feeds {resolution_words(best.found)}")
     print_table("verdict at the fastest", head, body)
 
 

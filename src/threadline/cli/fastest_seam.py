@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.found import limit_words, margin_words
+from threadline.cli.found import limit_words, margin_words, resolution_words
 from threadline.cli.output import print_json, print_table, progress_bar
 from threadline.cli.outputs import check_outputs
 from threadline.cli.tolerance import warn_tolerance
@@ -100,6 +100,8 @@ def _content(found: Fastest) -> dict[str, Any]:
     return {
         **_interval_content(found),
         "unit": "stitch/s",
+        "step": found.step,
+        "step_at_edges": found.near_step,
         "tried": found.tried,
         "verdict": {
             "passed": found.verdict.passed,
@@ -121,6 +123,7 @@ def _show(found: Fastest, title: str) -> None:
         f"fastest: {found.best:.2f} stitch/s, limited by {limit_words(found.limited_by)}; "
         f"{found.tried} plans tried"
     )
+    typer.echo(f"needle speeds {resolution_words(found)}")
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
 
 

@@ -6,12 +6,20 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from threadline.search.fastest import RANGE
+from threadline.search.fastest import RANGE, Fastest
 
 
 def limit_words(limited_by: str) -> str:
     """Return what ended a search: a criterion by its name, or the search itself."""
     return "the end of the search (--high)" if limited_by == RANGE else limited_by
+
+
+def resolution_words(found: Fastest) -> str:
+    """Return how finely a search looked."""
+    return (
+        f"tried in steps of {found.step:.0%}, about the edges of the fastest of "
+        f"{found.near_step:.1%}: a narrower interval can be missed"
+    )
 
 
 def margin_words(margin: float) -> str:

@@ -83,6 +83,7 @@ def needle_over_tolerances(
             low=_SLOWEST * high if low is None else low,
             high=high,
             points=_POINTS,
+            near=0,
             edge_relative=_EDGE,
             actual=off_tolerance(machine, mass=mass, stiffness=stiffness),
         )

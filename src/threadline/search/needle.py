@@ -10,7 +10,13 @@ from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Progress, plan_job, prove_plan
-from threadline.search.fastest import EDGE_RELATIVE, SCAN_POINTS, Fastest, find_fastest
+from threadline.search.fastest import (
+    EDGE_RELATIVE,
+    NEAR_POINTS,
+    SCAN_POINTS,
+    Fastest,
+    find_fastest,
+)
 from threadline.verdict import Result, Spec, Status, Verdict
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
@@ -44,6 +50,7 @@ def fastest_needle(
     low: float | None = None,
     high: float | None = None,
     points: int = SCAN_POINTS,
+    near: int = NEAR_POINTS,
     progress: Progress | None = None,
     actual: Machine | None = None,
     edge_relative: float = EDGE_RELATIVE,
@@ -55,6 +62,8 @@ def fastest_needle(
 
     Parameters
     ----------
+    points, near
+        As ``find_fastest`` takes them; their steps are the resolution.
     actual
         The machine that sews, where it isn't the one that plans are made for.
 
@@ -77,7 +86,13 @@ def fastest_needle(
         return prove_plan(plan, spec, actual=actual).verdict
 
     return find_fastest(
-        judged, begin, end, points=points, edge_relative=edge_relative, progress=progress
+        judged,
+        begin,
+        end,
+        points=points,
+        near=near,
+        edge_relative=edge_relative,
+        progress=progress,
     )
 
 
