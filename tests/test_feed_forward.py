@@ -187,24 +187,6 @@ def test_travel_starts_and_ends_at_rest(plan):
     np.testing.assert_allclose(plan.trajectory(np.array([end]))[0], [0.05064, 0.04564], atol=1e-12)
 
 
-def test_a_dwell_between_smoothed_motions_keeps_its_place_and_its_time(tmp_path, machine):
-    """Pieces follow each other without a gap, and the axes stand for the whole of the dwell."""
-    file = tmp_path / "dwell.prg"
-    file.write_text("%\nO1;\nG1 F600;\nG91;\nX20;\nG4 P0.7;\nX-5;\nM30;\n%\n")
-    trajectory = plan_job(read_job(file, machine), machine, AHEAD).trajectory
-    blocks = list(trajectory.blocks)
-    starts = np.concatenate([b.start_s for b in blocks])
-    ends = starts + np.concatenate([b.duration_s for b in blocks])
-    np.testing.assert_allclose(starts[1:], ends[:-1], atol=1e-9)
-    assert trajectory.duration_s == pytest.approx(ends[-1], abs=1e-9)
-    times = np.arange(0.0, ends[-1], 1e-3)
-    x = np.concatenate([b.evaluate(times[(times >= b.start_s[0]) & (times < b.end_s)])
-                        for b in blocks])[:, 0]  # fmt: skip
-    at_far_end = np.abs(x - 0.02) < 1e-9
-    assert at_far_end.sum() * 1e-3 >= 0.7
-    assert np.flatnonzero(at_far_end)[-1] < len(x) - 100  # and it goes back after it
-
-
 def test_rapid_moves_stay_within_the_current(machine):
     """The quintic's current by the rigid model at 1000 instants; and its closed-form speed."""
     way = np.array([[0.1, 0.0], [0.0, 0.05], [1e-4, 0.0]])
