@@ -5,6 +5,7 @@ The reference is the same trace with the operations that were commanded recorded
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from threadline.signals import ChannelKind, Clock
 from threadline.verdict import Criterion, Status, closing, judge
+from threadline.verdict.registry import MEASURES
 
 from .builders import SERVO, follow, plan_through, record, spec_of
 
@@ -96,3 +98,68 @@ def test_without_the_load_nothing_is_proved_and_the_remedy_is_named() -> None:
     assert closing(failed) == "OUT OF SPEC"
     passed = judge([record(XY, {ChannelKind.LOAD: commanded}, None)], plan, SPEC)
     assert closing(passed) == "IN SPEC (1 criterion not measured)"
+
+
+def _coarse(interval_ms: int, kinds=(ChannelKind.LOAD, ChannelKind.COMMANDED), slow=()):
+    """Return X there and back in 1.6 s, 5 mm off for 60 ms in between, every so often."""
+    times = np.arange(0.0, 2.0, interval_ms / 1000)
+    x = np.interp(times, [0.0, 0.8, 1.6], [0.0, 0.1, 0.0])
+    bump = np.where((times > 0.33) & (times < 0.39), 5e-3, 0.0)
+    channels = {
+        kind: np.column_stack([x, bump if kind is ChannelKind.LOAD else 0.0 * x]) for kind in kinds
+    }
+    made = record(XY, channels, None, clock=Clock("logger", Fraction(interval_ms, 1000)))
+    return replace(made, simulated=False)
+
+
+FOLLOWING = [name for name, kind in MEASURES.items() if kind.needs and kind.follows]
+
+
+def test_what_follows_the_path_is_all_that_needs_the_place_of_the_tool() -> None:
+    at_tool = {n for n, k in MEASURES.items() if any(ChannelKind.LOAD in a for a in k.needs)}
+    assert set(FOLLOWING) == at_tool
+    assert {"contour_error", "turning_point_error", "stitch_placement_error"} <= at_tool
+
+
+def test_a_trace_coarser_than_the_lag_measures_nothing_of_the_path() -> None:
+    """The 5 mm lie between the samples at 0.2 and 0.4 s: nothing of them is in the trace."""
+    plan = plan_through([[0, 0], [0.1, 0], [0, 0]], XY, move_s=0.8)
+    criteria = [
+        Criterion(name=n, limit=5e-4, required=n == "contour_error")
+        for n in FOLLOWING
+        if n != "repeatability"
+    ]
+    verdict = judge([_coarse(200)], plan, spec_of(*criteria, lag_s=0.1))
+
+    assert {r.status for r in verdict.results} == {Status.NOT_MEASURED}
+    assert all("a sample every 200 ms" in r.note for r in verdict.results)
+    assert all("record every 100 ms at least" in r.note for r in verdict.results)
+    assert closing(verdict) == "NOT PROVEN: contour error was not measured"
+
+    # The same motion, seen finely enough, is off by what it is.
+    fine = judge([_coarse(20)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")
+    assert fine.measured == pytest.approx(5e-3, abs=1e-9)
+    # Every 100 ms is as coarse as the lag allows.
+    limit = judge([_coarse(100)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")
+    assert limit.status is not Status.NOT_MEASURED
+    many = spec_of(Criterion(name="repeatability", options={"recordings": 2.0}))
+    spread = judge([_coarse(200), _coarse(200)], plan, many).result("repeatability")
+    assert "a sample every 200 ms" in spread.note
+
+
+def test_the_lag_is_not_rounded_up_to_a_sample() -> None:
+    """A sample every 60 ms of a load that is 100 ms late at 1 m/s, with 70 ms of lag.
+
+    At 0.66 s the load is at 0.56 m, 40 mm short of the corner that the command left at 0.6 s: the
+    sample before is within the lag and past the corner, the one before that is not within it.
+    """
+    plan = plan_through([[0, 0], [0.6, 0], [0.6, 0.6]], XY, move_s=0.6)
+    late = np.clip(0.06 * np.arange(27) - 0.1, 0.0, 1.2)
+    load = np.column_stack([np.minimum(late, 0.6), np.maximum(late - 0.6, 0.0)])
+    clock = Clock("logger", Fraction(60, 1000))
+    made = record(XY, {ChannelKind.LOAD: load}, None, clock=clock)
+    spec = spec_of(Criterion(name="contour_error"), lag_s=0.07)
+    result = judge([made], plan, spec).result("contour_error")
+
+    assert result.measured == pytest.approx(0.04, abs=1e-9)
+    assert result.time_s == pytest.approx(0.66)

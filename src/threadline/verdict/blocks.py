@@ -78,7 +78,7 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
         axes=axes,
         radius_m=plan.programmed.radius_m,
         interval_s=interval_s,
-        lag_samples=int(np.ceil(lag_s / interval_s - 1e-9)),
+        lag_samples=int(np.floor(lag_s / interval_s + 1e-9)),
     )
 
 

@@ -11,8 +11,13 @@ import numpy as np
 from threadline.errors import RecordingError, SpecError
 from threadline.path.types import ProgrammedPath
 from threadline.plan import Plan, SwitchPlan
-from threadline.signals import ChannelKind, Recording
-from threadline.verdict.blocks import find_first, judged_blocks, setting_of
+from threadline.signals import ChannelKind, Recording, TickTable
+from threadline.verdict.blocks import (
+    find_first,
+    judged_blocks,
+    sample_interval_s,
+    setting_of,
+)
 from threadline.verdict.by_time import OPERATION_BY_TIME, with_operation
 from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
@@ -27,6 +32,7 @@ from threadline.wording import nearest
 
 _KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
 _EXCUSED = ("acceleration", "jerk")
+_ROUNDING = 1e-9
 _Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
 
 
@@ -73,7 +79,9 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
     for key in keys:
         kind = MEASURES[key[0]]
         if kind.of_many is not None:
-            missing = _missing(kind, recordings[0], plan.programmed.axes)
+            missing = next(
+                filter(None, (_unmeasurable(kind, r, plan, spec.lag_s) for r in recordings)), ""
+            )
             findings[key] = (
                 [Finding(value=None, note=missing)]
                 if missing
@@ -136,7 +144,6 @@ def _measure(
     recording: Recording, plan: Plan, spec: Spec, keys: Mapping[_Key, Criterion]
 ) -> dict[_Key, list[Finding]]:
     """Run every measure of one recording over its blocks, all in the same pass."""
-    axes = plan.programmed.axes
     setting = setting_of(plan, recording, spec.lag_s)
     found: dict[_Key, list[Finding]] = {}
     running: dict[_Key, Measure] = {}
@@ -144,17 +151,50 @@ def _measure(
         kind = MEASURES[key[0]]
         if kind.start is None:
             continue
-        missing = _missing(kind, recording, axes)
+        missing = _unmeasurable(kind, recording, plan, spec.lag_s)
         if missing:
             found[key] = [Finding(value=None, note=missing)]
         else:
             running[key] = kind.start(setting, kind.with_defaults(dict(key[1])))
     if running:
         path = PathWindow(plan.programmed)
-        for block in judged_blocks(recording, axes, setting.lag_samples, path):
+        for block in judged_blocks(recording, setting.axes, setting.lag_samples, path):
             for measure in running.values():
                 measure.feed(block)
     return found | {key: list(measure.finish()) for key, measure in running.items()}
+
+
+def _unmeasurable(kind: MeasureKind, recording: Recording, plan: Plan, lag_s: float) -> str:
+    """Say why the recording cannot tell what the measure asks for; empty where it can."""
+    axes = plan.programmed.axes
+    return _missing(kind, recording, axes) or (
+        _too_coarse(kind, recording, plan, lag_s) if kind.follows else ""
+    )
+
+
+def _too_coarse(kind: MeasureKind, recording: Recording, plan: Plan, lag_s: float) -> str:
+    """Say which channel is sampled more coarsely than the lag; empty where none is.
+
+    An error may come and go between two samples, and the lag that is free would be a whole
+    sample. A sample at each tick of the commands is as fine as any: a lag may be shorter.
+    """
+    commands = plan.commands
+    tick_s = float(commands.clock.period_s) if isinstance(commands, TickTable) else 0.0
+    channels = [
+        channel
+        for alternatives in kind.needs
+        for axis in ("", *plan.programmed.axes)
+        if (channel := find_first(recording, alternatives, axis)) is not None
+    ]
+    coarsest = max(channels, key=sample_interval_s)
+    interval_s, finest_s = sample_interval_s(coarsest), max(lag_s, tick_s)
+    if interval_s <= finest_s * (1.0 + _ROUNDING):
+        return ""
+    return (
+        f"{coarsest.name} has a sample every {1e3 * interval_s:.4g} ms, the lag of the "
+        f"specification is {1e3 * lag_s:.4g} ms: what happens in between is not seen; record "
+        f"every {1e3 * finest_s:.4g} ms at least"
+    )
 
 
 def _missing(kind: MeasureKind, recording: Recording, axes: Sequence[str]) -> str:

@@ -157,6 +157,8 @@ class MeasureKind:
         Measures a run of an on/off machine; None where there is nothing to measure on one.
     options
         What a specification may set.
+    follows
+        It follows the motion in time: samples farther apart than the lag tell nothing.
     slack, allowance
         The limit is exceeded above ``slack * limit + allowance``.
     """
@@ -171,6 +173,7 @@ class MeasureKind:
     ) = None
     of_switching: Callable[[SwitchRun, Mapping[str, float]], Sequence[Finding]] | None = None
     options: Mapping[str, Option] = field(default_factory=dict)
+    follows: bool = False
     slack: float = 1.0
     allowance: float = 0.0
 
