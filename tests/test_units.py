@@ -109,6 +109,12 @@ def test_a_number_in_its_own_unit_is_unchanged(value: float, unit: str) -> None:
         ("1 mm\n2", "m", "not a number|unknown unit"),
         ("1 (((", "m", "unknown unit"),
         ("1 m**1e9", "m", "unknown unit|not a unit|not a number"),
+        ("36 mm/s,", "m/s", "unknown unit 'mm/s,'"),
+        ("36 mm;", "m", "unknown unit 'mm;'"),
+        ("36,", "m", "unknown unit ','"),
+        ("\uff13\uff16 mm", "m", "is not a number with a unit"),  # full-width 36
+        ("36 \uff4d\uff4d", "m", "unknown unit"),
+        ("36 mm\uff0fs", "m/s", "unknown unit"),
     ],
 )
 def test_bad_quantities_say_what_and_how(text: str, target: str, message: str) -> None:

@@ -58,7 +58,8 @@ percent = 0.01
 """
 
 _QUANTITY = re.compile(
-    r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s+\-].*?)?\s*"
+    r"\s*(?P<number>[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+    r"\s*(?P<unit>[^\d\s+\-].*?)?\s*"
 )
 _EXACT_TIME_S = {
     "ns": Fraction(1, 10**9),
@@ -74,6 +75,8 @@ _MAX_TEXT = 120
 # The only numbers in a unit are exponents of one digit and the 1 of "1/s": anything else might be
 # a tower like 9**9**9, which pint works out to the last of its millions of digits.
 _UNIT_NUMBERS = re.compile(r"(?:\*\*|\^)\s*[-+]?\d(?!\s*(?:[\d.^]|\*\*))|^\s*1\s*/")
+# pint leaves out what it cannot read: "mm/s," would be mm/s.
+_UNIT_TEXT = re.compile(r"[A-Za-z0-9µμ·²³%*/^()\s.+-]*")
 _NUMBER_LEFT = re.compile(r"[\d^]|\*\*")
 _DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*(?![\d,.])")
 _RUN_TOGETHER = re.compile(r"[A-Za-z0-9 ·/]{2,16}")
@@ -175,6 +178,8 @@ def unit_factor(unit: str, target: str) -> float:
     registry = _registry()
     try:
         normal = _normalise(unit)
+        if _UNIT_TEXT.fullmatch(unit) is None:
+            raise ValueError("a character that no unit has")
         if _NUMBER_LEFT.search(_UNIT_NUMBERS.sub(" ", normal)):
             raise ValueError("a number that is no exponent of one digit")
         source = registry.parse_units(normal)
