@@ -282,6 +282,12 @@ BAD_TRACES = {
     ),
     "negative start": ("time [s],X [mm]\n-2,1\n-1,1\n0,1\n", "begins at -2 s"),
     "unit of operation": ("time [s],operation [mm]\n0,1\n1,1\n", "'operation' has no unit"),
+    "half an operation": (
+        "time [s],X [mm],operation\n0,1,0\n1,1,0.5\n",
+        r"t\.csv:3: the operation 0\.5 is no whole number.*leave the column out",
+    ),
+    "operation below none": ("time [s],operation,X [mm]\n0,-1,1\n1,-2,1\n", r"csv:3: .*-2 is no"),
+    "endless operation": ("time [s],operation,X [mm]\n0,1e300,1\n1,1,1\n", r"csv:2: .*1e\+300"),
     "brackets": ("time [s],X [[mm]\n0,1\n1,1\n", "is not the name of a column"),
 }
 
@@ -293,6 +299,24 @@ def test_bad_traces_are_refused_in_one_line(tmp_path, name) -> None:
     with pytest.raises(RecordingError, match=message) as caught:
         read_recording(tmp_path / "t.csv")
     assert "\n" not in str(caught.value)
+
+
+def test_an_archive_with_half_an_operation_is_refused(tmp_path) -> None:
+    """What no table says, no archive may say: of the same kind of channel by another name too."""
+    channel = Channel(
+        name="op", kind=ChannelKind.OPERATION, unit="", clock=Clock("c", Fraction(1, 200))
+    )
+    block = RecordingBlock(first_tick={"c": 0}, samples={"op": np.array([-1.0, 0.0, 1.5])})
+    made = Recording(
+        channels=(channel,),
+        blocks=Stream.of([block]),
+        job_sha256="",
+        machine_sha256="",
+        simulated=False,
+    )
+    write_recording(made, tmp_path / "r.npz")
+    with pytest.raises(RecordingError, match=r"r\.npz: the operation 1\.5 is no whole number"):
+        list(read_recording(tmp_path / "r.npz"))
 
 
 BAD_PLT = {

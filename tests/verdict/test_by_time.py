@@ -11,6 +11,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from threadline.errors import RecordingError
 from threadline.signals import ChannelKind, Clock
 from threadline.verdict import Criterion, Status, closing, judge
 from threadline.verdict.registry import MEASURES
@@ -163,3 +164,29 @@ def test_the_lag_is_not_rounded_up_to_a_sample() -> None:
 
     assert result.measured == pytest.approx(0.04, abs=1e-9)
     assert result.time_s == pytest.approx(0.66)
+
+
+def test_a_column_without_operations_is_as_good_as_none() -> None:
+    """-1 throughout: the same verdict, word by word, as without the column."""
+    actual, _ = off_the_path()
+    plan = plan_through(POINTS, XY)
+    load = {ChannelKind.LOAD: actual}
+    nothing = replace(record(XY, load, np.full(len(actual), -1.0)), simulated=False)
+    missing = replace(record(XY, load, None), simulated=False)
+    assert judge([nothing], plan, SPEC) == judge([missing], plan, SPEC)
+
+
+@pytest.mark.parametrize(("last", "refused"), [(4.0, False), (5.0, True), (1e9, True)])
+def test_operations_that_the_job_does_not_have_are_refused(last: float, refused: bool) -> None:
+    """The job has five moves, 0 to 4."""
+    commanded, operation = follow(POINTS, 20)
+    operation[-3:] = last
+    plan = plan_through(POINTS, XY)
+    made = replace(record(XY, {ChannelKind.LOAD: commanded}, operation), simulated=False)
+    if refused:
+        when = (len(commanded) - 3) * float(SERVO.period_s)
+        said = rf"the operation at {when:g} s is .*by hand has 5, from 0 to 4"
+        with pytest.raises(RecordingError, match=said):
+            judge([made], plan, SPEC)
+    else:
+        assert judge([made], plan, SPEC).result("contour_error").measured < 1e-12

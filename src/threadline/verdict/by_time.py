@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from threadline.arrays import IntArray
+from threadline.errors import RecordingError
+from threadline.jobs.operations import MoveRun
 from threadline.plan import Plan
 from threadline.signals import (
     Channel,
@@ -23,6 +25,53 @@ OPERATION_BY_TIME = "operations from the plan by time"
 """Note of a result that relies on it."""
 
 _ROUNDING = 1e-9  # of a tick: an instant that is a tick but for a rounding is that tick
+
+
+def checked_operations(recording: Recording, plan: Plan) -> Recording:
+    """Return ``recording`` without operations that say nothing, and refusing those of no job.
+
+    A column of -1 throughout says that none was recorded. What the twin has simulated is taken as
+    it is.
+
+    Raises
+    ------
+    RecordingError
+        While it is read: if an operation is not one of the job's.
+    """
+    channel = recording.find(ChannelKind.OPERATION)
+    if channel is None or recording.simulated:
+        return recording
+    name = channel.name
+    if all((block.samples[name] < 0).all() for block in recording):
+        kept = tuple(c for c in recording.channels if c is not channel)
+        return replace(recording, channels=kept)
+
+    def blocks() -> Iterator[RecordingBlock]:
+        count = 0
+        for block in recording:
+            samples = block.samples[name]
+            if len(samples) and samples.max() >= count:
+                count = count or _count(plan)
+                at = int(np.argmax(samples >= count))
+                if samples[at] >= count:
+                    first = block.first_tick[channel.clock.name]
+                    time_s = channel.clock.times_s(first, len(samples), channel.stride)[at]
+                    raise RecordingError(
+                        f"the operation at {time_s:.6g} s is {samples[at]:.12g}, and "
+                        f"{plan.job.name} has {count}, from 0 to {count - 1}",
+                        remedy="Judge it against the job that was run, or leave the column out.",
+                    )
+            yield block
+
+    return replace(recording, blocks=Stream(blocks))
+
+
+def _count(plan: Plan) -> int:
+    """Return how many operations the job has."""
+    return sum(
+        times * (len(item) if isinstance(item, MoveRun) else 1)
+        for item, times, _ in plan.job.folded()
+    )
 
 
 def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Recording:

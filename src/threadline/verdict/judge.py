@@ -18,7 +18,7 @@ from threadline.verdict.blocks import (
     sample_interval_s,
     setting_of,
 )
-from threadline.verdict.by_time import OPERATION_BY_TIME, with_operation
+from threadline.verdict.by_time import OPERATION_BY_TIME, checked_operations, with_operation
 from threadline.verdict.demands import measure_demands
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.intended import as_intended
@@ -66,6 +66,7 @@ def judge(recordings: Sequence[Recording], plan: Plan | SwitchPlan, spec: Spec) 
         _check_units(recording, plan)
     if isinstance(plan, SwitchPlan):
         return judge_switching(recordings, plan, spec)
+    recordings = [checked_operations(recording, plan) for recording in recordings]
     by_time = any(recording.find(ChannelKind.OPERATION) is None for recording in recordings)
     recordings = [
         as_intended(with_operation(recording, plan, plan.programmed.axes), plan)

@@ -27,7 +27,13 @@ from threadline.signals.files.common import (
 )
 from threadline.signals.files.events import events_cell, parse_events_cell
 from threadline.signals.files.grid import check_on_grid, find_grid
-from threadline.signals.files.recording_meta import TITLE, recording_from, recording_meta
+from threadline.signals.files.recording_meta import (
+    OPERATION_REMEDY,
+    TITLE,
+    operation_fault,
+    recording_from,
+    recording_meta,
+)
 from threadline.signals.files.table import READ_ROWS
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.signals.stream import Stream
@@ -274,6 +280,7 @@ def _blocks(path: Path, head: int, layout: _Layout) -> Iterator[RecordingBlock]:
     values: list[list[float]] = []
     events: list[Event] = []
     first = layout.first
+    operations = [k + 1 for k, c in enumerate(layout.channels) if c.kind is ChannelKind.OPERATION]
 
     def block(tick: int) -> RecordingBlock:
         columns: Any = np.array(values).T[1:]
@@ -290,6 +297,9 @@ def _blocks(path: Path, head: int, layout: _Layout) -> Iterator[RecordingBlock]:
                 first += stride * len(values)
                 values, events = [], []
             check_on_grid(row[0], first + stride * len(values), clock.period_s, stride, place)
+            for value in (row[k] for k in operations):
+                if (fault := operation_fault(np.array([value]))) is not None:
+                    raise RecordingError(fault[1], place=place, remedy=OPERATION_REMEDY)
             values.append(row)
             events += here
         if values:

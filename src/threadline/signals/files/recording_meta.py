@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from threadline import __version__
+from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError
 from threadline.signals.clock import Clock
 from threadline.signals.files.common import (
@@ -24,6 +26,11 @@ from threadline.signals.recording import Channel, ChannelKind, Recording, Record
 from threadline.signals.stream import Stream
 
 TITLE = "recording 1"
+OPERATION_REMEDY = (
+    "Write the number of the operation that is under way, or leave the column out: "
+    "see docs/files.md."
+)
+_MOST_OPERATIONS = float(2**53)
 _STRICT = ConfigDict(extra="forbid")
 
 
@@ -91,6 +98,18 @@ def recording_meta(recording: Recording) -> dict[str, Any]:
         "machine_sha256": recording.machine_sha256,
         "origin": dict(recording.origin),
     }
+
+
+def operation_fault(samples: FloatArray) -> tuple[int, str] | None:
+    """Return the first of (n,) samples that is no operation and what is wrong, None if all are.
+
+    Operations are counted from 0; -1 is none.
+    """
+    whole = (samples == np.rint(samples)) & (samples >= -1.0) & (samples <= _MOST_OPERATIONS)
+    at = int(np.argmin(whole)) if len(whole) else 0
+    if not len(whole) or whole[at]:
+        return None
+    return at, f"the operation {samples[at]:.12g} is no whole number from 0 on, nor -1 for none"
 
 
 def recording_from(meta: Any, blocks: Stream[RecordingBlock], path: Path) -> Recording:

@@ -13,8 +13,14 @@ from threadline.errors import Place, RecordingError
 from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
 from threadline.signals.files.common import Written, atomic_file, clear_errors, written
 from threadline.signals.files.events import EventColumns, EventSpool
-from threadline.signals.files.recording_meta import TITLE, recording_from, recording_meta
-from threadline.signals.recording import Channel, Recording, RecordingBlock
+from threadline.signals.files.recording_meta import (
+    OPERATION_REMEDY,
+    TITLE,
+    operation_fault,
+    recording_from,
+    recording_meta,
+)
+from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.signals.stream import Stream
 
 MAX_BLOCK_SAMPLES = 1 << 26
@@ -119,7 +125,7 @@ def _blocks(
                 left -= lengths
                 yield RecordingBlock(
                     first_tick=dict(zip(clocks, first.tolist(), strict=True)),
-                    samples=_samples(channels, columns, lengths),
+                    samples=_samples(channels, columns, lengths, path),
                     events=tuple(events.take(int(lengths[-1]))),
                 )
         if left.any():
@@ -131,12 +137,18 @@ def _blocks(
 
 
 def _samples(
-    channels: tuple[Channel, ...], columns: list[ColumnReader], lengths: Any
+    channels: tuple[Channel, ...], columns: list[ColumnReader], lengths: Any, path: Path
 ) -> dict[str, Any]:
-    return {
+    samples = {
         channel.name: column.take(int(length))
         for channel, column, length in zip(channels, columns, lengths[:-1], strict=True)
     }
+    for channel in channels:
+        if channel.kind is ChannelKind.OPERATION:
+            fault = operation_fault(samples[channel.name])
+            if fault is not None:
+                raise RecordingError(fault[1], place=Place(str(path)), remedy=OPERATION_REMEDY)
+    return samples
 
 
 def _check_block(lengths: Any, left: Any, path: Path) -> None:
