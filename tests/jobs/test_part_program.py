@@ -148,6 +148,32 @@ def test_numbers_in_a_comment_are_tags(tmp_path: Path) -> None:
     assert [dict(m.tags) for m in moves(job)] == [{"tension_N": 25.0, "width": 4.0}, {}]
 
 
+@pytest.mark.parametrize(
+    ("comment", "message"),
+    [
+        ("tension_N=abc", "'tension_N=abc' has no number"),
+        ("tension_N=nan", "'tension_N=nan' has no number"),
+        ("tension_N=inf width=4", "'tension_N=inf' has no number"),
+        ("width=4, tension_N=1e3", "'tension_N=1e3' has no number"),
+        ("tension_N= width=4", "'tension_N=' has no number"),
+        ("tension_N=" + "9" * 400, "has no number"),
+        ("tension_N=5 width=4 tension_N=6", "the tag tension_N stands twice in the block"),
+    ],
+)
+def test_a_tag_without_a_number_or_given_twice_is_refused(
+    tmp_path: Path, comment: str, message: str
+) -> None:
+    with pytest.raises(JobError, match=rf"a\.nc:2: .*{message}"):
+        read(tmp_path, "G91 G1 F60 X1", f"X1 ; {comment}", "M30")
+
+
+def test_comments_for_people_are_no_tags(tmp_path: Path) -> None:
+    """Words beside it, no block beside it, or parentheses: it is not meant for the reader."""
+    comments = ["X1 ; R=5 is the radius", "X1 ; a == b", "; tool=ball", "X1 (speed=fast)", "X1 ; ="]
+    job = read(tmp_path, "G91 G1 F60", *comments, "M30")
+    assert [dict(m.tags) for m in moves(job)] == [{}] * 4
+
+
 # --- the compiled reader does what the interpreter does -----------------------------------------
 
 WORDS = st.sampled_from(

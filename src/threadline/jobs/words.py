@@ -6,6 +6,7 @@ do not depend on their order, and 780 times 0.1 is 78.
 
 from __future__ import annotations
 
+import math
 import re
 from typing import NamedTuple, NoReturn
 
@@ -22,7 +23,7 @@ _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
 _BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*+[ \t]*+")
 _PARENTHESES = re.compile(r"\([^()]*\)")
 _TAG = re.compile(rf"([A-Za-z_][A-Za-z0-9_-]*)=({_NUMBER})")
-_TAGS = re.compile(rf"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*={_NUMBER}[\s,]*+)++")
+_NAMED = re.compile(r"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*+=[^\s,=]*+(?:[\s,]++|$))++")
 _POWERS: tuple[int, ...] = tuple(int(10**k) for k in range(DECIMALS + 1))
 
 
@@ -45,7 +46,7 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
     if ";" in text or "(" in text or ")" in text:
         text, comment = _without_comments(text, file, line)
         if "=" in comment:
-            tags = _tags_of(comment)
+            tags = _tags_of(comment, file, line) if text.strip() else ()
     if _BLOCK.fullmatch(text) is None:
         _diagnose(text, file, line)
     return RawBlock([(letter.upper(), number) for letter, number in _WORD.findall(text)], tags)
@@ -115,11 +116,30 @@ def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
     return text, "", ""
 
 
-def _tags_of(comment: str) -> tuple[tuple[str, float], ...]:
-    """Return the numbers that a comment like ``tension=6.5 width=4`` names."""
-    if _TAGS.fullmatch(comment) is None:
+def _tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]:
+    """Return the numbers that a comment like ``tension=6.5 width=4`` names.
+
+    A comment that holds anything else is for people.
+    """
+    if _NAMED.fullmatch(comment) is None:
         return ()
-    return tuple((name, float(number)) for name, number in _TAG.findall(comment))
+    tags: dict[str, float] = {}
+    for part in re.split(r"[\s,]+", comment.strip(" \t,")):
+        match = _TAG.fullmatch(part)
+        if match is None or not math.isfinite(float(match[2])):
+            raise JobError(
+                f"the tag {_shown(part)} has no number",
+                place=Place(file, line),
+                remedy="Write it like tension_N=25, or put a comment that is no tag in ( ).",
+            )
+        if match[1] in tags:
+            raise JobError(
+                f"the tag {match[1]} stands twice in the block",
+                place=Place(file, line),
+                remedy="Keep one of them.",
+            )
+        tags[match[1]] = float(match[2])
+    return tuple(tags.items())
 
 
 def _shown(text: str) -> str:
