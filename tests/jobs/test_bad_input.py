@@ -50,6 +50,20 @@ FILES = [
     ("G91 G1 F5 X1\nM30\nX5\n", "a.nc:3: a block after the end of a program is never run"),
 ]
 
+
+@pytest.mark.parametrize("separator", ["\x85", "\u2028", "\u2029", "\r"])
+@pytest.mark.parametrize("block", ["X1 ; note{}X2", "; note{}X2", "X1 (note{}X2)", "(note){}X2"])
+@pytest.mark.parametrize("before", [0, 3000])  # plain blocks, which the compiled reader takes
+def test_no_block_is_hidden_behind_a_line_separator(
+    tmp_path: Path, separator: str, block: str, before: int
+) -> None:
+    """An editor shows X2 on a line of its own: it is a block there, or the file is refused."""
+    lines = ["X1"] * before + [block.format(separator), "X3"]
+    said = refused(write(tmp_path, program(*lines)))
+    assert f"a.nc:{before + 2}: the line holds the " in said
+    assert "line feed" in said
+
+
 BLOCKS = [
     ("X1 (open", "a comment in parentheses is opened and not closed"),
     ("X1 close)", "a comment in parentheses is closed and not opened"),

@@ -19,6 +19,7 @@ MAX_LINE_BYTES = 4096
 CHUNK_BYTES = 1 << 18
 _DOS_END = b"\x1a"  # editors of the 1990s closed a text file with it
 _UTF8_MARK = b"\xef\xbb\xbf"
+_SEPARATOR = re.compile("[\x85\u2028\u2029]")  # editors show a new line there
 _CONTROL = re.compile(rb"[\x00-\x08\x0a-\x1f\x7f]")
 
 
@@ -220,7 +221,7 @@ def decode_line(raw: bytes, file: str, number: int) -> str:
     Raises
     ------
     JobError
-        If it is too long, holds a control character, or is not UTF-8.
+        If it is too long, holds a control character or a line separator, or is not UTF-8.
     """
     if raw.endswith(b"\r"):
         raw = raw[:-1]
@@ -233,17 +234,30 @@ def decode_line(raw: bytes, file: str, number: int) -> str:
     control = _CONTROL.search(raw)
     if control is not None:
         byte = control[0][0]
-        kind = "is the file binary or UTF-16?" if byte == 0 else "only tabs are allowed."
+        kind = {
+            0x00: "is the file binary or UTF-16?",
+            0x0D: "lines end with a line feed, with or without a carriage return before it.",
+        }.get(byte, "only tabs are allowed.")
         raise JobError(
             f"the line holds the control character 0x{byte:02X} in column {control.start() + 1}",
             place=Place(file, number),
             remedy=f"Save the program as UTF-8 text; {kind}",
         )
     try:
-        return raw.decode("utf-8")
+        text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise JobError(
             f"byte 0x{raw[error.start]:02X} in column {error.start + 1} is not UTF-8",
             place=Place(file, number),
             remedy="Save the program as UTF-8.",
         ) from error
+    separator = _SEPARATOR.search(text)
+    if separator is not None:
+        # In a comment it would hide the block that an editor shows on the next line.
+        raise JobError(
+            f"the line holds the line separator U+{ord(separator[0]):04X} in column "
+            f"{separator.start() + 1}",
+            place=Place(file, number),
+            remedy="Write each block on a line of its own, ended by a line feed.",
+        )
+    return text
