@@ -199,6 +199,33 @@ def test_hidden_layers_are_left_out_with_a_word(tmp_path: Path) -> None:
     assert "'FROZEN' is hidden" in drawing.warnings[1]
 
 
+def test_invisible_entities_are_left_out_with_a_word(tmp_path: Path) -> None:
+    """Group code 60: a line, all that an invisible insert holds, and invisible attributes."""
+    path, document = make_dxf(tmp_path)
+    block = document.blocks.new("B")
+    block.add_line((0, 0), (5, 0))
+    block.add_line((0, 0), (6, 0), dxfattribs={"invisible": 1})
+    space = document.modelspace()
+    for index in range(3):
+        space.add_line((index, 0), (index, 1), dxfattribs={"layer": "SEAM", "invisible": index % 2})
+    space.add_line((8, 0), (8, 1), dxfattribs={"layer": "SEAM", "invisible": 1})
+    space.add_text("no", dxfattribs={"invisible": 1})
+    space.add_blockref("B", (10, 0), dxfattribs={"invisible": 1})
+    shown = space.add_blockref("B", (10, 0))
+    shown.add_attrib("SIZE", "7").is_invisible = True
+    shown.add_attrib("MADE", "7", dxfattribs={"invisible": 1})
+    document.saveas(path)
+    assert path.read_text().count("\n 60\n1\n") == 6
+    drawing = dxf(path)
+
+    ends = [s.pieces.evaluate(np.array([0]), np.array([1.0]))[0][0] for s in drawing.strokes]
+    assert np.round(1e3 * np.array(ends), 6).tolist() == [[0.0, 1.0], [2.0, 1.0], [15.0, 0.0]]
+    assert drawing.refusals == ()
+    assert len(drawing.warnings) == 2
+    assert "a LINE on layer 'SEAM' is invisible" in drawing.warnings[0]
+    assert "a TEXT on layer '0' is invisible" in drawing.warnings[1]
+
+
 def test_rational_spline_is_a_circle(tmp_path: Path) -> None:
     path, document = make_dxf(tmp_path)
     w = np.sqrt(0.5)

@@ -172,6 +172,7 @@ class _Walk:
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     hidden: set[str] = field(default_factory=set)
+    invisible: set[str] = field(default_factory=set)  # layers of which that was said
     visited: int = 0
 
     def entities(self, entities: Iterable[Any], inherited: _Inherited, depth: int) -> None:
@@ -187,7 +188,7 @@ class _Walk:
                 continue
             layer = str(entity.dxf.layer)
             layer = inherited.layer if layer == "0" else layer
-            if self._is_hidden(layer):
+            if self._is_hidden(layer) or self._is_invisible(entity, layer):
                 continue
             here = replace(inherited, layer=layer, colour=self._colour(entity, layer, inherited))
             if kind == "INSERT":
@@ -239,7 +240,9 @@ class _Walk:
                 place=place,
             )
         for attribute in insert.attribs:
-            self._refuse_text(attribute, here)
+            # An attribute has two marks: that of every entity, and a flag of its own.
+            if not (attribute.is_invisible or self._is_invisible(attribute, here.layer)):
+                self._refuse_text(attribute, here)
         for single in self._copies(insert, place):
             map3d = np.array(list(single.matrix44())).reshape(4, 4)
             if np.abs(map3d[:2, 2]).max() > 1e-9 * np.abs(map3d[:2, :2]).max():
@@ -290,6 +293,18 @@ class _Walk:
             self.hidden.add(name)
             self.warnings.append(f"{self.file}: layer {name!r} is hidden and was left out")
         return hidden
+
+    def _is_invisible(self, entity: Any, layer: str) -> bool:
+        """Say whether group code 60 hides an entity, and with an insert all that is in it."""
+        if not int(entity.dxf.get("invisible", 0)):
+            return False
+        if layer not in self.invisible:
+            self.invisible.add(layer)
+            self.warnings.append(
+                f"{Place(self.file, self._line(entity))}: a {entity.dxftype()} on layer {layer!r} "
+                "is invisible; such entities were left out"
+            )
+        return True
 
     def _line(self, entity: Any) -> int:
         return self.lines.get(str(entity.dxf.handle), 0)
