@@ -87,6 +87,10 @@ _KNOWN = (
 _PIECES = tuple(_KNOWN.split())
 _MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
+LEAST_MEANT = 1e-9
+"""A figure in SI below it means nothing: 1 nm is a thousandth of the finest count, 1 ns less than a
+tick of the fastest timer, 1 nA and 1e-9 of a whole are far below what a converter tells apart; what
+doubles of the size of a machine leave is below 1e-12."""
 
 
 @cache
@@ -241,6 +245,20 @@ def parse_quantity(text: str, target: str) -> float:
     if not math.isfinite(scaled):
         raise UnitError(f"{text!r} is too large")
     return scaled
+
+
+def without_noise(value: float, limit: float | None = None) -> float:
+    """Return ``value`` as people are to read it: 0 where it is rounding.
+
+    That is below ``LEAST_MEANT``, or below the same share of a larger ``limit``: the third
+    derivative of a motion, which is in the thousands, is rounded more coarsely.
+
+    >>> without_noise(4.3e-19), without_noise(2e-8), without_noise(-1e-7, 500.0)
+    (0.0, 2e-08, 0.0)
+    """
+    largest = max(1.0, abs(limit or 0.0))
+    scale = largest if math.isfinite(largest) else 1.0
+    return 0.0 if abs(value) < LEAST_MEANT * scale else value
 
 
 def same_dimension(unit: str, target: str) -> bool:

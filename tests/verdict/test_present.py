@@ -20,8 +20,10 @@ from threadline.verdict import (
     Result,
     Status,
     Verdict,
+    criteria_json,
     judge,
     load_spec,
+    step_rows,
     verdict_json,
     verdict_rows,
 )
@@ -97,6 +99,24 @@ def test_people_read_the_room_left_and_degrees() -> None:
     _, rows = verdict_rows(Verdict(results=(outside, fast), simulated=True))
     assert (rows[0][2], rows[0][-1]) == ("2 mm", "beyond")
     assert rows[1][2] == "180 deg/s^2"
+
+
+def test_rounding_is_shown_as_nothing_and_kept_in_json() -> None:
+    """Below 1 nm, 1 ns, 1e-9 of a whole or of a limit nothing is meant; a failure shows anyway."""
+    noise = Result(
+        name="contour_error", axis="", measured=4.3e-19, limit=5e-4, unit="m", status=Status.PASSED
+    )
+    shares = replace(noise, name="stitch_length_error", measured=3.55e-15, unit="")
+    times = replace(noise, name="switching_error", measured=-2.1e-16, unit="s", limit=None)
+    jerk = replace(noise, name="jerk", measured=4e-7, unit="m/s^3", limit=500.0)
+    small = replace(noise, name="path_deviation", measured=2e-9)
+    beyond = replace(noise, name="travel", measured=3e-12, limit=0.0, status=Status.FAILED)
+    room = replace(noise, name="room", measured=1e-12, step="home", axis="X")
+    shown = Verdict(results=(noise, shares, times, jerk, small, beyond, room), simulated=True)
+    measured = [row[2] for row in verdict_rows(shown)[1]]
+    assert measured == ["0 mm", "0 %", "0 ms", "0 m/s^3", "2e-06 mm", "3e-09 mm", "0 mm"]
+    assert step_rows(shown)[1] == [["home", "0 mm"]]
+    assert criteria_json(shown)[0]["measured"] == 4.3e-19
 
 
 def test_the_line_of_a_subroutine_says_the_pass(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ from threadline.shaping import (
     vibration_of,
 )
 from threadline.shaping.onoff.study import MoveStudy, study_move
+from threadline.units import without_noise
 
 _STILL = 0.01  # of one full step: 1 %
 _SI_BAND = 0.2  # of the frequency to either side: what a machine's stiffness is usually known to
@@ -209,7 +210,7 @@ def _tables(answer: _Answer) -> list[Table]:
         [
             f"{m.frequency_hz:g}",
             f"{m.damping_ratio:g}",
-            f"{vibration_of(train, m) * 100:.3g} %",
+            f"{without_noise(vibration_of(train, m)) * 100:.3g} %",
             f"{width.low_hz:.4g} to {width.high_hz:.4g}",
             f"{width.value:.4f}",
         ]
@@ -238,14 +239,17 @@ def _cost(answer: _Answer) -> list[list[str]]:
         ["every move takes longer by", f"{train.duration_s:.6f} s"],
         ["in periods of the slowest mode", f"{train.duration_s / period:.4f}"],
         ["mean delay (centroid)", f"{train.centroid_s:.6f} s"],
-        ["step leaves [0, 1] by", f"{train.over_level:.4g}"],
+        ["step leaves [0, 1] by", f"{without_noise(train.over_level):.4g}"],
     ]
     if answer.realised is not None:
         made = answer.realised
         rows += [
             ["on ticks", " ".join(map(str, made.ticks))],
             ["price of the controller in time", f"{made.time_price_s * 1e3:+.3f} ms"],
-            ["price of the controller in vibration", f"{made.vibration_price * 100:+.3g} %"],
+            [
+                "price of the controller in vibration",
+                f"{without_noise(made.vibration_price) * 100:+.3g} %",
+            ],
         ]
     return rows
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from threadline import __version__
 from threadline.plan import Plan, SwitchPlan
 from threadline.signals import TickTable
+from threadline.units import without_noise
 from threadline.verdict.types import Result, Status, Verdict
 
 _SHOWN = {
@@ -147,11 +149,12 @@ def _row(result: Result) -> list[str]:
     measured, note = result.measured, result.note
     if result.name == "travel" and measured is not None and measured < 0.0:
         # For people a travel that is kept is exceeded by nothing.
-        measured, note = 0.0, f"{_shown(-measured, result.unit)} of room left"
+        room = _shown(without_noise(-measured), result.unit)
+        measured, note = 0.0, f"{room} of room left"
     return [
         result.name,
         result.axis,
-        "-" if measured is None else _shown(measured, result.unit),
+        "-" if measured is None else _figure(replace(result, measured=measured)),
         "-" if result.limit is None else _shown(result.limit, result.unit),
         result.status.value + (" (required)" if _lacking(result) else ""),
         "-" if result.time_s is None else f"{result.time_s:.3f} s",
@@ -185,13 +188,22 @@ def step_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
                 row.append("-" if result is None else "not measured")
                 continue
             failed = result.status is Status.FAILED
-            row.append(_shown(result.measured, result.unit) + (" (failed)" if failed else ""))
+            row.append(_figure(result) + (" (failed)" if failed else ""))
         rows.append(row)
     return header, rows
 
 
 def _lacking(result: Result) -> bool:
     return result.required and result.status is Status.NOT_MEASURED
+
+
+def _figure(result: Result) -> str:
+    """Return what was measured for people: 0 for rounding, unless it is what fails."""
+    assert result.measured is not None
+    value = result.measured
+    if result.status is not Status.FAILED:
+        value = without_noise(value, result.limit)
+    return _shown(value, result.unit)
 
 
 def _shown(value: float, unit: str) -> str:
