@@ -10,6 +10,7 @@ import pytest
 
 from threadline.cli.feed_forward import feed_forward_lines, feed_forward_warnings
 from threadline.cli.main import main
+from threadline.cli.prove import show_proof
 from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -18,6 +19,7 @@ from threadline.options import Options, options_from
 from threadline.path.on_time import rapid_time_s
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.rigid import current_needed
+from threadline.report import write_report
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
@@ -245,7 +247,7 @@ def run(capsys, *arguments):
 def test_prove_says_what_the_drives_must_give(capsys, seam):
     code, out, _ = run(capsys, "prove", str(seam), "-m", "stitcher", "--feed-forward", "--json")
     content = json.loads(out)
-    assert code == 0 and content["interpolation"] == "on-time"
+    assert code == 0 and content["interpolation"] == "auto"
     assert [d["axis"] for d in content["feed_forward"]] == ["X", "Y"]
     assert content["options"]["feed-forward"] == "0.04 s"
     names = [c["name"] for c in content["criteria"]]
@@ -253,6 +255,15 @@ def test_prove_says_what_the_drives_must_give(capsys, seam):
     smoothing = next(c for c in content["criteria"] if c["name"] == "shaping_deviation")
     # A quarter of the speed is left when the corner is cut: as in the test of the verdict.
     assert smoothing["measured"] == pytest.approx(0.13e-3, abs=30e-6)
+
+
+def test_titles_say_what_was_asked_for(capsys, proof, tmp_path):
+    show_proof(proof)
+    out = capsys.readouterr().out
+    assert "corner.seam.toml on stitcher, auto, feed-forward" in out
+    page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
+    assert "interpolation auto, feed-forward, feed programmed" in page
+    assert "on-time" not in out + page
 
 
 def test_mistakes_are_said(capsys, seam, tmp_path):

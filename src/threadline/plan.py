@@ -51,6 +51,16 @@ class Plan:
     feed_forward: tuple[Demand, ...] = ()
     options: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def interpolation(self) -> str:
+        """The interpolation that was asked for; feed-forward has ``auto`` keep programmed times."""
+        return self.options.get("interpolation", self.path.interpolation)
+
+    @property
+    def planned_with(self) -> str:
+        """Interpolation, and feed-forward where it was asked for, for people."""
+        return f"{self.interpolation}, feed-forward" if self.feed_forward else self.interpolation
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SwitchPlan:

@@ -154,7 +154,7 @@ def show_proof(proof: Proof) -> None:
     """Print the verdict of a proof for people."""
     plan = proof.plan
     header, rows = verdict_rows(proof.verdict)
-    print_table(f"{plan.job.name} on {plan.machine.name}, {plan.path.interpolation}", header, rows)
+    print_table(f"{plan.job.name} on {plan.machine.name}, {plan.planned_with}", header, rows)
     for line in [*feed_forward_lines(plan.feed_forward), *calculate(plan).lines()]:
         typer.echo(line)
     added = plan.path.summary.get("points_added")

@@ -33,7 +33,7 @@ def write_report(proof: Proof, folder: Path) -> Path:
         thinned = "" if traces.stride == 1 else f" One sample in {traces.stride} is drawn."
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
-            subtitle=f"{plan.machine.title}; interpolation {plan.path.interpolation}, "
+            subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
             f"feed {plan.options.get('feed', 'programmed')}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
             warnings=plan.job.warnings,

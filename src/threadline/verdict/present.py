@@ -34,7 +34,7 @@ def verdict_json(verdict: Verdict, plan: Plan | SwitchPlan) -> dict[str, Any]:
     if isinstance(plan, SwitchPlan):
         interpolation, duration_s = ON_OFF, plan.duration_s
     else:
-        interpolation, duration_s = plan.path.interpolation, plan.trajectory.duration_s
+        interpolation, duration_s = plan.interpolation, plan.trajectory.duration_s
     return {
         "job": plan.job.name,
         "machine": plan.machine.name,
