@@ -26,7 +26,7 @@ from threadline.search.fastest import Fastest
 from threadline.signals.files import read_recording
 from threadline.targets import feedforward as targets
 from threadline.trajectory import averaged
-from threadline.verdict import load_spec
+from threadline.verdict import load_spec, motion_lines, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
 
 SEAM = """
@@ -264,6 +264,22 @@ def test_titles_say_what_was_asked_for(capsys, proof, tmp_path):
     page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
     assert "interpolation auto, feed-forward, feed programmed" in page
     assert "on-time" not in out + page
+
+
+def test_the_motion_is_told_apart_from_the_table(proof, plan):
+    """The loads stand outside the span that is told, and have begun a quarter width inside it."""
+    content = verdict_json(proof.verdict, plan)
+    begin, end = content["motion"]["begin_s"], content["motion"]["end_s"]
+    assert content["motion"]["duration_s"] == end - begin
+    speed = np.abs(plan.trajectory(np.array([begin - 1e-6, end + 2e-3]), 1))
+    assert speed.max() == 0.0
+    speed = np.abs(plan.trajectory(np.array([begin, end]) + WIDTH_S * np.array([0.25, -0.25]), 1))
+    assert speed.max(axis=1).min() > 1e-4
+    # A seam of 32 stitches takes about half a second; the frame of the stitcher rings for longer.
+    assert 0.4 < end - begin < 0.8 < content["duration_s"] - end
+    (line,) = motion_lines(plan)
+    assert f"{end - begin:.4g} s, from {begin:.3f} s to {end:.3f} s" in line
+    assert f"table of {content['duration_s']:.4g} s" in line
 
 
 def test_mistakes_are_said(capsys, seam, tmp_path):

@@ -138,6 +138,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
             commands=ahead.commands,
             unshaped=ahead.timed,
             feed_forward=ahead.demands,
+            rests_s=ahead.rests_s,
             options=describe(job, machine, options),
         )
     if options.shaper is not None:

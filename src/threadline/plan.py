@@ -37,6 +37,9 @@ class Plan:
         What the motion asks of each axis where the commands come from the inverses of the axes,
         so that the loads follow the trajectory as it stands; empty where the commands are the
         trajectory itself.
+    rests_s
+        How long the loads rest in the table before their motion and after it, for the sake of
+        feed-forward.
     options
         How it was planned (interpolation, feed, tolerance), as text, for people and recordings.
     """
@@ -49,12 +52,19 @@ class Plan:
     commands: Commands
     unshaped: Trajectory | None = None
     feed_forward: tuple[Demand, ...] = ()
+    rests_s: tuple[float, float] = (0.0, 0.0)
     options: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def interpolation(self) -> str:
         """The interpolation that was asked for; feed-forward has ``auto`` keep programmed times."""
         return self.options.get("interpolation", self.path.interpolation)
+
+    @property
+    def motion_s(self) -> tuple[float, float]:
+        """When the motion begins and ends, on the clock of the table."""
+        before_s, after_s = self.rests_s
+        return before_s, self.trajectory.duration_s - after_s
 
     @property
     def planned_with(self) -> str:

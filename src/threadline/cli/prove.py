@@ -46,6 +46,7 @@ from threadline.targets import calculate
 from threadline.verdict import (
     closing,
     load_spec,
+    motion_lines,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -155,7 +156,12 @@ def show_proof(proof: Proof) -> None:
     plan = proof.plan
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.planned_with}", header, rows)
-    for line in [*feed_forward_lines(plan.feed_forward), *calculate(plan).lines()]:
+    about = [
+        *feed_forward_lines(plan.feed_forward),
+        *motion_lines(plan),
+        *calculate(plan).lines(),
+    ]
+    for line in about:
         typer.echo(line)
     added = plan.path.summary.get("points_added")
     if added is not None:

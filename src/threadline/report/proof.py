@@ -11,7 +11,7 @@ from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.targets import calculate
-from threadline.verdict import closing, verdict_rows
+from threadline.verdict import closing, motion_lines, verdict_rows
 
 
 def write_report(proof: Proof, folder: Path) -> Path:
@@ -44,7 +44,7 @@ def write_report(proof: Proof, folder: Path) -> Path:
                     header=("", ""),
                     rows=[
                         [part.strip() for part in line.split(":", 1)]
-                        for line in calculate(plan).lines()
+                        for line in [*motion_lines(plan), *calculate(plan).lines()]
                     ],
                 ),
             ],

@@ -45,12 +45,16 @@ class FeedForwardPlan:
         What the controllers are told.
     demands
         Per axis, what the model needs.
+    rests_s
+        How long the loads rest before their motion, while the references begin, and after it,
+        while what swings in the inverses decays.
     """
 
     timed: Trajectory
     trajectory: Trajectory
     commands: TickTable
     demands: tuple[Demand, ...]
+    rests_s: tuple[float, float]
 
 
 def feed_forward_commands(
@@ -104,6 +108,7 @@ def feed_forward_commands(
         trajectory=trajectory,
         commands=compile_ticks(references, machine, job),
         demands=tuple(preview.demand for preview in reading.previews),
+        rests_s=(before_s, after_s),
     )
 
 

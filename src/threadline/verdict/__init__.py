@@ -5,6 +5,7 @@ from threadline.verdict.judge import judge
 from threadline.verdict.present import (
     closing,
     criteria_json,
+    motion_lines,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -25,6 +26,7 @@ __all__ = [
     "criteria_json",
     "judge",
     "load_spec",
+    "motion_lines",
     "sewn_stitches",
     "step_rows",
     "verdict_json",

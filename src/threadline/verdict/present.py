@@ -55,7 +55,9 @@ def verdict_json(verdict: Verdict, plan: Plan | SwitchPlan) -> dict[str, Any]:
 def _feed_forward_json(plan: Plan | SwitchPlan) -> dict[str, Any]:
     if isinstance(plan, SwitchPlan) or not plan.feed_forward:
         return {}
+    begin_s, end_s = plan.motion_s
     return {
+        "motion": {"begin_s": begin_s, "end_s": end_s, "duration_s": end_s - begin_s},
         "feed_forward": [
             {
                 "axis": demand.axis,
@@ -68,8 +70,20 @@ def _feed_forward_json(plan: Plan | SwitchPlan) -> dict[str, Any]:
                 "share": demand.share,
             }
             for demand in plan.feed_forward
-        ]
+        ],
     }
+
+
+def motion_lines(plan: Plan) -> list[str]:
+    """Return the line that says how long the motion is, where the table is longer."""
+    if not plan.feed_forward:
+        return []
+    begin_s, end_s = plan.motion_s
+    return [
+        f"Motion:               {end_s - begin_s:.4g} s, from {begin_s:.3f} s to {end_s:.3f} s of "
+        f"a table of {plan.trajectory.duration_s:.4g} s: feed-forward begins before it and goes "
+        "on until what it set swinging has decayed"
+    ]
 
 
 def criteria_json(verdict: Verdict) -> list[dict[str, Any]]:
