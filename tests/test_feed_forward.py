@@ -267,13 +267,13 @@ def test_titles_say_what_was_asked_for(capsys, proof, tmp_path):
 
 
 def test_the_motion_is_told_apart_from_the_table(proof, plan):
-    """The loads stand outside the span that is told, and have begun a quarter width inside it."""
+    """The loads stand outside the span that is told, and move half a width inside it."""
     content = verdict_json(proof.verdict, plan)
     begin, end = content["motion"]["begin_s"], content["motion"]["end_s"]
     assert content["motion"]["duration_s"] == end - begin
     speed = np.abs(plan.trajectory(np.array([begin - 1e-6, end + 2e-3]), 1))
     assert speed.max() == 0.0
-    speed = np.abs(plan.trajectory(np.array([begin, end]) + WIDTH_S * np.array([0.25, -0.25]), 1))
+    speed = np.abs(plan.trajectory(np.array([begin, end]) + WIDTH_S * np.array([0.5, -0.5]), 1))
     assert speed.max(axis=1).min() > 1e-4
     # A seam of 32 stitches takes about half a second; the frame of the stitcher rings for longer.
     assert 0.4 < end - begin < 0.8 < content["duration_s"] - end
