@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
+from threadline.cli.prove import show_switching
 from threadline.errors import OptionError, RecordingError, SpecError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -21,7 +22,7 @@ from threadline.pipeline import SwitchProof, plan_switching, prove_switching
 from threadline.plant.pneumatic import step_ringing
 from threadline.signals import Recording, RecordingBlock, Stream, SwitchSchedule
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
-from threadline.verdict import Status, judge, load_spec
+from threadline.verdict import Status, judge, load_spec, shaping_rows, verdict_json
 
 TRIMMED = "letter-placer+whole-scans+own-damping"
 
@@ -113,6 +114,33 @@ def test_residual_of_a_step_is_the_ringing_that_a_fit_finds(shaped: SwitchProof)
     assert result.measured is not None
     assert wanted > 5e-6
     assert result.measured == pytest.approx(wanted, rel=0.15, abs=2e-6)
+
+
+def test_a_bare_shaper_says_for_which_mode_it_was_made(
+    shaped: SwitchProof, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The machine's own pole under each cylinder; JSON has it in full."""
+    content = verdict_json(shaped.verdict, shaped.plan)["shaping"]
+    assert list(content) == ["X", "Z"]
+    show_switching(shaped)
+    printed = capsys.readouterr().out
+    for axis, told in content.items():
+        pole = step_ringing(shaped.plan.machine, axis).pole
+        ratio = -pole.real / abs(pole)
+        (mode,) = told["modes"]
+        assert told["shaper"] == "zv"
+        assert mode["frequency_hz"] == pytest.approx(abs(pole) / (2 * np.pi), rel=1e-12)
+        assert mode["damping_ratio"] == pytest.approx(ratio, rel=1e-12)
+        words = f"zv for {abs(pole) / (2 * np.pi):.4g} Hz, damping ratio {ratio:.4g}"
+        assert f"Cylinder {axis}:           shaped by {words}" in printed
+    machine = shaped.plan.machine
+    plan = plan_switching(shaped.plan.job, machine, Options(shaper="X=um-zv:3Hz:0.1, Z=none"))
+    assert shaping_rows(plan) == [
+        ["X", "shaped by um-zv for 3 Hz, damping ratio 0.1"], ["Z", "unshaped"]
+    ]  # fmt: skip
+    plain = plan_switching(shaped.plan.job, machine, Options())
+    assert shaping_rows(plain) == []
+    assert "shaping" not in verdict_json(shaped.verdict, plain)
 
 
 def test_steps_are_told_with_their_lines(shaped: SwitchProof, cycle: Path) -> None:

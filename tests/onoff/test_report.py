@@ -145,6 +145,8 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     page = write_switching(proof, tmp_path / "report").read_text(encoding="utf-8")
     assert "X is told 50.1 mm instead" in page
     assert "IN SPEC" in page
+    hertz, ratio = flow_mode(machine, "X")
+    assert page.count(f"shaped by zv for {hertz:.4g} Hz, damping ratio {ratio:.4g}") == 2
     for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
         assert words in page
     names = {f.name for f in (tmp_path / "report").iterdir()}

@@ -47,6 +47,7 @@ from threadline.verdict import (
     closing,
     load_spec,
     motion_lines,
+    shaping_rows,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -176,6 +177,8 @@ def show_switching(proof: SwitchProof) -> None:
     print_table(f"{plan.job.name} on {plan.machine.name}, switched", header, rows)
     header, rows = step_rows(proof.verdict)
     print_table(f"Step by step, shaper {plan.options.get('shaper', 'none')}", header, rows)
+    for axis, words in shaping_rows(plan):
+        typer.echo(f"Cylinder {axis}:".ljust(22) + words)
     typer.echo(closing(proof.verdict))
 
 

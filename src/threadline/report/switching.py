@@ -10,7 +10,7 @@ from threadline.report.document import Document, Table, origin_facts, write_docu
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
-from threadline.verdict import closing, step_rows, verdict_rows
+from threadline.verdict import closing, shaping_rows, step_rows, verdict_rows
 
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
@@ -58,7 +58,13 @@ def write_switching(proof: SwitchProof, folder: Path) -> Path:
         figures["petri-net"] = petri_figure(plan.scheduled)
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
-            subtitle=f"{plan.machine.title}; shaper {shaper or 'none'}",
+            subtitle="; ".join(
+                [
+                    plan.machine.title,
+                    f"shaper {shaper or 'none'}",
+                    *(f"{axis} {words}" for axis, words in shaping_rows(plan)),
+                ]
+            ),
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
             warnings=(*plan.job.warnings, *plan.scheduled.warnings),
             tables=[Table(title="Criteria", header=header, rows=rows), *steps],
@@ -81,5 +87,6 @@ def _facts(proof: SwitchProof) -> list[tuple[str, str]]:
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
         ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
         ("schedule", f"{plan.duration_s:g} s, {len(plan.commands.ticks)} switchings"),
+        *((f"cylinder {axis}", words) for axis, words in shaping_rows(plan)),
         *sorted(plan.options.items()),
     ]

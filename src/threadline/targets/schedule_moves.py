@@ -41,6 +41,16 @@ class AxisShaping:
     relative: float = 0.0
 
 
+def shaping_words(shaping: AxisShaping | None) -> str:
+    """Return how a cylinder is shaped, and for which modes, for people."""
+    if shaping is None:
+        return "unshaped"
+    modes = " and ".join(
+        f"{m.frequency_hz:.4g} Hz, damping ratio {m.damping_ratio:.4g}" for m in shaping.modes
+    )
+    return f"shaped by {shaping.shaper.name} for {modes}"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
     """A move as levels.

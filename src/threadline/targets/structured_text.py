@@ -16,7 +16,7 @@ from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import PetriNet, petri_net
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
 from threadline.targets.schedule import Scheduled
-from threadline.targets.schedule_moves import AxisShaping
+from threadline.targets.schedule_moves import shaping_words
 from threadline.targets.structured_text_body import Words, body_lines
 
 _INTERNAL = (
@@ -88,19 +88,10 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         "same scan; only a new rising edge of the start input begins again, from place 1.",
         "It is no safety function: what protects people has to cut the air without it.",
         *(
-            f"{axis}: {_shaped(scheduled.shaping.get(axis))}"
+            f"{axis}: {shaping_words(scheduled.shaping.get(axis))}"
             for axis in scheduled.machine.cylinders
         ),
     )
-
-
-def _shaped(shaping: AxisShaping | None) -> str:
-    if shaping is None:
-        return "unshaped"
-    modes = " and ".join(
-        f"{m.frequency_hz:.4g} Hz, damping ratio {m.damping_ratio:.4g}" for m in shaping.modes
-    )
-    return f"shaped by {shaping.shaper.name} for {modes}"
 
 
 def _block_variables(words: Words, net: PetriNet) -> tuple[Block, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 from threadline import __version__
 from threadline.plan import Plan, SwitchPlan
 from threadline.signals import TickTable
+from threadline.targets.schedule_moves import shaping_words
 from threadline.units import without_noise
 from threadline.verdict.types import Result, Status, Verdict
 
@@ -49,6 +50,7 @@ def verdict_json(verdict: Verdict, plan: Plan | SwitchPlan) -> dict[str, Any]:
         "simulated": verdict.simulated,
         "options": dict(plan.options),
         **_feed_forward_json(plan),
+        **_shaping_json(plan),
     }
 
 
@@ -84,6 +86,31 @@ def motion_lines(plan: Plan) -> list[str]:
         f"a table of {plan.trajectory.duration_s:.4g} s: feed-forward begins before it and goes "
         "on until what it set swinging has decayed"
     ]
+
+
+def shaping_rows(plan: SwitchPlan) -> list[list[str]]:
+    """Return every cylinder and how it is shaped: a bare kind was made for its own mode."""
+    if "shaper" not in plan.options:
+        return []
+    shaping = plan.scheduled.shaping
+    return [[axis, shaping_words(shaping.get(axis))] for axis in plan.machine.cylinders]
+
+
+def _shaping_json(plan: Plan | SwitchPlan) -> dict[str, Any]:
+    if isinstance(plan, Plan) or "shaper" not in plan.options:
+        return {}
+    return {
+        "shaping": {
+            axis: {
+                "shaper": shaping.shaper.name,
+                "modes": [
+                    {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio}
+                    for m in shaping.modes
+                ],
+            }
+            for axis, shaping in plan.scheduled.shaping.items()
+        }
+    }
 
 
 def criteria_json(verdict: Verdict) -> list[dict[str, Any]]:
