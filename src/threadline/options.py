@@ -12,6 +12,8 @@ from threadline.path.plan import DEFAULT_TOLERANCE_M
 from threadline.units import parse_quantity, same_dimension, split_quantity
 
 DEFAULT_INTERPOLATION = "auto"
+OF_AXES = ("interpolation", "feed", "feed-mode", "tolerance", "limits")
+"""What ``describe`` says of machines with axes, and means nothing on one that switches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -149,6 +150,10 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert page.count(f"shaped by zv for {hertz:.4g} Hz, damping ratio {ratio:.4g}") == 2
     for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
         assert words in page
+    facts = re.findall(r"<tr><td>([^<]*)</td><td class=\"left\">", page)
+    assert {"job", "job file", "machine", "shaper"} <= set(facts)
+    assert len(facts) == len(set(facts))
+    assert not {"feed", "interpolation", "limits", "tolerance", "machine file"} & set(facts)
     names = {f.name for f in (tmp_path / "report").iterdir()}
     for figure in ("residual", "cycle", "frame", "broken-beam", "petri-net"):
         assert {f"report-{figure}.svg", f"report-{figure}.png"} <= names

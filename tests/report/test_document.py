@@ -9,16 +9,17 @@ from matplotlib.figure import Figure
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
+from threadline.options import Options, parse_feed
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
+from threadline.report.comparison import write_comparison
 from threadline.report.document import Document, Table, _pages, write_document
 from threadline.report.figures import error_figure
 from threadline.report.mismatch import draw_mismatch
 from threadline.report.style import AXES, LIMIT, figure_style
 from threadline.report.traces import collect
-from threadline.search import Fastest, Interval, Mismatch
+from threadline.search import Fastest, Interval, Mismatch, compare
 from threadline.verdict import Verdict, load_spec
 
 HEADER = ("criterion", "axis", "line", "note")
@@ -126,6 +127,25 @@ def test_the_labels_of_many_bars_do_not_touch(tmp_path) -> None:
     labels = [label.get_window_extent() for label in figure.axes[2].get_yticklabels()]
     assert len(labels) >= 12
     assert all(abs(a.y0 - b.y0) >= a.height for a, b in pairwise(labels))
+
+
+def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
+    machine = load_machine("lathe-winder")
+    job = tmp_path / "a.prg"
+    job.write_text("G91 G1 X 5 F 600\nX -5\nM30\n")
+    read, spec = read_job(job, machine), load_spec(None, machine)
+    feeds = [None, parse_feed("20 count/tick")]
+    found = compare(read, machine, spec, ["linear", "auto"], feeds, Options(), with_fastest=False)
+    page = write_comparison(found, tmp_path / "report", []).read_text(encoding="utf-8")
+    facts = dict(re.findall(r"<tr><td>([^<]*)</td><td class=\"left\"><code>([^<]*)<", page))
+    cases = [facts[f"case {n}"].split(";")[0] for n in (1, 2, 3, 4)]
+    assert cases == [
+        f"{name}, feed {feed}"
+        for name in ("linear", "auto")
+        for feed in ("programmed", "20.0 count/tick")
+    ]
+    assert not {"feed", "interpolation"} & set(facts)
+    assert facts["tolerance"] == "0.0001 m"
 
 
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:

@@ -9,7 +9,7 @@ from threadline.pipeline import Proof
 from threadline.report.document import Document, Table, write_document
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.overlay import Case, overlays
-from threadline.report.proof import facts
+from threadline.report.proof import shared_facts, summary_facts
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
 from threadline.search import Comparison
@@ -48,9 +48,19 @@ def write_comparison(
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,
-            facts=facts(first),
+            facts=_facts(cases),
         )
         return write_document(document, folder, "comparison")
+
+
+def _facts(cases: list[Case]) -> list[tuple[str, str]]:
+    """Return what all cases share, then per case what the planner says of it."""
+    first = cases[0][1]
+    found = [*shared_facts(first, ("interpolation", "feed"))]
+    for number, (label, proof, _) in enumerate(cases, start=1):
+        said = ", ".join(f"{key} {value}" for key, value in summary_facts(proof))
+        found.append((f"case {number}", f"{label}; {said}" if said else label))
+    return found
 
 
 def _figures(proof: Proof, traces: Traces) -> dict[str, Figure]:

@@ -80,6 +80,28 @@ def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list
     return facts
 
 
+def options_facts(
+    options: Mapping[str, str], machine: Machine, leave_out: Sequence[str] = ()
+) -> list[tuple[str, str]]:
+    """Return the options of a plan as facts, beside those of ``origin_facts``.
+
+    Parameters
+    ----------
+    options
+        As the plan has them: they name the job's file and the machine as it was given, which is
+        left out where it is the machine's name.
+    machine
+        What was given.
+    leave_out
+        Options that are not told.
+    """
+    named = {"job": "job file", "machine": "machine file"}
+    told = {key: value for key, value in options.items() if key not in leave_out}
+    if told.get("machine") == machine.name:
+        del told["machine"]
+    return sorted((named.get(key, key), value) for key, value in told.items())
+
+
 def write_document(document: Document, folder: Path, stem: str) -> Path:
     """Write the document into ``folder`` and return the path of its HTML page.
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from threadline.pipeline import Proof
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import (
+    Document,
+    Table,
+    options_facts,
+    origin_facts,
+    write_document,
+)
 from threadline.report.figures import all_figures
 from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.targets import calculate
+from threadline.units import without_noise
 from threadline.verdict import closing, motion_lines, verdict_rows
 
 
@@ -59,13 +67,22 @@ def write_report(proof: Proof, folder: Path) -> Path:
 
 def facts(proof: Proof) -> list[tuple[str, str]]:
     """Return what is needed to make a proof again."""
+    return [*shared_facts(proof), *summary_facts(proof)]
+
+
+def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str, str]]:
+    """Return versions, files and options, but for options that are told elsewhere."""
     plan = proof.plan
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
-        *sorted(plan.options.items()),
-        *((key, f"{value:g}") for key, value in plan.path.summary.items()),
+        *options_facts(plan.options, plan.machine, leave_out),
     ]
+
+
+def summary_facts(proof: Proof) -> list[tuple[str, str]]:
+    """Return what the planner says of its path."""
+    return [(key, f"{without_noise(value):g}") for key, value in proof.plan.path.summary.items()]
 
 
 def _caption(name: str) -> str:

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from threadline.options import Options
+from threadline.options import OF_AXES, Options
 from threadline.pipeline import SwitchProof, plan_switching, prove_switch_plan
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import (
+    Document,
+    Table,
+    options_facts,
+    origin_facts,
+    write_document,
+)
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
@@ -88,5 +94,5 @@ def _facts(proof: SwitchProof) -> list[tuple[str, str]]:
         ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
         ("schedule", f"{plan.duration_s:g} s, {len(plan.commands.ticks)} switchings"),
         *((f"cylinder {axis}", words) for axis, words in shaping_rows(plan)),
-        *sorted(plan.options.items()),
+        *options_facts(plan.options, plan.machine, OF_AXES),
     ]
