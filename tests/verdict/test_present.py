@@ -119,6 +119,28 @@ def test_rounding_is_shown_as_nothing_and_kept_in_json() -> None:
     assert criteria_json(shown)[0]["measured"] == 4.3e-19
 
 
+def test_what_was_not_measured_does_not_hide_the_rest() -> None:
+    """The worst of what was measured is shown, with how many were not; both where they had to."""
+    small = Result(
+        name="residual_vibration", axis="X", step="home", measured=2e-5, limit=1e-4, unit="m",
+        status=Status.PASSED,
+    )  # fmt: skip
+    large = replace(small, step="across", measured=8e-5)
+    absent = replace(
+        small, step="cut", measured=None, status=Status.NOT_MEASURED, note="too soon to see"
+    )
+    _, rows = verdict_rows(Verdict(results=(small, absent, large), simulated=True))
+    (row,) = rows
+    assert row[:5] == ["residual_vibration", "X", "0.08 mm", "0.1 mm", "passed"]
+    assert row[-1] == "across: 1 of 3 not measured (X cut: too soon to see)"
+    must = replace(absent, required=True)
+    _, rows = verdict_rows(Verdict(results=(small, must, large), simulated=True))
+    assert [row[2] for row in rows] == ["0.08 mm", "-"]
+    assert rows[1][4] == "not-measured (required)"
+    _, rows = verdict_rows(Verdict(results=(absent,), simulated=True))
+    assert [row[4] for row in rows] == ["not-measured"]
+
+
 def test_the_line_of_a_subroutine_says_the_pass(tmp_path: Path) -> None:
     """The third of four strokes of 10 mm is missed by 1 mm."""
     program = tmp_path / "passes.prg"

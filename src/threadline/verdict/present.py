@@ -169,7 +169,9 @@ def verdict_rows(
     verdict
         Its results keep their order.
     every_axis
-        One row per axis; else one per criterion, that of the worst axis.
+        One row per axis; else one per criterion, that of the worst axis and step. Where some were
+        not measured it is the worst of the others, with a note; if they had to be, with a row of
+        theirs.
     """
     header = ["criterion", "axis", "measured", "limit", "status", "at", "line", "note"]
     if every_axis:
@@ -177,13 +179,27 @@ def verdict_rows(
     else:
         names = dict.fromkeys((r.name, r.unit) for r in verdict.results)
         results = [
-            max(
-                (r for r in verdict.results if (r.name, r.unit) == key),
-                key=lambda result: result.severity,
-            )
+            row
             for key in names
+            for row in _worst([r for r in verdict.results if (r.name, r.unit) == key])
         ]
     return header, [_row(result) for result in results]
+
+
+def _worst(results: Sequence[Result]) -> list[Result]:
+    """Return the worst of the results of one criterion, and what hides behind it."""
+    absent = [r for r in results if r.status is Status.NOT_MEASURED]
+    measured = [r for r in results if r.status is not Status.NOT_MEASURED]
+    if not measured or not absent:
+        return [max(results, key=lambda result: result.severity)]
+    worst = max(measured, key=lambda result: result.severity)
+    lacking = [r for r in absent if r.required]
+    if lacking:
+        return [worst, lacking[0]]
+    first = " ".join((absent[0].axis, absent[0].step)).strip()
+    why = f"{first}: {absent[0].note}".strip(": ")
+    told = f"{len(absent)} of {len(results)} not measured" + (f" ({why})" if why else "")
+    return [replace(worst, note="; ".join(filter(None, (worst.note, told))))]
 
 
 def _row(result: Result) -> list[str]:
