@@ -10,8 +10,16 @@ from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.options import Options, describe, options_from, parse_feed, parse_tolerance_m
-from threadline.pipeline import check_loops
+from threadline.options import (
+    LEAST_SHARE,
+    Options,
+    describe,
+    options_from,
+    parse_feed,
+    parse_share,
+    parse_tolerance_m,
+)
+from threadline.pipeline import check_loops, plan_job
 
 
 @pytest.mark.parametrize(
@@ -42,6 +50,25 @@ def test_bad_feeds_name_the_text(text: str) -> None:
 def test_bad_tolerances(text: str) -> None:
     with pytest.raises(OptionError, match="tolerance"):
         parse_tolerance_m(text)
+
+
+@pytest.mark.parametrize("text", ["1e-300 %", "0.09 %", "0 %", "-5 %", "101 %", "5", "5 mm"])
+def test_bad_shares_of_the_limits(text: str) -> None:
+    """With 1e-300 % a trajectory of 1e150 s was looked for, without a word."""
+    with pytest.raises(OptionError, match="limits"):
+        parse_share(text)
+    assert parse_share("0.1 %") == LEAST_SHARE
+
+
+def test_a_mode_above_half_the_rate_of_the_ticks_is_refused(examples: Path) -> None:
+    """Before anything is planned; a tick of 5 ms carries nothing above 100 Hz."""
+    machine = load_machine("lathe-winder")
+    job = read_job(examples / "x-180.prg", machine)
+    for text in ("zv:1e9Hz:0", "X=zv:12Hz*zv:100.1Hz"):
+        with pytest.raises(OptionError, match=r"mode of .* is above 100 Hz.* tick of 5 ms"):
+            plan_job(job, machine, Options(shaper=text, interpolation="no such"))
+    with pytest.raises(OptionError, match="no such"):
+        plan_job(job, machine, Options(shaper="zv:100Hz", interpolation="no such"))
 
 
 @pytest.mark.parametrize("feed", [None, "10 count/tick", "123.456 mm/s"])

@@ -14,6 +14,9 @@ from threadline.units import parse_quantity, same_dimension, split_quantity
 DEFAULT_INTERPOLATION = "auto"
 OF_AXES = ("interpolation", "feed", "feed-mode", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
+LEAST_SHARE = 1e-3
+"""Of the limits: no job is meant to speed up a thousand times more gently than its machine can, and
+the search for its trajectory takes the longer the longer that trajectory is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,11 +135,14 @@ def parse_share(text: str) -> float:
     Raises
     ------
     OptionError
-        If it is not above 0 % and at most 100 %.
+        If it is not at least ``LEAST_SHARE`` and at most 100 %.
     """
     value = parse_number("limits", text, "", "25 %")
-    if not 0.0 < value <= 1.0:
-        raise OptionError(f"limits {text!r} must be above 0 % and at most 100 %")
+    if not LEAST_SHARE <= value <= 1.0:
+        raise OptionError(
+            f"limits {text!r} must be at least {100.0 * LEAST_SHARE:g} % and at most 100 %",
+            remedy='A quarter of the limits is "25 %".',
+        )
     return value
 
 

@@ -78,7 +78,8 @@ def check_loops(machine: Machine) -> None:
         raise PlanError(
             "; ".join(unstable),
             place=machine.place,
-            remedy="Lower the gain of its controller; threadline analyse shows the loop.",
+            remedy="Lower the gain of its controller, or correct its clock; threadline analyse "
+            "shows the loop.",
         )
 
 
@@ -109,6 +110,9 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     PlanError
         If the machine cannot do the job.
     """
+    shaper = None
+    if options.shaper is not None:
+        shaper = parse_shaper(options.shaper, float(machine.tick_clock.period_s))
     programmed = programmed_path(job, machine, feed=options.feed)
     check_budget(job, machine, options.feed)
     limited = derate(machine, options.limit_share)
@@ -123,7 +127,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         )
     planned = trajectory = plan_trajectory(path, limited)
     if options.feed_forward_s is not None:
-        if options.shaper is not None:
+        if shaper is not None:
             raise OptionError(
                 "a shaper and feed-forward exclude each other: the inverse leaves nothing to shape",
                 remedy="Leave one of them out.",
@@ -141,8 +145,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
             rests_s=ahead.rests_s,
             options=describe(job, machine, options),
         )
-    if options.shaper is not None:
-        shaper = parse_shaper(options.shaper)
+    if shaper is not None:
         trajectory = shape_trajectory(planned, shaper, machine, centroid_shift=True)
     commands = compile_ticks(trajectory, machine, job)
     return Plan(
@@ -152,7 +155,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
         path=path,
         trajectory=trajectory,
         commands=commands,
-        unshaped=None if options.shaper is None else planned,
+        unshaped=None if shaper is None else planned,
         options=describe(job, machine, options),
     )
 
