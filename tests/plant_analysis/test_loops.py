@@ -13,13 +13,14 @@ import control
 from threadline.arrays import FloatArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
+from threadline.plant import margins
 from threadline.plant.analysis import analyse_axis, loop_figures, unstable_loops
 from threadline.plant.controllers import DigitalFilter, digital_filter
 from threadline.plant.delayed import closed_poles
 from threadline.plant.linear import StateSpace
 from threadline.plant.locus import root_locus
 from threadline.plant.loop import ComplexArray, Loop, axis_loop, axis_loops
-from threadline.plant.margins import loop_margins, margins_of
+from threadline.plant.margins import loop_margins, margins_of, refined_grid
 from threadline.plant.nyquist import unstable_count
 from threadline.plant.sampled import sample
 from threadline.plant.values import Values
@@ -326,6 +327,29 @@ def test_unstable_loop_is_named_with_its_margin():
     analysis = analyse_axis(load_machine("stitcher+head-feedback"), "X")
     assert not analysis.stable and analysis.steps == {}
     assert analysis.as_json()["gain_margin"] == pytest.approx(0.623, abs=1e-3)
+
+
+def test_a_clock_a_thousand_times_too_slow_is_told_at_once(tmp_path, monkeypatch):
+    """5 s for 5 ms: half a tick of dead time turns the continuous response a million times.
+
+    Whether the sampled loop is stable needs none of it. What is counted is the frequencies looked
+    at, of which the three axes took 400 000 each.
+    """
+    slow = tmp_path / "slow.toml"
+    slow.write_text('base = "lathe-winder"\n[clocks]\nservo = "5 s exact, assumed"\n')
+    looked_at = []
+
+    def counted(*arguments):
+        grid = refined_grid(*arguments)
+        looked_at.append(len(grid))
+        return grid
+
+    monkeypatch.setattr(margins, "refined_grid", counted)
+    found = unstable_loops(load_machine(slow))
+    assert [sentence[:29] for sentence in found] == [
+        f"axis {axis}: the loop is UNSTABLE" for axis in "AXY"
+    ]
+    assert 0 < sum(looked_at) < 10_000
 
 
 def test_locus_crosses_where_the_margin_says():
