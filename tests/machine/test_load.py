@@ -244,6 +244,51 @@ def test_wrong_values_say_what_and_where(refused, name) -> None:
     assert "mine.toml:" in found
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ('acts_on = { x = "1 exact', 'acts_on = { x = "0 exact', "drives.x.acts_on: every"),
+        ('stretch = { x = "1 ex', 'stretch = { x = "0 ex', "links.belt.stretch: every"),
+    ],
+)
+def test_what_moves_nothing_is_refused(refused, old, new, where) -> None:
+    """A drive with its only coefficient 0, and a spring that never stretches."""
+    link = (
+        "\n[links.belt]\n"
+        'stretch = { x = "1 exact, assumed" }\n'
+        'stiffness = "1 N m/rad exact, assumed"\n'
+    )
+    text = edit(old, new) if old in WINDER else WINDER + link.replace(old, new)
+    message = refused(text)
+    assert f"mine.toml:{line_of(text, new)}: {where} coefficient is 0 (x)" in message
+
+
+def test_a_tolerance_that_reaches_zero_is_refused(refused, tmp_path) -> None:
+    """Of what must stay above zero: at the end of its tolerance the mass would be none."""
+    link = (
+        "\n[links.belt]\n"
+        'stretch = { x = "1 exact, assumed" }\n'
+        'stiffness = "1 N m/rad +- STIFFNESS, assumed"\ndamping = "1 N m s/rad +- 100 %, assumed"\n'
+    )
+    mass = 'inertia = "3.606e-4 kg m^2 +- 5 %'
+    for tolerance in ("100 %", "150 %", "4e-4 kg m^2"):
+        text = edit(mass, mass.replace("5 %", tolerance))
+        message = refused(text)
+        line = next(n for n, row in enumerate(text.splitlines(), 1) if f"+- {tolerance}" in row)
+        assert f"mine.toml:{line}: bodies." in message
+        assert "would not be above zero at the end of its tolerance" in message
+        assert "below 100 %" in message
+    text = WINDER + link.replace("STIFFNESS", "100 %")
+    message = refused(text)
+    assert f"mine.toml:{line_of(text, '1 N m/rad +-')}: links.belt.stiffness: " in message
+    accepted = tmp_path / "accepted.toml"
+    accepted.write_text(
+        edit(mass, mass.replace("5 %", "99 %")) + link.replace("STIFFNESS", "99 %"),
+        encoding="utf-8",
+    )
+    assert load_machine(accepted).links["belt"].damping.tolerance_si == 1.0
+
+
 REFERENCES = {
     "body of a drive": ("acts_on = { x =", "acts_on = { xx =", "drives.x.acts_on", "'xx'"),
     "body of a sensor": ("reads = { x =", "reads = { q =", "sensors.x.reads", "'q'"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, StrictBool, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.machine.quantity import Quantity, Units
@@ -21,6 +21,19 @@ Coefficient = Annotated[Quantity, Units(("", "m/rad", "rad/m"))]
 Resolution = Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
 Sensitivity = Annotated[Quantity, Units(("V/m", "V/rad"))]
 Position = Annotated[Quantity, Units(("m", "rad"))]
+
+
+def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
+    if not any(coefficient.si for coefficient in coefficients.values()):
+        raise ValueError(
+            f"every coefficient is 0 ({', '.join(coefficients)}), so that it does nothing. "
+            "Give one that is not, like the radius of a pulley or 1."
+        )
+    return coefficients
+
+
+Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(_weighing)]
+"""Coordinates, weighed into a force's way or a stretch: one of them counts at least."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -77,8 +90,8 @@ class Link:
     ``eccentric`` lets it vary with the angle of a gear.
     """
 
-    stretch: dict[str, Coefficient] = Field(min_length=1)
-    stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), not_negative=True)]
+    stretch: Weights
+    stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), not_negative=True, certain=True)]
     damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
     preload: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
     play: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
@@ -139,7 +152,7 @@ class DcMotor:
     """A permanent-magnet motor with its amplifier, acting on bodies."""
 
     kind: Literal["dc-motor"]
-    acts_on: dict[str, Coefficient] = Field(min_length=1)
+    acts_on: Weights
     torque_constant: Annotated[Quantity, Units(("N*m/A", "N/A"), positive=True)]
     back_emf: Annotated[Quantity, Units(("V*s/rad", "V*s/m"), not_negative=True)]
     resistance: Annotated[Quantity, Units(("ohm",), positive=True)]

@@ -142,11 +142,16 @@ def _matching_unit(written: str, units: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Marks a field of the machine model with the SI units and the values that it may have."""
+    """Marks a field of the machine model with the SI units and the values that it may have.
+
+    A number that is ``positive`` is so at both ends of its tolerance; one that is ``certain`` too,
+    unless it is 0 itself.
+    """
 
     units: tuple[str, ...]
     positive: bool = False
     not_negative: bool = False
+    certain: bool = False
     whole: bool = False
     most: float = math.inf
 
@@ -177,6 +182,11 @@ class Units:
             raise ValueError(f"{value!r} must be greater than zero.")
         if self.not_negative and quantity.si < 0:
             raise ValueError(f"{value!r} must not be negative.")
+        if (self.positive or self.certain) and 0 < quantity.si <= quantity.tolerance_si:
+            raise ValueError(
+                f"{value!r} would not be above zero at the end of its tolerance. "
+                "Give a tolerance below 100 %."
+            )
         if self.whole and not quantity.si.is_integer():
             raise ValueError(f"{value!r} must be a whole number.")
         if quantity.si > self.most:
