@@ -422,6 +422,31 @@ def test_a_circle_through_folders_is_noticed(tmp_path) -> None:
         load_machine(tmp_path / "a" / "m.toml")
 
 
+def test_an_error_in_an_overlay_has_its_line(tmp_path) -> None:
+    """It is that of the last overlay that says so, and that of the file where none does."""
+    path = tmp_path / "mine.toml"
+
+    def refusal(text: str, overlays: str) -> str:
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(MachineError) as caught:
+            load_machine(f"{path}+{overlays}")
+        return str(caught.value)
+
+    text = edit('x_eye = "-1 exact', 'xq = "-1 exact')
+    message = refusal(text, "springy")
+    assert f"mine.toml:{line_of(text, 'xq =')}: links.x_arm.stretch names the body 'xq'" in message
+    text = edit('stiffness = "1.705 kN/m +- 20 %', 'stiffness = "1.705 kN +- 20 %')
+    message = refusal(text, "springy+8A")
+    assert f"mine.toml:{line_of(text, '1.705 kN +-')}: links.x_arm.stiffness: " in message
+    text = edit("[overlays.springy.bodies.x]\n", '[overlays.springy.bodies.x]\nkinf = "linear"\n')
+    message = refusal(text, "physical+springy")
+    assert f"mine.toml:{line_of(text, 'kinf')}: unknown key 'bodies.x.kinf'" in message
+    text = edit('servo = "5 ms', 'servo = "0 ms')
+    assert f"mine.toml:{line_of(text, '0 ms exact, printed: section')}: " in refusal(
+        text, "springy"
+    )
+
+
 def test_an_unknown_table_is_found_by_the_header_of_a_table_in_it(refused) -> None:
     text = edit("[tool]", "[link.feet]\n[tool]")
     message = refused(text)

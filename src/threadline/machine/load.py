@@ -9,6 +9,8 @@ import json
 import os
 import re
 import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
@@ -23,7 +25,7 @@ from threadline.opening import read_text
 from threadline.wording import field_fault, nearest, toml_fault
 
 _MAX_BYTES = 1_000_000
-_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+)(?: names the |: )")
+_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+)(?: names the \w+ '([^']*)'|: )")
 _DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
 _OURS = ("sha256", "file", "reference", "parameters")
 """Fields of the model that no file may hold."""
@@ -102,7 +104,7 @@ def load_machine(reference: str | Path) -> Machine:
     try:
         return ADAPTER.validate_python(content)
     except ValidationError as error:
-        _refuse(error, content, text, file)
+        _refuse(error, content, _Text(text, file, overlays))
 
 
 def split_reference(reference: str) -> tuple[str, list[str]]:
@@ -212,13 +214,29 @@ def place_in(machine: Machine, key: str) -> Place | None:
     if not machine.file:
         return None
     try:
-        text, _ = _read(split_reference(machine.reference)[0])
+        name, overlays = split_reference(machine.reference)
+        text, _ = _read(name)
     except MachineError:  # gone since
         return Place(machine.file)
-    return Place(machine.file, line_of(text, tuple(key.split("."))))
+    return _Text(text, machine.file, overlays).place(*key.split("."))
 
 
-def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: str) -> NoReturn:
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """A machine file as it was written, with those of its overlays that are in force."""
+
+    text: str
+    file: str
+    overlays: Sequence[str]
+
+    def line(self, *location: str) -> int:
+        return line_of(self.text, location, self.overlays)
+
+    def place(self, *location: str) -> Place:
+        return Place(self.file, self.line(*location))
+
+
+def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoReturn:
     errors = error.errors(include_url=False)
     # A misspelt key is also a missing one; only its own error says what to mend.
     unknown = {"unexpected_keyword_argument", "extra_forbidden"}
@@ -227,36 +245,36 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: str, file: st
     tagged = tuple(str(part) for part in first["loc"] if part != "[key]")
     location = in_file(tagged)
     where = ".".join(location)
-    place = Place(file, line_of(text, location))
+    place = text.place(*location)
     if first["type"] in unknown:
         siblings = field_names(tagged[:-1])
         hint = nearest(location[-1], siblings)
         raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
     missing = missing_keys(errors, content)
     if missing and first["type"] in MISSING:
-        said = ", ".join(key.said_at(line_of(text, key.location)) for key in missing)
+        said = ", ".join(key.said_at(text.line(*key.location)) for key in missing)
         alone = len(missing) == 1
         raise MachineError(
             f"{missing[0].said} is missing"
             if alone
             else f"{len(missing)} keys are missing: {said}",
-            place=Place(file, line_of(text, missing[0].location) if alone else 0),
+            place=text.place(*missing[0].location) if alone else Place(text.file),
             remedy=f"Add it, like {missing[0].form}" if alone else "Add them.",
         ) from error
     message, remedy = field_fault(first)
     named = _REFERENCE.match(message)
     if not location and named:
         # What checks references sees the whole machine; its message begins with the key.
-        place = Place(file, line_of(text, tuple(named[1].split("."))))
+        place = text.place(*named[1].split("."), *([named[2]] if named[2] else []))
     said = f"{where}: {message}" if where else message
     named = _DESIGN_KEY.match(message)
     if location[:1] == ("design",) and first["type"] == "value_error" and named:
         # What checks a table as a whole puts the key below it in front.
-        place = Place(file, line_of(text, (*location, *named[1].split("."))))
+        place = text.place(*location, *named[1].split("."))
         said = f"{where}.{message}"
     if first["type"] == "too_long" and isinstance(first["input"], dict):
         extra = list(first["input"])[first["ctx"]["max_length"]]
-        place = Place(file, line_of(text, (*location, extra)))
+        place = text.place(*location, extra)
     if missing:
         remedy = f"{remedy} Also missing: {', '.join(key.said for key in missing)}.".strip()
     raise MachineError(said, place=place, remedy=remedy) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -63,8 +64,25 @@ def in_file(location: tuple[str, ...]) -> tuple[str, ...]:
     return location[:2] + location[3:] if tagged else location
 
 
-def line_of(text: str, location: tuple[str, ...]) -> int:
-    """Return the line (from 1) of the deepest part of ``location`` that the text holds."""
+def line_of(text: str, location: tuple[str, ...], overlays: Sequence[str] = ()) -> int:
+    """Return the line (from 1) of the deepest part of ``location`` that the text holds; 0 for none.
+
+    Parameters
+    ----------
+    overlays
+        Those of the file that are in force: where one holds as much of ``location`` as the file
+        itself, it is what counts, and the last of them.
+    """
+    best, best_depth = _deepest(text, location)
+    for overlay in overlays:
+        line, depth = _deepest(text, ("overlays", overlay, *location))
+        if depth > 2 and depth - 2 >= best_depth:
+            best, best_depth = line, depth - 2
+    return best
+
+
+def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
+    """Return the line of the deepest part of ``location``, and how many of its keys lead there."""
     table: tuple[str, ...] = ()
     best, best_depth = 0, 0
     for number, line in enumerate(text.splitlines(), start=1):
@@ -82,4 +100,4 @@ def line_of(text: str, location: tuple[str, ...]) -> int:
             depth = len(location)  # a table that its header opens together with those around it
         if depth > best_depth:
             best, best_depth = number, depth
-    return best
+    return best, best_depth
