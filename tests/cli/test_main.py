@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -84,6 +86,37 @@ def test_an_interrupt_is_one_line(
     assert (code, out, err.count("\n")) == (130, "", 1)
     assert "interrupted" in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_termination_is_one_line_and_leaves_nothing(
+    examples: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """SIGTERM of a time limit, while the recording is being written into its temporary folder."""
+
+    def terminated(_recording: object, temporary: Path, **_: object) -> None:
+        temporary.write_text("half")
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(prove, "prove_job", lambda *_: SimpleNamespace(recording=None))
+    monkeypatch.setattr(prove, "write_recording", terminated)
+
+    def unanswered(*_: object) -> None:  # instead of the end of all tests
+        raise AssertionError("nothing answers SIGTERM")
+
+    outside = signal.signal(signal.SIGTERM, unanswered)
+    words = "prove", examples / "x-180.prg", "-m", "lathe-winder", "--recording"
+    try:
+        code, out, err = stopped(capsys, *words, tmp_path / "made" / "run.npz")
+    finally:
+        answering = signal.signal(signal.SIGTERM, outside)
+
+    assert (code, out) == (143, "")
+    assert err == "error: terminated; nothing was left half-written\n"
+    assert list(tmp_path.iterdir()) == []
+    assert answering is unanswered
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])

@@ -19,7 +19,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 class Interrupter:
     def find_spec(self, name, path=None, target=None):
         if name == {name!r}:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.{signal})
             import time; time.sleep(5)
 sys.meta_path.insert(0, Interrupter())
 sys.argv = ["threadline", "law", "cubic"]
@@ -34,12 +34,17 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.parametrize(
+    ("signal", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
+)
 @pytest.mark.parametrize("name", ["typer", "threadline.cli.law", "numpy"])
-def test_an_interrupt_while_importing_is_one_line(name: str) -> None:
+def test_an_interrupt_while_importing_is_one_line(
+    name: str, signal: str, status: int, said: str
+) -> None:
     """Of the command line, of a command, and inside a package that the command needs."""
-    done = run(INTERRUPTING.format(name=name))
-    assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "error: interrupted; nothing was left half-written\n"
+    done = run(INTERRUPTING.format(name=name, signal=signal))
+    assert (done.returncode, done.stdout) == (status, "")
+    assert done.stderr == f"error: {said}; nothing was left half-written\n"
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -1,6 +1,7 @@
 """What an interrupt does: the status it ends with, its one line, and how it ends an import.
 
-Only the standard library is imported here.
+An interrupt is SIGINT, a person's, or SIGTERM, that of a time limit or of a batch system. Only the
+standard library is imported here.
 """
 
 from __future__ import annotations
@@ -8,13 +9,33 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
+EXIT_TERMINATED = 143  # 128 + SIGTERM
 INTERRUPTED = "error: interrupted; nothing was left half-written\n"
+TERMINATED = "error: terminated; nothing was left half-written\n"
 _STDERR = 2
+_ENDS = {
+    signal.SIGINT: (EXIT_INTERRUPTED, INTERRUPTED),
+    signal.SIGTERM: (EXIT_TERMINATED, TERMINATED),
+}
+
+_Answer = Callable[[int, FrameType | None], None]
+
+
+class Termination:
+    """Whether SIGTERM has come."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def answer(self, _signal: int, _frame: FrameType | None) -> None:
+        """Interrupt what runs: what takes files away at an interrupt does so now, too."""
+        self.came = True
+        raise KeyboardInterrupt
 
 
 @contextmanager
@@ -24,17 +45,37 @@ def leaving_on_interrupt() -> Iterator[None]:
     An exception would not do: a package may catch it half-way through its own import, and say so
     at length.
     """
-    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as a shell asks of a background
-    if ignored or threading.current_thread() is not threading.main_thread():
+    with _answering({number: _leave for number in _ENDS}):
+        yield
+
+
+@contextmanager
+def terminating() -> Iterator[Termination]:
+    """Take SIGTERM as an interrupt: give what says whether it was one."""
+    termination = Termination()
+    with _answering({signal.SIGTERM: termination.answer}):
+        yield termination
+
+
+@contextmanager
+def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
+    """Answer signals for the block, but those that are ignored, as a shell asks of a background."""
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, _leave)
+    before = {
+        number: signal.signal(number, answer)
+        for number, answer in answers.items()
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def _leave(_signal: int, _frame: FrameType | None) -> None:
-    os.write(_STDERR, INTERRUPTED.encode())
-    os._exit(EXIT_INTERRUPTED)
+def _leave(number: int, _frame: FrameType | None) -> None:
+    status, said = _ENDS[signal.Signals(number)]
+    os.write(_STDERR, said.encode())
+    os._exit(status)

@@ -11,7 +11,13 @@ import typer
 from typer.exceptions import TyperException
 
 from threadline import __version__
-from threadline.cli.interrupt import EXIT_INTERRUPTED, INTERRUPTED
+from threadline.cli.interrupt import (
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    INTERRUPTED,
+    TERMINATED,
+    terminating,
+)
 from threadline.cli.lazy import LazyGroup
 from threadline.errors import InputError, LinkFaultError, OptionError, ThreadlineError
 
@@ -58,10 +64,22 @@ def _root(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the program; every error on purpose becomes one line and an exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    with terminating() as termination:
+        status = _run(given)
+    if status == EXIT_INTERRUPTED and termination.came:
+        sys.stderr.write(TERMINATED)
+        sys.exit(EXIT_TERMINATED)
+    if status == EXIT_INTERRUPTED:
+        sys.stderr.write(INTERRUPTED)
+    sys.exit(status)
+
+
+def _run(given: list[str]) -> int:
+    """Return the exit status of a command; end the program with one line at an error."""
     try:
         # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
         # interrupt in none. It returns the exit status, or nothing for 0.
-        status = app(args=given or ["--help"], standalone_mode=False) or 0
+        status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
         sys.stdout.flush()
     except ThreadlineError as error:
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
@@ -84,10 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"[FILE] cannot use {subject}: {error.strerror}. Give another path.", EXIT_WRONG_INPUT
         )
     except KeyboardInterrupt:
-        status = EXIT_INTERRUPTED
-    if status == EXIT_INTERRUPTED:
-        sys.stderr.write(INTERRUPTED)
-    sys.exit(status)
+        return EXIT_INTERRUPTED
+    return status
 
 
 def _nobody_reads() -> NoReturn:
