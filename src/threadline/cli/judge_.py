@@ -18,8 +18,11 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import print_json, print_table
 from threadline.errors import OptionError
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
 from threadline.options import DEFAULT_INTERPOLATION, options_from
 from threadline.pipeline import open_job, plan_job, plan_switching, with_shaping
+from threadline.signals import Recording
 from threadline.signals.files import read_recording
 from threadline.verdict import closing, load_spec, step_rows, verdict_json, verdict_rows
 from threadline.verdict import judge as judge_recordings
@@ -69,58 +72,34 @@ def judge(
     """
     _refuse_copies(recordings)
     read = [read_recording(path) for path in recordings]
-    origin = dict(read[0].origin)
-    for key, text in (
-        ("interpolation", interpolation),
-        ("feed", feed),
-        ("feed-mode", feed_mode),
-        ("tolerance", tolerance),
-        ("limits", limits),
-        ("shaper", shaper),
-        ("feed-forward", smoothing),
-        ("job", None if job is None else str(job)),
-        ("machine", machine),
-        ("par", None if par is None else str(par)),
-        ("actual", actual),
-    ):
-        if text is not None:
-            origin[key] = text
-    for key, option in (("job", "--job"), ("machine", "--machine")):
-        if key not in origin:
-            raise OptionError(
-                f"{recordings[0].name} does not say which {key} it is a recording of",
-                remedy=f"Give it with {option}.",
-            )
-    if feed_forward:
-        origin.setdefault("feed-forward", FEED_FORWARD)
-    elif smoothing is not None and "feed-forward" not in read[0].origin:
+    given = {
+        "interpolation": interpolation,
+        "feed": feed,
+        "feed-mode": feed_mode,
+        "tolerance": tolerance,
+        "limits": limits,
+        "shaper": shaper,
+        "feed-forward": smoothing,
+        "job": None if job is None else str(job),
+        "machine": machine,
+        "par": None if par is None else str(par),
+        "actual": actual,
+    }
+    if smoothing is not None and not feed_forward and "feed-forward" not in read[0].origin:
         raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
-    origin.setdefault("interpolation", DEFAULT_INTERPOLATION)
-    origin.setdefault("feed", "programmed")
-    origin.setdefault("tolerance", DEFAULT_TOLERANCE_TEXT)
+    if feed_forward and smoothing is None:
+        given["feed-forward"] = read[0].origin.get("feed-forward", FEED_FORWARD)
+    origin = _origin(recordings[0], read[0], given)
     settings = Path(origin["par"]) if "par" in origin else None
     chosen = machine_from(origin["machine"], settings)
     ran = machine_from(origin["actual"], settings) if "actual" in origin else chosen
     options = options_from(origin)
-    made = plan_switching if chosen.cylinders else plan_job
     for path, recording in zip(recordings, read, strict=True):
         _refuse_other_options(path, recording.origin, origin)
+    made = plan_switching if chosen.cylinders else plan_job
     plan = made(open_job(Path(origin["job"]), chosen, options), chosen, options)
     for path, recording in zip(recordings, read, strict=True):
-        if recording.job_sha256 and recording.job_sha256 != plan.job.sha256:
-            raise OptionError(
-                f"{path.name} was recorded from another version of {plan.job.name} "
-                f"(sha256 {recording.job_sha256[:12]}, now {plan.job.sha256[:12]})",
-                remedy="Give the job file that was run with --job.",
-            )
-        if recording.machine_sha256 and recording.machine_sha256 != ran.sha256:
-            raise OptionError(
-                f"{path.name} was recorded on another machine, or another version of its file, "
-                f"than {ran.name} (sha256 {recording.machine_sha256[:12]}, "
-                f"now {ran.sha256[:12]})",
-                remedy="Give the machine file of the run with --machine, and what else it was "
-                "made with: --par, --actual.",
-            )
+        _refuse_other_files(path, recording, plan.job, ran)
     verdict = judge_recordings(read, plan, with_shaping(load_spec(spec, chosen), chosen, options))
     if json:
         print_json(verdict_json(verdict, plan))
@@ -133,6 +112,41 @@ def judge(
             print_table("Step by step", *step_rows(verdict))
         typer.echo(closing(verdict))
     raise typer.Exit(0 if verdict.passed else 1)
+
+
+def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
+    """Return of what it is a recording: what was given, what it says itself, the defaults."""
+    found = {
+        "interpolation": DEFAULT_INTERPOLATION,
+        "feed": "programmed",
+        "tolerance": DEFAULT_TOLERANCE_TEXT,
+        **recording.origin,
+        **{key: text for key, text in given.items() if text is not None},
+    }
+    for key, option in (("job", "--job"), ("machine", "--machine")):
+        if key not in found:
+            raise OptionError(
+                f"{path.name} does not say which {key} it is a recording of",
+                remedy=f"Give it with {option}.",
+            )
+    return found
+
+
+def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
+    """Refuse a job or a machine that is not, to the byte, the one that was run."""
+    if recording.job_sha256 and recording.job_sha256 != job.sha256:
+        raise OptionError(
+            f"{path.name} was recorded from another version of {job.name} "
+            f"(sha256 {recording.job_sha256[:12]}, now {job.sha256[:12]})",
+            remedy="Give the job file that was run with --job.",
+        )
+    if recording.machine_sha256 and recording.machine_sha256 != ran.sha256:
+        raise OptionError(
+            f"{path.name} was recorded on another machine, or another version of its file, "
+            f"than {ran.name} (sha256 {recording.machine_sha256[:12]}, now {ran.sha256[:12]})",
+            remedy="Give the machine file of the run with --machine, and what else it was made "
+            "with: --par, --actual.",
+        )
 
 
 def _refuse_copies(recordings: Sequence[Path]) -> None:
