@@ -297,9 +297,9 @@ def _blocks(path: Path, head: int, layout: _Layout) -> Iterator[RecordingBlock]:
                 first += stride * len(values)
                 values, events = [], []
             check_on_grid(row[0], first + stride * len(values), clock.period_s, stride, place)
-            for value in (row[k] for k in operations):
-                if (fault := operation_fault(np.array([value]))) is not None:
-                    raise RecordingError(fault[1], place=place, remedy=OPERATION_REMEDY)
+            for k in operations:
+                if (fault := operation_fault(row[k])) is not None:
+                    raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
             values.append(row)
             events += here
         if values:

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from threadline import __version__
-from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError
 from threadline.signals.clock import Clock
 from threadline.signals.files.common import (
@@ -100,16 +98,11 @@ def recording_meta(recording: Recording) -> dict[str, Any]:
     }
 
 
-def operation_fault(samples: FloatArray) -> tuple[int, str] | None:
-    """Return the first of (n,) samples that is no operation and what is wrong, None if all are.
-
-    Operations are counted from 0; -1 is none.
-    """
-    whole = (samples == np.rint(samples)) & (samples >= -1.0) & (samples <= _MOST_OPERATIONS)
-    at = int(np.argmin(whole)) if len(whole) else 0
-    if not len(whole) or whole[at]:
+def operation_fault(value: float) -> str | None:
+    """Return what is wrong with a sample of an operation: they count from 0, and -1 is none."""
+    if -1.0 <= value <= _MOST_OPERATIONS and value.is_integer():
         return None
-    return at, f"the operation {samples[at]:.12g} is no whole number from 0 on, nor -1 for none"
+    return f"the operation {value:.12g} is no whole number from 0 on, nor -1 for none"
 
 
 def recording_from(meta: Any, blocks: Stream[RecordingBlock], path: Path) -> Recording:

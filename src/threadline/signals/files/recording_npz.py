@@ -145,9 +145,10 @@ def _samples(
     }
     for channel in channels:
         if channel.kind is ChannelKind.OPERATION:
-            fault = operation_fault(samples[channel.name])
-            if fault is not None:
-                raise RecordingError(fault[1], place=Place(str(path)), remedy=OPERATION_REMEDY)
+            # A recording holds each value many times over.
+            for value in np.unique(samples[channel.name]).tolist():
+                if (fault := operation_fault(value)) is not None:
+                    raise RecordingError(fault, place=Place(str(path)), remedy=OPERATION_REMEDY)
     return samples
 
 
