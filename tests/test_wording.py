@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import pytest
 
 from threadline.errors import MachineError
 from threadline.machine import load_machine
+from threadline.machine.schema import schema
+from threadline.wording import field_fault
 
 BASE = 'base = "lathe-winder"\n'
 
@@ -25,6 +29,15 @@ WRONG = {
         "axes.X.endless: must be true or false, got 'no'",
         "true or false",
     ),
+    '[bodies."1 x"]\nkind = "linear"': (
+        "m.toml:2: bodies.1 x: is no name of letters, digits, _ and -",
+        "Name it like x_belt.",
+    ),
+    '[controllers.x]\nkind = "pd"\nki = "1 dac/count exact, assumed"': (
+        "m.toml:4: unknown key 'controllers.x.ki'",
+        "It is of kind 'pi' or 'pid': change kind, or take it out.",
+    ),
+    '[controllers.x]\nkind = "pd"\nkindd = "pd"': ("m.toml:4: ", "Did you mean 'kind'?"),
     '[axes.xx]\nkind = "linear"': ("must be one capital letter, got 'xx'", "Name it like A"),
     "[axes.X": ("m.toml:2: not valid TOML: ", "Correct that line."),
     'x = [1,\n2,\n"a': ("m.toml:4: not valid TOML: ", "may be truncated"),
@@ -41,6 +54,19 @@ def test_the_line_the_value_and_the_remedy(text: str, tmp_path: Path) -> None:
     assert all(words in said for words in WRONG[text]), said
     assert "Input" not in said
     assert "instance of" not in said
+
+
+def test_every_pattern_of_the_schema_is_told_in_words() -> None:
+    """A regular expression is no answer to somebody who winds filaments."""
+    text = json.dumps(schema())
+    found = {json.loads(f'"{part}"') for part in re.findall(r'"(\^[^"]*\$)"', text)}
+    assert len(found) == 5
+    for pattern in found:
+        error = {"type": "string_pattern_mismatch", "ctx": {"pattern": pattern}, "input": "1 x"}
+        must, remedy = field_fault(error)
+        assert must.endswith(", got '1 x'")
+        assert "^" not in must
+        assert " like " in remedy
 
 
 def test_a_circle_of_bases_names_a_line_and_a_remedy(tmp_path: Path) -> None:

@@ -84,6 +84,8 @@ _KNOWN = (
     "kg g km m cm mm um in ft s ms us min N kN mN A mA V kV mV ohm H mH uH W kW J Hz kHz rad deg "
     "rev count tick bit dac bar Pa"
 )
+USUAL = {"m": "mm", "m/s": "mm/s", "s": "ms", "rad": "deg", "rad/s": "deg/s"}
+"""What people write for an SI unit: nobody means 320 m."""
 _PIECES = tuple(_KNOWN.split())
 _MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
@@ -238,7 +240,8 @@ def parse_quantity(text: str, target: str) -> float:
     if not math.isfinite(value):
         raise UnitError(f"{text!r} is not a finite number")
     if not unit and target:
-        raise UnitError(f"{text!r} has no unit", remedy=f'Write it like "{number} {target}".')
+        usual = USUAL.get(target, target)
+        raise UnitError(f"{text!r} has no unit", remedy=f'Write it like "{number} {usual}".')
     if unit == target:
         return value
     scaled = value * unit_factor(unit, target)

@@ -20,6 +20,26 @@ _KINDS = {
     "int": ("must be a whole number", "Write it without quotes, unit and decimals."),
     "float": ("must be a number", "Write it without quotes and unit."),
 }
+_PATTERNS = {
+    "^[A-Z]$": ("must be one capital letter", "Name it like A, X or Y."),
+    "^[A-Za-z][A-Za-z0-9_-]*$": (
+        "is no name of letters, digits, _ and -, with a letter first",
+        "Name it like x_belt.",
+    ),
+    "^(bodies|links|drives|sensors|controllers)(\\.[A-Za-z][A-Za-z0-9_-]*){2,3}$": (
+        "must be the key of a number of a body, link, drive, sensor or controller",
+        "Write it like links.x_belt.stiffness.",
+    ),
+    "^%IX[0-9]{1,4}(\\.[0-9]{1,2})?$": (
+        "must be the address of an input, %IX and its number",
+        "Write it like %IX0.3.",
+    ),
+    "^%QX[0-9]{1,4}(\\.[0-9]{1,2})?$": (
+        "must be the address of an output, %QX and its number",
+        "Write it like %QX0.3.",
+    ),
+    "^[0-9]{1,40}/[0-9]{1,40}$": ("must be a fraction of whole numbers", "Write it like 1/200."),
+}
 _RANGES = {
     "greater_than": ("greater than", "gt"),
     "greater_than_equal": ("at least", "ge"),
@@ -109,9 +129,9 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         entries = "entry" if most == 1 else "entries"
         return f"must have at most {most} {entries}, got {count}", "Take some out."
     if kind == "string_pattern_mismatch":
-        if context["pattern"] == "^[A-Z]$":
-            return f"must be one capital letter{got}", "Name it like A, X or Y."
-        return f"must look like {context['pattern']}{got}", "Correct it."
+        unknown = f"must look like {context['pattern']}", "Correct it."
+        must, remedy = _PATTERNS.get(context["pattern"], unknown)
+        return must + got, remedy
     if kind == "value_error":
         return str(error["msg"]).removeprefix("Value error, "), ""
     said = str(error["msg"]).removeprefix("Input ")

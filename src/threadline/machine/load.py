@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from threadline.errors import MachineError, Place
 from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
-from threadline.machine.schema import ADAPTER, field_names, in_file, line_of
+from threadline.machine.schema import ADAPTER, field_names, in_file, kinds_with, line_of
 from threadline.opening import read_text
 from threadline.wording import field_fault, nearest, toml_fault
 
@@ -247,8 +247,10 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
     where = ".".join(location)
     place = text.place(*location)
     if first["type"] in unknown:
-        siblings = field_names(tagged[:-1])
-        hint = nearest(location[-1], siblings)
+        hint = nearest(location[-1], field_names(tagged[:-1]))
+        others = kinds_with(tagged)
+        if others:
+            hint = f"It is of kind {' or '.join(map(repr, others))}: change kind, or take it out."
         raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
     missing = missing_keys(errors, content)
     if missing and first["type"] in MISSING:

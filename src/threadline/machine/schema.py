@@ -45,6 +45,16 @@ def field_names(location: tuple[str, ...]) -> list[str]:
     return list(field_node(location).get("properties", {}))
 
 
+def kinds_with(location: tuple[str, ...]) -> list[str]:
+    """Return the kinds that have the key at the end of ``location``, behind the kind that has not.
+
+    Empty where what the key is in has no kinds.
+    """
+    among, key = location[:-2], location[-1]
+    kinds = field_node(among).get("discriminator", {}).get("mapping", {})
+    return [kind for kind in kinds if key in field_names((*among, kind))]
+
+
 def plain_node(node: Any) -> dict[str, Any]:
     """Return what a node of the schema refers to; of a key that may be left out, its value."""
     definitions = schema().get("$defs", {})

@@ -14,7 +14,7 @@ from threadline.errors import Place, SpecError, UnitError
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.opening import read_text
-from threadline.units import parse_quantity, same_dimension, split_quantity
+from threadline.units import USUAL, parse_quantity, same_dimension, split_quantity
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS
 from threadline.verdict.types import Criterion, Spec
@@ -35,7 +35,6 @@ _ALWAYS_ON_OFF = (
     "switching_error",
 )
 _LIMITS_ON_OFF = ("travel", *SWITCHING_LIMITS)
-_USUAL = {"m": "mm", "m/s": "mm/s", "s": "ms", "rad": "deg", "rad/s": "deg/s"}
 _OWN = "machine"  # a limit that is the machine's own
 _LAG_S = 0.1
 _MOST_LAG_S = 3600.0
@@ -254,7 +253,7 @@ class _Reader:
         written = text if isinstance(text, str) else repr(text)
         if unit and re.fullmatch(r"[0-9.]+", written.strip()):
             # Nobody means 0.8 m; a number alone is of the unit that people work in.
-            example = f'Write it like {key} = "{written.strip()} {_USUAL.get(unit, unit)}".'
+            example = f'Write it like {key} = "{written.strip()} {USUAL.get(unit, unit)}".'
             self._refuse(f"{key} = {text!r} has no unit", index, key, example)
         if not isinstance(text, str):
             if isinstance(text, int | float) and not isinstance(text, bool) and not unit:
