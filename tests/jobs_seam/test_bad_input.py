@@ -132,6 +132,12 @@ BAD_SVG = {
         "t.svg:2: the data of a path is wrong: 'foo' at character 12",
     ),
     "nan": (f'{SVG}{LINE}\n<path d="M0 0L nan 9"/></svg>', "t.svg:2: 'nan' in the data of a path"),
+    "em": (
+        f'{SVG}{LINE}\n<rect width="3em" height="2" stroke="red"/></svg>',
+        "t.svg:2: width is '3em', no length that can be sewn. Write it in mm",
+    ),
+    "blank": (f'{SVG}\n<circle r="3 mm" stroke="red"/></svg>', "t.svg:2: r is '3 mm', no length"),
+    "page in em": ('<svg xmlns="http://www.w3.org/2000/svg" width="9em"/>', "t.svg:1: width is"),
     "half a point": (f'{SVG}{LINE}\n<path d="M0 0L 9"/></svg>', "t.svg:2: the data of a path"),
     "latin": (f"{SVG}<desc>\u00e4</desc></svg>".encode("latin-1"), "byte 0xe4 is not UTF-8"),
     "cut": (f"{SVG}{LINE}", "no element found"),
@@ -150,6 +156,18 @@ def test_svgs(case: str, sewer: Machine, tmp_path: Path) -> None:
 def saved(folder: Path, document: "ezdxf.document.Drawing") -> bytes:
     document.saveas(folder / "made.dxf")
     return (folder / "made.dxf").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("units", "said"), [(0, "does not say its unit ($INSUNITS is 0)"), (99, "($INSUNITS is 99, ")]
+)
+def test_a_dxf_without_a_known_unit(units: int, said: str, sewer: Machine, tmp_path: Path) -> None:
+    document = ezdxf.new()
+    document.header["$INSUNITS"] = units
+    document.modelspace().add_line((0, 0), (40, 0))
+    with pytest.raises(JobError) as caught:
+        read(tmp_path, sewer, "made.dxf", saved(tmp_path, document))
+    assert said in str(caught.value)
 
 
 def test_dxf_text_is_refused_unless_its_layer_is_not_chosen(sewer: Machine, tmp_path: Path) -> None:

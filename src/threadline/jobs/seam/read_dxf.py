@@ -113,10 +113,12 @@ def _metres_per_unit(code: int, unit: str | None, place: Place) -> float:
     from ezdxf.units import conversion_factor
 
     given = None if unit is None else unit_factor(unit, "m")
-    if code == 0 or code not in range(1, 25):
+    if code not in range(1, 25):
         if given is None:
             raise JobError(
-                "the drawing does not say its unit ($INSUNITS is 0)",
+                "the drawing does not say its unit ($INSUNITS is 0)"
+                if code == 0
+                else f"the drawing's unit is unknown ($INSUNITS is {code}, known are 1 to 24)",
                 place=place,
                 remedy='Set the unit in the drawing, or write [drawing] unit = "mm".',
             )

@@ -23,6 +23,12 @@ _XLINK = "http://www.w3.org/1999/xlink "
 _UNSEEN = ("mask", "marker", "symbol", "clipPath", "pattern", "linearGradient", "radialGradient")
 _PHYSICAL = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|in|pt|pc)\s*")
 _UNIT_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72.0, "pc": 0.0254 / 6.0}
+# Of these svgelements takes the number and leaves other units out: 3em would be 3 pixels.
+_SIZED = ("svg", "rect", "circle", "ellipse", "line", "use")
+_LENGTHS = ("width", "height", "x", "y", "cx", "cy", "r", "rx", "ry", "x1", "y1", "x2", "y2")
+_KNOWN_LENGTH = re.compile(
+    r"\s*(?:auto|[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?:mm|cm|in|pt|pc|px|%)?)\s*"
+)
 # What no path data has; svgelements would take the path up to there, and leave the rest out.
 _STRAY = re.compile(r"[^MmZzLlHhVvCcSsQqTtAa0-9eE+\-.,\s]+|[eE](?![-+]?[0-9])|(?<![0-9.])[eE]")
 _NO_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)  # these are told when the path is read
@@ -120,6 +126,8 @@ class _Visit:
             self._root(name, attributes)
         if depth > _MAX_DEPTH:
             raise JobError(f"elements are nested more than {_MAX_DEPTH} deep", place=self.place())
+        if name in _SIZED:
+            self._refuse_lengths(name, attributes)
         if name == "path":
             self._refuse_stray(attributes.get("d", ""))
         layer = self.layers[-1]
@@ -158,6 +166,18 @@ class _Visit:
         self.nodes.append(node)
         if node.identity:
             self.by_id[node.identity] = node
+
+    def _refuse_lengths(self, name: str, attributes: dict[str, str]) -> None:
+        for key in _LENGTHS:
+            written = attributes.get(key, "0")
+            # A page's size may have a blank before its unit: it is read here.
+            page = name == "svg" and _PHYSICAL.fullmatch(written)
+            if not (page or _KNOWN_LENGTH.fullmatch(written)):
+                raise JobError(
+                    f"{key} is {written[:40]!r}, no length that can be sewn",
+                    place=self.place(),
+                    remedy="Write it in mm, cm, in, pt, pc, px or %, like 12.5mm, without a blank.",
+                )
 
     def _refuse_stray(self, data: str) -> None:
         stray = None if _NO_NUMBER.search(data) else _STRAY.search(data)
