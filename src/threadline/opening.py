@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from threadline.errors import InputError, Place
@@ -21,6 +23,30 @@ def refuse_special(path: Path) -> None:
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+
+
+@contextmanager
+def naming(output: Path, temporary: Path) -> Iterator[None]:
+    """Let an error of the block name ``output``, where it names what is made of it or nothing.
+
+    A full disk names no file, and a file in a temporary folder is none that anybody asked for.
+
+    Parameters
+    ----------
+    output
+        What was asked for.
+    temporary
+        What it is made from, a folder or a file that is gone afterwards.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or str(error.filename).startswith(str(temporary)):
+            error.filename = str(output)
+        raise
+    except InputError as error:
+        error.message = error.message.replace(str(temporary), str(output))
+        raise
 
 
 def read_text(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from threadline.cli import prove
 from threadline.cli.main import main
 from threadline.cli.output import print_table
+from threadline.report import document
 
 JOB = Path(__file__).resolve().parents[2] / "examples" / "x-180.prg"
 
@@ -71,6 +74,62 @@ def test_a_report_that_fails_takes_the_recording_with_it(
         assert "No space left" in err
     assert [path.name for path in tmp_path.iterdir()] == ["old.npz"]
     assert old.read_text() == "old"
+
+
+def full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_names_what_was_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not the temporary file beside it, which is gone."""
+    file, folder = tmp_path / "run.npz", tmp_path / "report"
+    monkeypatch.setattr(document, "_pdf", full)
+    assert stopped(capsys, "--report", folder) == (
+        2,
+        f"error: [FILE] cannot use {folder}: No space left on device. Give another path.\n",
+    )
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    monkeypatch.setattr(zipfile.ZipFile, "open", full)
+    code, err = stopped(capsys, "--recording", file)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"cannot write {str(file)!r}: No space left" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_project_on_a_full_disk_names_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(SystemExit) as caught:
+        main(["new", "winder", str(tmp_path / "mine")])
+    assert caught.value.code == 2
+    assert f"cannot use {tmp_path / 'mine'}: No space left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["-o", "--out", "--output"])
+def test_a_file_to_write_is_named_alike_everywhere(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is a folder here: that is refused before anything else is looked at."""
+    folder = tmp_path / "found.toml"
+    folder.mkdir()
+    seam = JOB.with_name("stitcher-test-path.seam.toml")
+    for words in (
+        ["compile", JOB, "-m", "lathe-winder", "--target", "csv"],
+        ["design", seam, "-m", "stitcher"],
+    ):
+        with pytest.raises(SystemExit) as caught:
+            main([str(word) for word in [*words, option, folder]])
+        assert caught.value.code == 2
+        assert f"cannot write {str(folder)!r}: it is a folder" in capsys.readouterr().err
+
+
+def test_another_machine_without_loops_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    code, err = stopped(capsys, "--actual", "letter-placer")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "the machine letter-placer has none with a loop" in err
 
 
 def test_the_folder_of_an_output_is_made_and_taken_away_if_nothing_comes(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def compile_(
     job: JobArgument,
     machine: MachineOption,
     target: Annotated[str, typer.Option(help="ticks, csv, npz, nc, st or plcopen.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     feed: FeedOption = None,
     feed_mode: FeedModeOption = None,

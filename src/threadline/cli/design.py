@@ -73,6 +73,7 @@ def design(
         Path | None,
         typer.Option(
             "--output",
+            "--out",
             "-o",
             help="Write the machine here (.toml), and its specification beside it (.spec.toml).",
         ),

@@ -20,6 +20,7 @@ from threadline.cli.output import print_json
 from threadline.cli.outputs import check_outputs
 from threadline.errors import OptionError
 from threadline.machine import library_file
+from threadline.opening import naming
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +117,10 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
     """Write all files or none, in a folder that is made or is empty."""
     there = folder.is_dir()
     beside = folder if there else folder.parent
-    with tempfile.TemporaryDirectory(dir=beside, prefix=".threadline-") as made:
+    with (
+        tempfile.TemporaryDirectory(dir=beside, prefix=".threadline-") as made,
+        naming(folder, Path(made)),
+    ):
         staged = Path(made) / "project"
         staged.mkdir()
         for name, text in contents.items():

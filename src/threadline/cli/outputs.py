@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from threadline.errors import OptionError
+from threadline.opening import naming
 
 
 def check_outputs(
@@ -84,5 +85,6 @@ def appearing(file: Path | None) -> Iterator[Path | None]:
         tempfile.TemporaryDirectory(dir=file.parent, prefix=f".{file.name[:80]}.") as made,
     ):
         temporary = Path(made) / file.name
-        yield temporary
-        temporary.replace(file)
+        with naming(file, temporary):
+            yield temporary
+            temporary.replace(file)

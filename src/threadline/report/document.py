@@ -19,6 +19,7 @@ from markupsafe import Markup
 from threadline import __version__
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
+from threadline.opening import naming
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,7 +115,10 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         If the folder cannot be written.
     """
     beside = next(parent for parent in folder.absolute().parents if parent.exists())
-    with tempfile.TemporaryDirectory(dir=beside, prefix=f".{folder.name[:80]}.") as made:
+    with (
+        tempfile.TemporaryDirectory(dir=beside, prefix=f".{folder.name[:80]}.") as made,
+        naming(folder, Path(made)),
+    ):
         temporary = Path(made)
         svgs = {}
         for name, figure in document.figures.items():

@@ -91,7 +91,8 @@ def check_commands(
     if commands.axes != machine.axis_names:
         raise OptionError(
             f"the commands are for axes {', '.join(commands.axes)}, "
-            f"the machine has {', '.join(machine.axis_names)}"
+            f"the machine {machine.name} has {', '.join(machine.axis_names) or 'none with a loop'}",
+            remedy="Give one with the same axes.",
         )
     if commands.clock.period_s != machine.tick_clock.period_s:
         raise OptionError(
