@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.style import figure_style
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _Table = tuple[list[str], list[list[str]]]
+_AROUND = 0.06  # of the region's width, on the logarithmic axis
+_FEWEST_TICKS = 4
 _MARKS = ("s", "D", "^", "P", "X")
 
 
@@ -181,6 +186,7 @@ def _region_caption(result: DesignResult) -> str:
 def region_figure(result: DesignResult) -> Figure:
     """Draw what is in spec in two parameters, with the design and the known answers."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FixedLocator, NullLocator
 
     region = result.region
     assert region is not None
@@ -202,27 +208,56 @@ def region_figure(result: DesignResult) -> Figure:
             across, up, np.log(np.clip(region.unchanged, 1e-2, 1e2)), levels=[0.0],
             colors="0.35", linewidths=1.4, linestyles=[(0, (5, 2))],
         )  # fmt: skip
-    _mark(panel, result, "as it is", result.as_built, "o", False)
     if result.found is not None:
         _mark(panel, result, "smallest change", result.found.candidate, "*", True)
     for k, (name, candidate) in enumerate(result.known.items()):
         assert result.machine.design is not None
         title = result.machine.design.known[name].title
         _mark(panel, result, title, candidate, _MARKS[k % len(_MARKS)], True)
+    # A ring about what stands on the same place.
+    _mark(panel, result, "as it is", result.as_built, "o", False)
     panel.set_xscale("log")
     panel.set_yscale("log")
+    # Marks on the edge of the region stand clear of title and axes.
+    panel.set_xlim(*_around(region.factors[0]))
+    panel.set_ylim(*_around(region.factors[1]))
     panel.set_xlabel(f"{region.names[0]}, factor")
     panel.set_ylabel(f"{region.names[1]}, factor")
     panel.grid(visible=False)
-    for axis in (panel.xaxis, panel.yaxis):
+    for axis, factors in zip((panel.xaxis, panel.yaxis), region.factors, strict=True):
+        axis.set_major_locator(FixedLocator(_ticks(float(factors[0]), float(factors[-1]))))
         axis.set_major_formatter(lambda v, _: f"{v:g}")
-        axis.set_minor_formatter(lambda v, _: f"{v:g}" if f"{v:.0e}"[0] in "25" else "")
-    panel.margins(0.03)
-    figure.legend(loc="outside lower center", ncols=1)
+        axis.set_minor_locator(NullLocator())
+    figure.legend(loc="outside lower center", ncols=1, markerscale=0.7)
     # The points are judged over the tolerances when these were asked for, the region never.
     nominal = " at nominal numbers" if result.tolerances else ""
     panel.set_title(f"{result.job.name} on {result.machine.name}: what is in spec{nominal}")
     return figure
+
+
+def _around(factors: FloatArray) -> tuple[float, float]:
+    """Return the ends of an axis that leaves room about the factors."""
+    low, high = float(factors[0]), float(factors[-1])
+    room = (high / low) ** _AROUND
+    return low / room, high * room
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Return round factors from low to high: evenly apart where the span is short."""
+    from matplotlib.ticker import MaxNLocator
+
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    logarithmic = (
+        [step * 10.0**decade for decade in decades for step in steps]
+        for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+    )
+    even = (list(MaxNLocator(n).tick_values(low, high)) for n in range(4, 10))
+    inside: list[float] = []
+    for found in chain(logarithmic, even):
+        inside = [v for v in found if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
+        if len(inside) >= _FEWEST_TICKS:
+            break
+    return inside
 
 
 def _mark(
@@ -232,8 +267,9 @@ def _mark(
     x, y = (candidate.factors[name] for name in result.region.names)
     over = ", over the tolerances" if result.tolerances else ""
     panel.plot(
-        [x], [y], linestyle="none", marker=marker, markersize=15 if marker == "*" else 9,
-        markerfacecolor="#E69F00" if filled else "white", markeredgecolor="black", clip_on=False,
+        [x], [y], linestyle="none", marker=marker, markersize={"*": 13, "o": 18}.get(marker, 9),
+        markerfacecolor="#E69F00" if filled else "none", markeredgecolor="black", clip_on=False,
+        markeredgewidth=1.0 if filled else 1.6,
         zorder=6, label=f"{title}: {min(candidate.ratio, 99.0):.0%} of the limit{over}",
     )  # fmt: skip
 
