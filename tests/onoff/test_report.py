@@ -118,6 +118,7 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
     assert sum(t in waits for t in texts) == len(waits) == 9
     bars = [line for line in panel.lines if line.get_marker() != "o"]
     assert len(bars) == 49
+    assert sum("main_air" in t.split("\n") for t in texts) == 49  # it opens first and stays open
     assert "180 ms" in texts  # 0.172 s of the ZV, on the scan of 10 ms after the place's own
 
 
@@ -148,6 +149,7 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert "IN SPEC" in page
     hertz, ratio = flow_mode(machine, "X")
     assert page.count(f"shaped by zv for {hertz:.4g} Hz, damping ratio {ratio:.4g}") == 2
+    assert "counted from the last input" in page
     for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
         assert words in page
     facts = re.findall(r"<tr><td>([^<]*)</td><td class=\"left\">", page)

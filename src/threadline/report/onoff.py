@@ -187,7 +187,7 @@ def petri_figure(scheduled: Scheduled) -> Figure:
                 zorder=1,
             )
             panel.text(column + 0.5, -row + 0.27, label, ha="center", va="bottom", fontsize=6)
-            flows = "\n".join(n for n in place.on if n != "main_air")
+            flows = "\n".join(place.on)
             panel.text(column, -row - 0.25, flows, ha="center", va="top", fontsize=4.6)
     panel.set_xlim(-2.2, widest + 0.2)
     panel.set_ylim(-len(steps) + 0.3, 0.75)

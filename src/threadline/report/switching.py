@@ -27,7 +27,9 @@ _CAPTIONS = {
     "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
     "circles at the scans that shut the valves; then every kind of shaper, made for "
     "the machine's own mode.",
-    "petri-net": "The sequence that the PLC program runs: places numbered as in its text.",
+    "petri-net": "The sequence that the PLC program runs: places numbered as in its text, below "
+    "them the outputs that are on. A bar lets the token pass when its input comes, or at its "
+    "time, counted from the last input that was waited for (before the first, from the start).",
 }
 
 
