@@ -14,7 +14,7 @@ from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
 from threadline.report.comparison import write_comparison
-from threadline.report.document import Document, Table, _pages, write_document
+from threadline.report.document import Document, Table, _pages, _with_caption, write_document
 from threadline.report.figures import error_figure
 from threadline.report.mismatch import draw_mismatch
 from threadline.report.style import AXES, LIMIT, figure_style
@@ -103,6 +103,43 @@ def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
         "loads: as in the file": [[-1.0, 40.0], [0.0, 50.0], [1.0, 60.0]],
         "loads: upper end": [[-1.0, 0.0], [0.0, 49.0], [1.0, 59.0]],
     }
+
+
+def test_a_picture_without_any_speed_says_so() -> None:
+    nothing = Verdict(results=(), simulated=True)
+    found = Fastest(intervals=(), limited_by="stitch_length_error", verdict=nothing, tried=2)
+    cells = [Mismatch(mass=m, stiffness=k, found=found) for m in (-1.0, 1.0) for k in (-1.0, 1.0)]
+    (panel,) = draw_mismatch(cells, "a title").axes
+    (text,) = panel.texts
+    assert text.get_text() == (
+        "no needle speed is in spec on any of the 4 machines:\nstitch length error fails at all"
+    )
+
+
+def test_captions_stand_below_the_figures_of_the_pdf_and_leave_them_as_they_are() -> None:
+    """200 letters of 8 points take more than one line of 4 inches; the page grows by them."""
+    with figure_style():
+        figure = Figure(figsize=(4.0, 3.0))
+        figure.add_subplot().bar([0], [1])
+        figure.canvas.draw()
+        before = figure.axes[0].get_position().bounds
+        caption = "what it shows and how to read it, " * 6
+        page = _with_caption(figure, caption)
+        figure.canvas.draw()
+        assert figure.axes[0].get_position().bounds == before
+        (text,) = figure.texts
+        box = text.get_window_extent().transformed(figure.dpi_scale_trans.inverted())
+        bare = _with_caption(Figure(figsize=(4.0, 3.0)), None)
+    assert " ".join(text.get_text().split()) == caption.strip()
+    assert text.get_text().count("\n") >= 2
+    assert (page.x0, page.x1, page.y1) == (0.0, 4.0, 3.0)
+    assert page.y0 < box.y0 < box.y1 <= 0.0 < box.x0 < box.x1 < 4.0
+    assert bare.bounds == (0.0, 0.0, 4.0, 3.0)
+
+
+def test_grid_lines_run_behind_bars() -> None:
+    with figure_style():
+        assert Figure().add_subplot().get_axisbelow() is True
 
 
 def test_no_axis_looks_like_a_limit_in_grey() -> None:

@@ -23,12 +23,17 @@ from threadline.opening import naming
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 _PNG_DPI = 160
 _TOP, _BOTTOM = 0.95, 0.05  # of a page; so are the following
 _TITLE, _ROW, _BETWEEN = 0.045, 0.027, 0.03
 _FEWEST = 5  # rows of a table that are worth beginning it on a page
 _CHARACTERS_PER_LINE = 150
+_CAPTION_SIZE = (
+    8.0  # points; so wide is a letter of it, and so much stays free around it, in inches
+)
+_LETTER_IN, _MARGIN_IN = 0.068, 0.15
 _GAP = 0.012  # between a column on the right and one on the left beside it
 
 
@@ -173,8 +178,24 @@ def _pdf(document: Document, file: Path) -> None:
     with PdfPages(file, metadata={"Title": document.title, "CreationDate": None}) as pages:
         for page in _pages(document):
             pages.savefig(page)
-        for figure in document.figures.values():
-            pages.savefig(figure)
+        for name, figure in document.figures.items():
+            pages.savefig(figure, bbox_inches=_with_caption(figure, document.captions.get(name)))
+
+
+def _with_caption(figure: Figure, caption: str | None) -> Bbox:
+    """Write the caption below the figure; return the page that holds both, in inches."""
+    from matplotlib.transforms import Bbox
+
+    width, height = figure.get_size_inches()
+    if not caption:
+        return Bbox.from_extents(0.0, 0.0, width, height)
+    lines = textwrap.wrap(caption, max(int((width - 2 * _MARGIN_IN) / _LETTER_IN), 20))
+    text = figure.text(
+        _MARGIN_IN / width, 0.0, "\n".join(lines), fontsize=_CAPTION_SIZE, va="top", color="0.2"
+    )
+    text.set_in_layout(False)  # the figure itself stays as it is on the page of the browser
+    room = len(lines) * _CAPTION_SIZE * 1.25 / 72.0 + _MARGIN_IN
+    return Bbox.from_extents(0.0, -room, width, height)
 
 
 def _pages(document: Document) -> list[Figure]:

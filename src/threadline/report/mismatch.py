@@ -31,8 +31,22 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str) -> Figure:
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("fastest in spec, stitch/s")
         axes.set_title(title)
-        axes.legend(loc="lower center")
+        if any(cell.found.best for cell in cells):
+            axes.legend(loc="lower center")
+        else:
+            axes.set_ylim(0.0, 1.0)
+            axes.set_yticks([0.0])
+            axes.text(0.5, 0.5, _nothing(cells), transform=axes.transAxes, ha="center", va="center")
     return figure
+
+
+def _nothing(cells: Sequence[Mismatch]) -> str:
+    """Say that no speed is in spec on any of the machines, and what fails."""
+    limits = dict.fromkeys(cell.found.limited_by.replace("_", " ") for cell in cells)
+    failing = " and ".join(limits)
+    return (
+        f"no needle speed is in spec on any of the {len(cells)} machines:\n{failing} fails at all"
+    )
 
 
 def write_mismatch(cells: Sequence[Mismatch], title: str, folder: Path) -> Path:

@@ -45,6 +45,7 @@ _RC: dict[Any, Any] = {
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "0.88",
     "grid.linewidth": 0.6,
     "axes.spines.top": False,
