@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import re
 from itertools import pairwise
 
+import numpy as np
+import pytest
 from matplotlib.figure import Figure
+from matplotlib.image import imread as read_png
+from matplotlib.transforms import Bbox
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -135,6 +140,27 @@ def test_captions_stand_below_the_figures_of_the_pdf_and_leave_them_as_they_are(
     assert (page.x0, page.x1, page.y1) == (0.0, 4.0, 3.0)
     assert page.y0 < box.y0 < box.y1 <= 0.0 < box.x0 < box.x1 < 4.0
     assert bare.bounds == (0.0, 0.0, 4.0, 3.0)
+
+
+def test_a_legend_outside_the_panels_stays_above_the_caption() -> None:
+    """In the picture that is printed: nothing red below the figure, and as much as there was."""
+
+    def red(figure: Figure, page: Bbox | None) -> tuple[np.ndarray, int]:
+        made = io.BytesIO()
+        figure.savefig(made, format="png", dpi=100, bbox_inches=page)
+        pixels = read_png(io.BytesIO(made.getvalue()))
+        return np.flatnonzero((pixels[..., 0] > pixels[..., 1] + 0.5).any(axis=1)), len(pixels)
+
+    with figure_style():
+        figure = Figure(figsize=(4.0, 3.0))
+        figure.add_subplot().plot([0, 1], [0, 1], color="red", label="a")
+        figure.legend(loc="outside lower center")
+        before, _ = red(figure, None)
+        page = _with_caption(figure, "what it shows")
+        after, rows = red(figure, page)
+    assert 300 < rows == pytest.approx(100 * page.height, abs=1)
+    assert before.max() > 270  # the legend is the lowest thing
+    assert abs(after.min() - before.min()) <= 1 and abs(after.max() - before.max()) <= 1
 
 
 def test_grid_lines_run_behind_bars() -> None:

@@ -189,6 +189,7 @@ def _with_caption(figure: Figure, caption: str | None) -> Bbox:
     width, height = figure.get_size_inches()
     if not caption:
         return Bbox.from_extents(0.0, 0.0, width, height)
+    _hold_legends(figure)
     lines = textwrap.wrap(caption, max(int((width - 2 * _MARGIN_IN) / _LETTER_IN), 20))
     text = figure.text(
         _MARGIN_IN / width, 0.0, "\n".join(lines), fontsize=_CAPTION_SIZE, va="top", color="0.2"
@@ -196,6 +197,17 @@ def _with_caption(figure: Figure, caption: str | None) -> Bbox:
     text.set_in_layout(False)  # the figure itself stays as it is on the page of the browser
     room = len(lines) * _CAPTION_SIZE * 1.25 / 72.0 + _MARGIN_IN
     return Bbox.from_extents(0.0, -room, width, height)
+
+
+def _hold_legends(figure: Figure) -> None:
+    """Fix legends outside the panels where they are: they would move to the edge of the page."""
+    figure.canvas.draw()
+    figure.set_layout_engine("none")
+    for legend in figure.legends:
+        box = legend.get_window_extent().transformed(figure.transFigure.inverted())
+        legend.set_loc("lower left")
+        legend.borderaxespad = 0.0
+        legend.set_bbox_to_anchor((box.x0, box.y0), transform=figure.transFigure)
 
 
 def _pages(document: Document) -> list[Figure]:
