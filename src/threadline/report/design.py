@@ -203,6 +203,10 @@ def region_figure(result: DesignResult) -> Figure:
         colors="black", linewidths=[0.6, 0.6, 1.8, 0.6, 0.6], linestyles="solid",
     )  # fmt: skip
     panel.clabel(lines, fmt=lambda v: f"{np.exp(v):.0%}", fontsize=7, inline_spacing=1)
+    panel.fill(
+        [], [], facecolor="#d9e8f2", edgecolor="0.6", hatch="///",
+        label="in spec; lines: worst of its limit",
+    )  # fmt: skip
     if region.others:
         panel.contour(
             across, up, np.log(np.clip(region.unchanged, 1e-2, 1e2)), levels=[0.0],
