@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 BENCH_STAMP := .venv-bench/.ready
 
-.PHONY: demo test bench lint format fuzz lock clean
+.PHONY: demo test test-cores bench lint format fuzz lock clean
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
@@ -20,6 +20,9 @@ demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
 
 test: $(STAMP)  ## Run the tests
 	$(BIN)/python -m pytest
+
+test-cores: $(STAMP)  ## The suite and the numerics as other processors round; half an hour
+	$(BIN)/python -m tools.core_types --whole
 
 lint: $(STAMP)  ## Linters, types and the rules of the house
 	$(BIN)/ruff check .

@@ -12,7 +12,7 @@ The other entries are rates without a peer, on a generated job of straight moves
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -150,19 +150,20 @@ def generated(moves: int) -> Job:
     targets = np.stack(
         [0.03 * t, 0.3 * np.sin(0.01 * t), 0.1 + 0.1 * np.sin(0.013 * t + 0.2)], axis=1
     )
-
-    def runs() -> Any:
-        for first in range(0, moves, 4096):
-            part = targets[first : first + 4096]
-            line = np.arange(first + 1, first + 1 + len(part))
-            yield MoveRun(part, line, ((0, AS_FAST_AS_THE_LIMITS),), "generated", ())
-
-    operations: Stream[Operation] = OperationStream(runs)
+    operations: Stream[Operation] = OperationStream(Stream(runs_to, targets))
     start = (0.0, 0.0, 0.1 + 0.1 * float(np.sin(0.2)))
     return Job(
         name="generated", file="generated", sha256="", axes=("A", "X", "Y"), start=start,
         operations=operations,
     )  # fmt: skip
+
+
+def runs_to(targets: np.ndarray) -> Iterator[MoveRun]:
+    """Yield the moves to ``targets``, 4096 at a time."""
+    for first in range(0, len(targets), 4096):
+        part = targets[first : first + 4096]
+        line = np.arange(first + 1, first + 1 + len(part))
+        yield MoveRun(part, line, ((0, AS_FAST_AS_THE_LIMITS),), "generated", ())
 
 
 def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[float, Any]:

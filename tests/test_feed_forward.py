@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threadline.cli.feed_forward import feed_forward_lines, feed_forward_warnings
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.errors import LimitError, OptionError
@@ -16,17 +15,18 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options, options_from
-from threadline.path.on_time import rapid_time_s
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.rigid import current_needed
 from threadline.report import write_report
+from threadline.report.motion import feed_forward_lines, motion_lines
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
 from threadline.signals.files import read_recording
 from threadline.targets import feedforward as targets
 from threadline.trajectory import averaged
-from threadline.verdict import load_spec, motion_lines, verdict_json
+from threadline.trajectory.as_programmed import rapid_time_s
+from threadline.verdict import load_spec, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
 
 SEAM = """
@@ -90,7 +90,7 @@ def test_loads_are_where_the_trajectory_says(proof, plan):
     """On the clock of the recording, dead time and previews and all."""
     for axis, column in (("X", 0), ("Y", 1)):
         times, load = proof.recording.samples(f"{axis}.load")
-        wanted = plan.trajectory(times)[:, column]
+        wanted = plan.motion.trajectory(times)[:, column]
         # 60 um: whole counts are 3.8 um, a DAC level at rest 22 to 24 counts.
         assert np.abs(load - wanted).max() < 60e-6
         told = proof.recording.samples(f"{axis}.commanded")[1]
@@ -107,23 +107,23 @@ def test_the_needle_keeps_its_time(plan):
 
 def test_demand_is_that_of_the_run(proof, plan):
     """What the model needs against what the simulated motor takes; and against rigid friction."""
-    for demand in plan.feed_forward:
+    for demand in plan.motion.demands:
         _, current = proof.recording.samples(f"{demand.axis}.current_peak")
         # A DAC level is 3 V at the motor and 1 kHz of references shake it: 3 A.
         assert np.abs(current).max() == pytest.approx(demand.current_a, abs=3.0)
         friction = current_needed(plan.machine, demand.axis, 65 * 2.54e-3, 0.0)
         assert friction < demand.current_a < 1.2 * friction
         assert demand.bound_by == "current" and demand.current_limit_a == 27.0
-    lines = list(feed_forward_lines(plan.feed_forward))
+    lines = list(feed_forward_lines(plan.motion.demands))
     assert len(lines) == 2 and "A of 27 A" in lines[0]
-    assert not list(feed_forward_warnings(plan.feed_forward))
+    assert not plan.motion.warnings
 
 
 def test_more_current_than_there_is_is_said(seam, machine):
     job = read_job(seam, machine, needle_speed="76 stitch/s")
     plan = plan_job(job, machine, AHEAD)
-    assert plan.feed_forward[1].share > 1.0
-    said = list(feed_forward_warnings(plan.feed_forward))
+    assert plan.motion.demands[1].share > 1.0
+    said = plan.motion.warnings
     assert any("axes.Y: the reference needs" in text and "27 A" in text for text in said)
 
 
@@ -159,7 +159,7 @@ def test_pictures_are_drawn_against_the_intended(proof, plan):
     """The report's commanded trace is the plan's trajectory, not what the chip was told."""
     traces = collect(proof)
     for column, axis in enumerate("XY"):
-        wanted = plan.trajectory(traces.time_s)[:, column]
+        wanted = plan.motion.trajectory(traces.time_s)[:, column]
         np.testing.assert_allclose(traces.commanded[axis], wanted, atol=1e-12)
 
 
@@ -170,12 +170,12 @@ def test_long_jobs_stream(plan, machine, seam, monkeypatch):
     monkeypatch.setattr(targets, "_KEPT", 0)
     monkeypatch.setattr(targets, "_ROWS", 64)
     streamed = plan_job(read_job(seam, machine), machine, AHEAD)
-    assert len(list(streamed.trajectory)) > 10 > len(list(plan.trajectory))
+    assert len(list(streamed.motion.trajectory)) > 10 > len(list(plan.motion.trajectory))
     ours, theirs = (np.concatenate([b.counts for b in made.commands]) for made in (plan, streamed))
     np.testing.assert_array_equal(ours, theirs)
     labels = [np.concatenate([b.operation for b in made.commands]) for made in (plan, streamed)]
     np.testing.assert_array_equal(*labels)
-    for one, other in zip(plan.feed_forward, streamed.feed_forward, strict=True):
+    for one, other in zip(plan.motion.demands, streamed.motion.demands, strict=True):
         assert one.current_a == pytest.approx(other.current_a, rel=1e-9)
 
 
@@ -183,10 +183,12 @@ def test_travel_starts_and_ends_at_rest(plan):
     """The head rests where it is told to sew, and at the end of the plan."""
     sew = next(e for b in plan.commands for e in b.events if e.name == "sew")
     at = np.array([sew.tick * 1e-3])
-    np.testing.assert_allclose(plan.trajectory(at)[0], [0.01, 0.005], atol=1e-9)
-    np.testing.assert_allclose(plan.trajectory(at, 1), 0.0, atol=1e-9)
-    end = plan.trajectory.duration_s
-    np.testing.assert_allclose(plan.trajectory(np.array([end]))[0], [0.05064, 0.04564], atol=1e-12)
+    np.testing.assert_allclose(plan.motion.trajectory(at)[0], [0.01, 0.005], atol=1e-9)
+    np.testing.assert_allclose(plan.motion.trajectory(at, 1), 0.0, atol=1e-9)
+    end = plan.motion.trajectory.duration_s
+    np.testing.assert_allclose(
+        plan.motion.trajectory(np.array([end]))[0], [0.05064, 0.04564], atol=1e-12
+    )
 
 
 def test_rapid_moves_stay_within_the_current(machine):
@@ -263,7 +265,8 @@ def test_titles_say_what_was_asked_for(capsys, proof, tmp_path):
     assert "corner.seam.toml on stitcher, auto, feed-forward" in out
     page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
     assert "interpolation auto, feed-forward, feed programmed" in page
-    assert "on-time" not in out + page
+    assert "chords" not in out
+    assert "interpolation chords" not in page
 
 
 def test_the_motion_is_told_apart_from_the_table(proof, plan):
@@ -271,9 +274,11 @@ def test_the_motion_is_told_apart_from_the_table(proof, plan):
     content = verdict_json(proof.verdict, plan)
     begin, end = content["motion"]["begin_s"], content["motion"]["end_s"]
     assert content["motion"]["duration_s"] == end - begin
-    speed = np.abs(plan.trajectory(np.array([begin - 1e-6, end + 2e-3]), 1))
+    speed = np.abs(plan.motion.trajectory(np.array([begin - 1e-6, end + 2e-3]), 1))
     assert speed.max() == 0.0
-    speed = np.abs(plan.trajectory(np.array([begin, end]) + WIDTH_S * np.array([0.5, -0.5]), 1))
+    speed = np.abs(
+        plan.motion.trajectory(np.array([begin, end]) + WIDTH_S * np.array([0.5, -0.5]), 1)
+    )
     assert speed.max(axis=1).min() > 1e-4
     # A seam of 32 stitches takes about half a second; the frame of the stitcher rings for longer.
     assert 0.4 < end - begin < 0.8 < content["duration_s"] - end

@@ -29,7 +29,9 @@ from pathlib import Path
 from types import FrameType
 
 import ezdxf.filemanagement  # noqa: F401 - a case must not wait for it
+from fuzz_drawings import fuzz_drawings
 from fuzz_files import fuzz_targets
+from fuzz_recordings import fuzz_recordings
 
 from threadline.errors import ThreadlineError
 from threadline.jobs import read_job
@@ -253,6 +255,8 @@ READERS: dict[str, Reader] = {
     "seam-svg": Reader("a.svg", seam_file("seam-svg"), read_seam_job, 1),
     "seam-dxf": Reader("a.dxf", seam_file("seam-dxf"), read_seam_job, 1),
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
+    **{name: Reader(*target) for name, target in fuzz_recordings().items()},
+    **{name: Reader(*target) for name, target in fuzz_drawings().items()},
 }
 
 _PAR = b"""FW-CNC.PAR

@@ -15,7 +15,7 @@ from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
-from threadline.pipeline import SwitchProof, prove_switching
+from threadline.pipeline import Proof, prove
 from threadline.report.onoff import break_sweeps, move_sweep
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import shaping_of
@@ -77,9 +77,7 @@ def cycle() -> None:
         machine = load_machine(reference)
         for shaper in shapers:
             try:
-                proof = prove_switching(
-                    JOB, machine, load_spec(None, machine), Options(shaper=shaper)
-                )
+                proof = prove(JOB, machine, load_spec(None, machine), Options(shaper=shaper))
             except PlanError as error:
                 row((title, shaper or "none", f"refused: {error.message}"))
                 continue
@@ -89,7 +87,7 @@ def cycle() -> None:
             row((title, shaper or "none", *cells, f"{took:.2f}", verdict))
 
 
-def _left(proof: SwitchProof, axis: str, step: str) -> float:
+def _left(proof: Proof, axis: str, step: str) -> float:
     (found,) = [
         r.measured
         for r in proof.verdict.results

@@ -232,7 +232,7 @@ def moves() -> None:
                 job = Path(folder) / "move.prg"
                 job.write_text(f"%\nO 1;\nN 10 G01 G91 F600;\nN 20 {words};\nN 30 M30;\n%\n")
                 proof = prove(job, machine, spec, options)
-                duration_s = proof.plan.trajectory.duration_s
+                duration_s = proof.plan.motion.trajectory.duration_s
             results = {(r.name, r.axis): r for r in proof.verdict.results}
             left = results["residual_vibration", axis].measured
             away = results["shaping_deviation", ""].measured

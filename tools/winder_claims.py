@@ -14,7 +14,7 @@ from scipy.signal import TransferFunction, step
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
 from threadline.machine.quantity import Quantity
-from threadline.plant.network import linear_model
+from threadline.plant.linear_model import linear_model
 from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate
 

@@ -1,3 +1,23 @@
 """Makes light, flexible machines move fast and land still, and proves it."""
 
+from __future__ import annotations
+
+from importlib import import_module
+
 __version__ = "0.1.0"
+
+__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+
+
+def __getattr__(name: str) -> object:
+    """Return a name of the face, imported when it is first asked for: not before is numpy.
+
+    What types they have stands in ``__init__.pyi``.
+    """
+    if name not in __all__:
+        raise AttributeError(f"module 'threadline' has no attribute {name!r}")
+    return getattr(import_module("threadline.face"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

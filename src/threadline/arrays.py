@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,3 +60,32 @@ def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
 def _check_ndim(found: int, name: str, wanted: int) -> None:
     if found != wanted:
         raise ValueError(f"{name} must have {wanted} dimension(s), got {found}")
+
+
+class Locked:
+    """Base of frozen dataclasses that hold read-only arrays: their copies are read-only too.
+
+    An array forgets in a pickle that it is locked, and so it would in another process.
+    """
+
+    __slots__ = ()
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return _locked, (type(self), {name: getattr(self, name) for name in names})
+
+
+def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
+    """Return an object of ``cls`` in ``state``, with every array of it locked."""
+    found = object.__new__(cls)
+    for name, value in state.items():
+        for array in value.values() if isinstance(value, Mapping) else (value,):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+        object.__setattr__(found, name, value)
+    return found
+
+
+def finite(value: float | None) -> float | None:
+    """Return ``value``, or None where it is not a finite number: JSON has no other word for it."""
+    return value if value is not None and math.isfinite(value) else None

@@ -9,6 +9,7 @@
         JobError           [JOB]            a job file
         SpecError          [SPEC]           a specification file
         RecordingError     [RECORDING]      a recording or table file
+        ProofError         [PROOF]          the file of a proof
         OptionError        [OPTION]         a command-line or API option
         PlanError          [PLAN]           a job that this machine cannot do
           LimitError       [PLAN-LIMIT]     a planned motion beyond a limit of the machine
@@ -18,8 +19,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,10 @@ class ThreadlineError(Exception):
         self.place = place
         self.remedy = remedy
         super().__init__(message)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]:
+        # As it stands, not made anew: what an error needs besides its message has no order.
+        return type(self).__new__, (type(self), *self.args), vars(self)
 
     def __str__(self) -> str:
         where = f"{self.place}: " if self.place else ""
@@ -96,6 +103,12 @@ class RecordingError(InputError):
     """A recording or command table that cannot be read."""
 
     code = "RECORDING"
+
+
+class ProofError(InputError):
+    """The file of a proof that cannot be read."""
+
+    code = "PROOF"
 
 
 class OptionError(InputError):

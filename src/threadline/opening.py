@@ -1,18 +1,29 @@
-"""What every reader asks of a path before it opens it, and short text files read whole."""
+"""What readers ask of a path before they open it; what was read, and whether it is the same."""
 
 from __future__ import annotations
 
 import errno
+import hashlib
+import os
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any, BinaryIO
 
-from threadline.errors import InputError, Place
+from threadline.errors import InputError, JobError, Place
+
+_INPUTS: ContextVar[dict[tuple[int, int], str] | None] = ContextVar("inputs", default=None)
+"""Device and number of every file that was read in ``noting_inputs``, with its name."""
 
 
 def refuse_special(path: Path) -> None:
     """Refuse a pipe, a device or a socket: opening or reading one may never end.
+
+    Every reader asks this first, so the file is noted as an input here.
 
     Raises
     ------
@@ -20,9 +31,124 @@ def refuse_special(path: Path) -> None:
         If ``path`` is one of them, or cannot be looked at. A folder passes: opening it fails with
         a reason of its own.
     """
-    mode = path.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+    status = path.stat()
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+    note_input(path, status)
+
+
+@contextmanager
+def noting_inputs() -> Iterator[None]:
+    """Note every file that is read in the block, however it is reached; blocks may be nested."""
+    before = _INPUTS.get()
+    mark = _INPUTS.set({} if before is None else before)
+    try:
+        yield
+    finally:
+        _INPUTS.reset(mark)
+
+
+def note_input(path: Path, status: os.stat_result | None = None) -> None:
+    """Note that ``path`` is read, where inputs are noted."""
+    noted = _INPUTS.get()
+    if noted is None:
+        return
+    with suppress(OSError, ValueError):
+        status = path.stat() if status is None else status
+        noted[status.st_dev, status.st_ino] = str(path)
+
+
+def input_behind(path: Path) -> str | None:
+    """Return the name of the file that was read and is the one at ``path``, through any link."""
+    noted = _INPUTS.get()
+    if not noted:
+        return None
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return None
+    return noted.get((status.st_dev, status.st_ino))
+
+
+def open_binary(path: Path) -> BinaryIO:
+    """Open ``path`` for reading bytes.
+
+    Raises
+    ------
+    JobError
+        If there is no such file or it cannot be read.
+    """
+    try:
+        refuse_special(path)
+        return path.open("rb")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise JobError(
+            f"cannot read job file {str(path)[:200]!r}: {reason}", remedy="Name an existing file."
+        ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class KnownFile:
+    """A file as it was when its hash was taken.
+
+    Parameters
+    ----------
+    path
+        Where it is, from the root on: another process may have another folder.
+    sha256
+        Of all its bytes.
+    size, modified_ns
+        As long as both are the same, the content is taken for the same without reading it.
+    """
+
+    path: Path
+    sha256: str
+    size: int
+    modified_ns: int
+
+    @classmethod
+    def of(cls, path: Path) -> KnownFile:
+        """Return the file at ``path`` with its hash.
+
+        Raises
+        ------
+        OSError
+            If it cannot be read.
+        """
+        refuse_special(path)
+        status = path.stat()
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return cls(path.absolute(), digest, status.st_size, status.st_mtime_ns)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        # Where it is sent, nothing but the content counts: there it is hashed once.
+        return KnownFile, (self.path, self.sha256, self.size, -1)
+
+    def is_unchanged(self) -> bool:
+        """Say whether the file still holds what it did.
+
+        Raises
+        ------
+        OSError
+            If it cannot be read.
+        """
+        refuse_special(self.path)
+        status = self.path.stat()
+        if status.st_size != self.size:
+            return False
+        if status.st_mtime_ns == self.modified_ns:
+            return True
+        return _sha256(self.path, status.st_mtime_ns) == self.sha256
+
+
+@lru_cache(maxsize=64)
+def _sha256(path: Path, modified_ns: int) -> str:
+    """Return the hash of a file, which was modified last at a time: once until the next."""
+    del modified_ns
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

@@ -8,10 +8,16 @@ from typing import Any
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.path.plan import DEFAULT_TOLERANCE_M
+from threadline.path.plan import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M
+from threadline.plan import Following
+from threadline.trajectory import Pace
 from threadline.units import parse_quantity, same_dimension, split_quantity
 
 DEFAULT_INTERPOLATION = "auto"
+DEFAULT_LIMITS = "100 %"
+DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
+FEED_FORWARD = "40 ms"
+"""Over which feed-forward smooths the motion unless told otherwise."""
 OF_AXES = ("interpolation", "feed", "feed-mode", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
 LEAST_SHARE = 1e-3
@@ -20,8 +26,56 @@ the search for its trajectory takes the longer the longer that trajectory is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PathChoice:
+    """The first choice: the shape of the path.
+
+    Parameters
+    ----------
+    interpolation
+        Name of the interpolation, or ``CHORDS``.
+    tolerance_m
+        Largest deviation of the planned from the programmed path, at the tool.
+    """
+
+    interpolation: str
+    tolerance_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimingChoice:
+    """The second choice: when the motion is where on its path.
+
+    Parameters
+    ----------
+    pace
+        As fast as the limits and the feed allow, as programmed, or by a law.
+    law
+        Name of the motion law of each move; None where the pace is another.
+    feed
+        Replaces every programmed feed; None keeps the job's.
+    limit_share
+        Share of the machine's acceleration and jerk limits that may be used, in (0, 1].
+    smoothing_s
+        Width of the averages over time by which the motion is smoothed; None smoothes no more than
+        the limits of jerk ask for.
+    shaper
+        Text of the shaper that it is convolved with; None shapes nothing.
+    """
+
+    pace: Pace
+    law: str | None
+    feed: Feed | None
+    limit_share: float
+    smoothing_s: float | None
+    shaper: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """How a job is to be planned.
+    """How a job is to be planned, as it is typed.
+
+    ``path``, ``timing`` and ``following`` are the three choices that these words stand for: the
+    words on a command line came first, and one of them may mean two choices at once.
 
     Parameters
     ----------
@@ -43,6 +97,9 @@ class Options:
         Command the exact inverses of the axes, so that the loads and not the motors follow the
         motion, smoothed over this time; ``auto`` then keeps every programmed time exactly. None
         commands the motion itself.
+    shaper_mode, shaper_damping
+        Text of the frequency, and damping ratio, of shapers of levels that name none; None is
+        the machine's own.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -52,6 +109,37 @@ class Options:
     limit_share: float = 1.0
     shaper: str | None = None
     feed_forward_s: float | None = None
+    shaper_mode: str | None = None
+    shaper_damping: float | None = None
+
+    @property
+    def path(self) -> PathChoice:
+        """The shape of the path; loads that follow take corners as the smoothing leaves them."""
+        chords = self.feed_forward_s is not None and self.interpolation == DEFAULT_INTERPOLATION
+        name = CHORDS if chords else self.interpolation  # one by a law is of the chords, too
+        return PathChoice(interpolation=name, tolerance_m=self.tolerance_m)
+
+    @property
+    def timing(self) -> TimingChoice:
+        """When the motion is where; chords keep their programmed times."""
+        pace, law = Pace.LIMITED, None
+        if self.interpolation.startswith(BY_LAW):
+            pace, law = Pace.LAW, self.interpolation.removeprefix(BY_LAW)
+        elif self.path.interpolation == CHORDS:
+            pace = Pace.PROGRAMMED
+        return TimingChoice(
+            pace=pace,
+            law=law,
+            feed=self.feed,
+            limit_share=self.limit_share,
+            smoothing_s=self.feed_forward_s,
+            shaper=self.shaper,
+        )
+
+    @property
+    def following(self) -> Following:
+        """What is to be where the motion says."""
+        return Following.MOTOR if self.feed_forward_s is None else Following.LOAD
 
 
 def parse_number(subject: str, text: str, unit: str, example: str) -> float:
@@ -177,15 +265,64 @@ def parse_width_s(text: str) -> float:
     return value
 
 
+def options_of(
+    interpolation: str,
+    feed: str | None,
+    tolerance: str,
+    limits: str = DEFAULT_LIMITS,
+    shaper: str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    feed_mode: str | None = None,
+    law: str | None = None,
+) -> Options:
+    """Return the planning options, read from their text.
+
+    Raises
+    ------
+    OptionError
+        If one is unreadable, a smoothing is given without feed-forward, a meaning of F with a
+        feed that replaces it, or a law with another interpolation.
+    """
+    if law is not None:
+        if interpolation != DEFAULT_INTERPOLATION:
+            raise OptionError(
+                f"--law {law!r} is an interpolation of its own, and --interpolation "
+                f"{interpolation!r} another",
+                remedy="Leave one of them out.",
+            )
+        interpolation = f"{BY_LAW}{law}"
+    if smoothing is not None and not feed_forward:
+        raise OptionError(
+            f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
+        )
+    if feed is not None and feed_mode is not None:
+        raise OptionError(
+            f"--feed-mode {feed_mode!r} says what F means, and --feed replaces every F",
+            remedy="Leave one of them out.",
+        )
+    return Options(
+        interpolation=interpolation,
+        feed=None if feed is None else parse_feed(feed),
+        feed_mode=feed_mode,
+        tolerance_m=parse_tolerance_m(tolerance),
+        limit_share=parse_share(limits),
+        shaper=shaper,
+        feed_forward_s=parse_width_s(FEED_FORWARD if smoothing is None else smoothing)
+        if feed_forward
+        else None,
+    )
+
+
 def refuse_axis_options(machine: Machine, options: Options) -> None:
-    """Refuse options that a schedule does not have; all but the shaper are such.
+    """Refuse options that a schedule does not have; all but those of the shaper are such.
 
     Raises
     ------
     OptionError
         If one is given.
     """
-    if replace(options, shaper=None) != Options():
+    if replace(options, shaper=None, shaper_mode=None, shaper_damping=None) != Options():
         raise OptionError(
             f"{machine.name} switches on and off: it has no interpolation, feed, tolerance or "
             "share of limits to choose",
@@ -209,6 +346,8 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
         **({} if options.shaper is None else {"shaper": options.shaper}),
+        **({} if options.shaper_mode is None else {"mode": options.shaper_mode}),
+        **({} if options.shaper_damping is None else {"damping": repr(options.shaper_damping)}),
         **(
             {}
             if options.feed_forward_s is None
@@ -234,6 +373,10 @@ def options_from(description: dict[str, str]) -> Options:
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),
             shaper=description.get("shaper"),
+            shaper_mode=description.get("mode"),
+            shaper_damping=None
+            if "damping" not in description
+            else parse_number("damping", description["damping"], "", "0.17"),
             feed_forward_s=None
             if "feed-forward" not in description
             else parse_width_s(description["feed-forward"]),

@@ -1,37 +1,42 @@
-"""Runs every arrow of the house in order, and nothing else."""
+"""Runs every arrow of the house in order, over the table of kinds, and nothing else."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from threadline.errors import OptionError, PlanError
+from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Job
+from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.machine import Machine
-from threadline.machine.vary import derate, vary
-from threadline.options import (
-    DEFAULT_INTERPOLATION,
-    Options,
-    describe,
-    parse_feed_mode,
-    refuse_axis_options,
-)
-from threadline.path import check_budget, on_time_path, plan_path, programmed_path
-from threadline.plan import Plan, SwitchPlan
-from threadline.plant.analysis import unstable_loops
-from threadline.shaping import parse_shaper, shape_trajectory
-from threadline.signals import Recording, RecordingBlock, Stream, TickTable
-from threadline.targets import compile_ticks, feed_forward_commands
-from threadline.targets.schedule import compile_schedule
-from threadline.targets.schedule_options import shaping_of
-from threadline.trajectory import plan_trajectory
-from threadline.twin import simulate
-from threadline.twin.switching import simulate_switching
-from threadline.verdict import Criterion, Spec, Verdict, judge
+from threadline.options import Options, parse_feed_mode
+from threadline.plan import Plan
+from threadline.signals import Commands, Recording, RecordingBlock
+from threadline.signals.files.common import Written
+from threadline.targets.write import Target
+from threadline.verdict import Spec, Verdict, judge
+from threadline.wording import nearest
+from threadline.writing import together
+
+__all__ = [
+    "Progress",
+    "Proof",
+    "check_loops",
+    "check_machine",
+    "open_job",
+    "plan_job",
+    "prove",
+    "prove_plan",
+    "simulate",
+    "target_names",
+    "target_of",
+    "with_shaping",
+    "write",
+]
 
 REPEAT_SEED = 1994
 
@@ -41,46 +46,35 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proof:
-    """A plan, what the simulated machine made of it, what was asked, and the verdict."""
+    """A plan, what the simulated machine made of it, what was asked, and the verdict.
+
+    Parameters
+    ----------
+    recording
+        The first run: of the machine as its file says.
+    runs
+        How many runs were judged.
+    actual
+        The machine that ran, where it isn't the one of the plan.
+    """
 
     plan: Plan
     recording: Recording
     verdict: Verdict
     spec: Spec
+    runs: int = 1
+    actual: Machine | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SwitchProof:
-    """The same of an on/off machine."""
-
-    plan: SwitchPlan
-    recording: Recording
-    verdict: Verdict
-    spec: Spec
-
-
-def check_loops(machine: Machine) -> None:
-    """Refuse a machine whose position loop is unstable, before any motion is planned.
+def check_machine(machine: Machine) -> None:
+    """Refuse a machine that can do no work, before any motion is planned.
 
     Raises
     ------
     PlanError
-        Naming the axis and how far the loop is beyond its limit; or that the machine has no loop.
+        If a loop of it is unstable.
     """
-    if not machine.axes:
-        raise PlanError(
-            f"{machine.name} has no axes with loops: its cylinders are switched on and off",
-            place=machine.place,
-            remedy="threadline prove, judge and compile take its move lists.",
-        )
-    unstable = unstable_loops(machine)
-    if unstable:
-        raise PlanError(
-            "; ".join(unstable),
-            place=machine.place,
-            remedy="Lower the gain of its controller, or correct its clock; threadline analyse "
-            "shows the loop.",
-        )
+    kind_of(machine).check(machine)
 
 
 def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
@@ -91,103 +85,107 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
     JobError
         If it cannot be read.
     OptionError
-        If F is given a meaning that the format or the machine does not have.
+        If an option means nothing to this kind of machine, or F is given a meaning that the
+        format or the machine does not have.
     """
+    kind_of(machine).check_options(machine, options)
     if options.feed_mode is None:
         return read_job(job_file, machine)
     return read_job(job_file, machine, **parse_feed_mode(options.feed_mode))
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan ``job`` on ``machine``: paths, trajectory, commands.
-
-    With ``options.feed_forward_s`` the trajectory of the plan is where the loads are to be, on
-    the clock of the recording, and ``Plan.feed_forward`` says what current and voltage the model
-    needs for it; a demand above its limit is no error, the verdict shows what comes of it.
-
-    Raises
-    ------
-    PlanError
-        If the machine cannot do the job.
-    """
-    shaper = None
-    if options.shaper is not None:
-        shaper = parse_shaper(options.shaper, float(machine.tick_clock.period_s))
-    programmed = programmed_path(job, machine, feed=options.feed)
-    check_budget(job, machine, options.feed)
-    limited = derate(machine, options.limit_share)
-    if options.feed_forward_s is not None and options.interpolation == DEFAULT_INTERPOLATION:
-        path = on_time_path(programmed, limited)
-    else:
-        path = plan_path(
-            programmed,
-            limited,
-            interpolation=options.interpolation,
-            tolerance_m=options.tolerance_m,
-        )
-    planned = trajectory = plan_trajectory(path, limited)
-    if options.feed_forward_s is not None:
-        if shaper is not None:
-            raise OptionError(
-                "a shaper and feed-forward exclude each other: the inverse leaves nothing to shape",
-                remedy="Leave one of them out.",
-            )
-        ahead = feed_forward_commands(planned, machine, job, options.feed_forward_s)
-        return Plan(
-            job=job,
-            machine=machine,
-            programmed=programmed,
-            path=replace(path, historical=False),
-            trajectory=ahead.trajectory,
-            commands=ahead.commands,
-            unshaped=ahead.timed,
-            feed_forward=ahead.demands,
-            rests_s=ahead.rests_s,
-            options=describe(job, machine, options),
-        )
-    if shaper is not None:
-        trajectory = shape_trajectory(planned, shaper, machine, centroid_shift=True)
-    commands = compile_ticks(trajectory, machine, job)
-    return Plan(
-        job=job,
-        machine=machine,
-        programmed=programmed,
-        path=path,
-        trajectory=trajectory,
-        commands=commands,
-        unshaped=None if shaper is None else planned,
-        options=describe(job, machine, options),
-    )
-
-
-def plan_switching(job: Job, machine: Machine, options: Options) -> SwitchPlan:
-    """Plan ``job`` on an on/off machine: its schedule.
+    """Plan ``job`` on ``machine``: what is intended, and the commands for it.
 
     Raises
     ------
     PlanError
         If the machine cannot do the job.
     OptionError
-        If an option is given that a schedule does not have.
+        If an option means nothing to this kind of machine.
     """
-    refuse_axis_options(machine, options)
-    shaping = {} if options.shaper is None else shaping_of(machine, options.shaper)
-    return SwitchPlan(
-        scheduled=compile_schedule(job, machine, shaping),
-        options=describe(job, machine, options),
-    )
+    kind = kind_of(machine)
+    kind.check_options(machine, options)
+    return kind.plan(job, machine, options)
+
+
+def simulate(commands: Commands, machine: Machine) -> Recording:
+    """Return what happens when ``machine`` plays ``commands`` once, of whatever kind they are.
+
+    Raises
+    ------
+    MachineError
+        If the machine's parts cannot be simulated.
+    OptionError, RecordingError
+        If the commands are not for this machine, or an input that they wait for never comes.
+    """
+    return kind_of_commands(commands).simulate(commands, machine)
 
 
 def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
-    """Return what is asked, with ``shaping_deviation`` where the motion is shaped or smoothed.
+    """Return what is asked, with what the options alone ask to be told.
 
-    What that does to the path is always said, with or without a limit.
+    What shaping and smoothing do to a path is always said, with or without a limit.
     """
-    shaped = options.shaper is not None or options.feed_forward_s is not None
-    named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
-    if machine.cylinders or named or not shaped:
-        return spec
-    return replace(spec, criteria=(*spec.criteria, Criterion(name="shaping_deviation")))
+    return kind_of(machine).asked(spec, options)
+
+
+def target_names() -> tuple[str, ...]:
+    """Return the names of all targets."""
+    return tuple(sorted(name for kind in KINDS.values() for name in kind.targets))
+
+
+def target_of(name: str, machine: Machine) -> Target:
+    """Return a target of a machine, and refuse others before anything is planned.
+
+    Raises
+    ------
+    OptionError
+        If it is unknown or of another kind of machine.
+    """
+    own = kind_of(machine).targets
+    if name in own:
+        return own[name]
+    if name not in target_names():
+        raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, target_names()))
+    raise OptionError(
+        f"target {name!r} is of another kind of machine than {machine.name}, which is "
+        f"commanded by {machine.commanded_by}",
+        remedy=f"Use {' or '.join(own)}.",
+    )
+
+
+def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
+    """Write ``plan`` for a controller; whole files or none.
+
+    Parameters
+    ----------
+    plan
+        A plan of any kind of work.
+    target
+        ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
+        array of the 1994 controller. ``nc``: a part program for LinuxCNC. ``st``:
+        structured text for a PLC, its configuration in a second file. ``plcopen``: the same as
+        PLCopen XML.
+    out
+        The file.
+
+    Returns
+    -------
+    list of Written
+        The files with their hashes.
+
+    Raises
+    ------
+    OptionError
+        If there is no such target, or not of this kind of machine.
+    PlanError
+        If the commands break a limit; nothing is written then.
+    """
+    chosen = target_of(target, plan.machine)
+    kind_of(plan.machine).release(plan)
+    with together():
+        return chosen.write(plan, Path(out))
 
 
 def prove(
@@ -200,7 +198,7 @@ def prove(
     actual: Machine | None = None,
 ) -> Proof:
     """Plan, simulate and judge a job: the whole question, answered once."""
-    check_loops(machine)
+    check_machine(machine)
     plan = plan_job(open_job(job_file, machine, options), machine, options)
     return prove_plan(plan, spec, progress, repeats, actual)
 
@@ -220,45 +218,38 @@ def prove_plan(
         The machine that runs it, where it isn't the one that the plan was made for: with other
         masses or stiffnesses than feed-forward believes in, for instance.
     repeats
-        Runs in all. Beyond the first, which is the machine as its file says, the encoders' phase
-        is drawn anew, friction within +-30 % and supply within +-5 %, from a fixed seed: the
-        spread of these runs is the repeatability.
+        Runs in all. Beyond the first, which is the machine as its file says, friction is drawn
+        within +-30 % and supply within +-5 %, and what stands anywhere at the start (encoders,
+        the scan) anew, from a fixed seed: the spread of these runs is the repeatability.
     """
-    if not isinstance(plan.commands, TickTable):
-        raise PlanError(f"{plan.job.name}: only tick tables can be simulated on axes")
+    kind = kind_of_commands(plan.commands)
     random = np.random.default_rng(REPEAT_SEED)
     machine = plan.machine if actual is None else actual
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
-    first = replace(simulate(plan.commands, machine), origin=origin)
+    first = replace(kind.simulate(plan.commands, machine), origin=origin)
     recordings = [first if progress is None else _watched(first, plan, progress)]
-    for _ in range(repeats - 1):
-        other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
-        phase = random.uniform(0.0, 1.0, len(plan.commands.axes))
-        recordings.append(simulate(plan.commands, other, encoder_phase=phase))
+    recordings += [kind.another_day(plan.commands, machine, random) for _ in range(repeats - 1)]
     verdict = judge(recordings, plan, spec)
-    return Proof(plan=plan, recording=first, verdict=verdict, spec=spec)
+    return Proof(
+        plan=plan, recording=first, verdict=verdict, spec=spec, runs=repeats, actual=actual
+    )
 
 
-def prove_switching(job_file: Path, machine: Machine, spec: Spec, options: Options) -> SwitchProof:
-    """Plan, simulate and judge a move list of an on/off machine."""
-    return prove_switch_plan(plan_switching(read_job(job_file, machine), machine, options), spec)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Watched:
+    """The blocks of a recording while somebody watches how far it is; no stream, for he stays."""
 
+    blocks: Iterable[RecordingBlock]
+    plan: Plan
+    progress: Progress
 
-def prove_switch_plan(plan: SwitchPlan, spec: Spec) -> SwitchProof:
-    """Simulate and judge a plan of an on/off machine."""
-    recording = replace(simulate_switching(plan.commands, plan.machine), origin=dict(plan.options))
-    verdict = judge([recording], plan, spec)
-    return SwitchProof(plan=plan, recording=recording, verdict=verdict, spec=spec)
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        clock, total_s = self.plan.commands.clock, max(self.plan.duration_s, 1e-9)
+        for block in self.blocks:
+            yield block
+            done_s = clock.time_s(block.first_tick.get(clock.name, 0))
+            self.progress("simulating and judging", min(done_s / total_s, 1.0))
 
 
 def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:
-    total_s = max(plan.trajectory.duration_s, 1e-9)
-
-    def blocks() -> Iterator[RecordingBlock]:
-        clock = plan.machine.tick_clock
-        for block in recording:
-            yield block
-            done_s = clock.time_s(block.first_tick.get(clock.name, 0))
-            progress("simulating and judging", min(done_s / total_s, 1.0))
-
-    return replace(recording, blocks=Stream(blocks))
+    return replace(recording, blocks=_Watched(recording.blocks, plan, progress))

@@ -2,110 +2,266 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
 
+import numpy as np
+
+from threadline.arrays import finite
 from threadline.control import Demand
+from threadline.errors import PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath, ProgrammedPath
-from threadline.signals import Commands, SwitchSchedule
+from threadline.signals import Commands
+from threadline.targets.following import Following
 from threadline.targets.schedule import Scheduled
 from threadline.trajectory.types import Trajectory
 
+__all__ = ["Following", "Intent", "Motion", "Plan", "Scheduled"]
+
+IntentT = TypeVar("IntentT")
+
+
+class Intent(Protocol):
+    """What a kind of work means to happen, behind its commands: what every plan can answer."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of what moves, in the order of all columns."""
+
+    @property
+    def duration_s(self) -> float:
+        """Of the commands as they were planned, s."""
+
+    @property
+    def historical(self) -> bool:
+        """Whether it is of those that ask for what they like in acceleration and jerk."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What deserves a second look, in words."""
+
+    def interpolation(self, options: Mapping[str, str]) -> str:
+        """Return the interpolation that was asked for, or what stands in its place."""
+
+    def planned_with(self, options: Mapping[str, str]) -> str:
+        """Return how it was planned, for people."""
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return what the JSON of a verdict tells of it, by key."""
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
+        """Return the line of the job for each of ``operations``, 0 where it has none."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Plan:
-    """Everything that was decided before the machine moved.
+class Motion:
+    """What axes with a path mean to do.
 
     Parameters
     ----------
-    job, machine
-        The two inputs.
     programmed
         What the job says, in axis space.
     path
         What will be followed.
     trajectory
         The path over time.
-    commands
-        What the controller is given.
-    unshaped
-        The trajectory before it was shaped, or smoothed for feed-forward; None where it is
-        neither.
-    feed_forward
-        What the motion asks of each axis where the commands come from the inverses of the axes,
-        so that the loads follow the trajectory as it stands; empty where the commands are the
-        trajectory itself.
+    following
+        What is to be where the trajectory says: the motors, which are told it, or the loads,
+        whose motors are told what the inverses of the axes say.
+    timed
+        The path as it was timed, before it was shaped, or smoothed for the inverses; None where
+        it is neither.
+    demands
+        What the motion asks of each axis by the inverse of its model; empty where the motors
+        follow.
     rests_s
         How long the loads rest in the table before their motion and after it, for the sake of
-        feed-forward.
+        the inverses.
+    """
+
+    programmed: ProgrammedPath
+    path: PlannedPath
+    trajectory: Trajectory
+    following: Following = Following.MOTOR
+    timed: Trajectory | None = None
+    demands: tuple[Demand, ...] = ()
+    rests_s: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of all columns."""
+        return self.programmed.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Of the trajectory, s."""
+        return self.trajectory.duration_s
+
+    @property
+    def moving_s(self) -> tuple[float, float]:
+        """When the motion begins and ends, on the clock of the table, s."""
+        before_s, after_s = self.rests_s
+        return before_s, self.trajectory.duration_s - after_s
+
+    @property
+    def historical(self) -> bool:
+        """Whether the motion is one of the 1994 controller's, which respects no limits."""
+        return self.trajectory.historical
+
+    @property
+    def of_loads(self) -> Trajectory | None:
+        """Where the loads are intended to be, if that is not what the motors are told."""
+        return self.trajectory if self.following is Following.LOAD else None
+
+    @property
+    def of_needle(self) -> Trajectory:
+        """The motion that a needle is geared with: loads that follow leave it the job's times."""
+        if self.of_loads is not None and self.timed is not None:
+            return self.timed
+        return self.trajectory
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A line for every axis whose feed-forward needs more than there is."""
+        return tuple(line for demand in self.demands if (line := _beyond(demand)))
+
+    def interpolation(self, options: Mapping[str, str]) -> str:
+        """Return what was asked for; feed-forward has ``auto`` keep programmed times."""
+        return options.get("interpolation", self.path.interpolation)
+
+    def planned_with(self, options: Mapping[str, str]) -> str:
+        """Return the interpolation, and feed-forward where the loads follow, for people."""
+        name = self.interpolation(options)
+        return name if self.of_loads is None else f"{name}, feed-forward"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+        """Return when it moves and what feed-forward asks of each axis, where it is used."""
+        if self.of_loads is None:
+            return {}
+        begin_s, end_s = self.moving_s
+        return {
+            "motion": {"begin_s": begin_s, "end_s": end_s, "duration_s": end_s - begin_s},
+            "feed_forward": [
+                {
+                    "axis": demand.axis,
+                    "current_a": demand.current_a,
+                    "current_limit_a": finite(demand.current_limit_a),
+                    "current_at_s": demand.current_at_s,
+                    "volts": demand.volts,
+                    "volt_limit": demand.volt_limit,
+                    "bound_by": demand.bound_by,
+                    "share": demand.share,
+                }
+                for demand in self.demands
+            ],
+        }
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
+        """Return the line of each operation; one without motion has that of the motion before.
+
+        One reading of the programmed path, no further than needed.
+        """
+        wanted = np.unique(np.array(list(operations), dtype=np.int64))
+        lines: dict[int, int] = {}
+        latest = 0
+        for block in self.programmed if len(wanted) else ():
+            if len(lines) == len(wanted) or not len(block):
+                break
+            due = wanted[len(lines) :]
+            due = due[due < block.operation[-1]]
+            at = np.searchsorted(block.operation, due, side="right") - 1
+            for operation, index in zip(due.tolist(), at.tolist(), strict=True):
+                lines[operation] = int(block.line[index]) if index >= 0 else latest
+            latest = int(block.line[-1])
+        for operation in wanted[len(lines) :].tolist():
+            lines[operation] = latest
+        return lines
+
+
+def _beyond(demand: Demand) -> str:
+    """Say how much more the reference of an axis needs than there is; empty if it does not."""
+    if demand.share <= 1.0:
+        return ""
+    if demand.bound_by == "current":
+        need = (
+            f"{demand.current_a:.1f} A at {demand.current_at_s:.3f} s; its amplifier gives "
+            f"{demand.current_limit_a:g} A"
+        )
+    else:
+        need = f"{demand.volts:.2f} V; its controller puts out {demand.volt_limit:g} V"
+    return (
+        f"axes.{demand.axis}: the reference needs {need}. Smooth it over a longer time, or lower "
+        "the speed"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """Everything that was decided before the machine moved, whatever kind of work it is.
+
+    Parameters
+    ----------
+    job, machine
+        The two inputs.
+    commands
+        What the controller is given.
+    intent
+        What is meant to happen: paths and a trajectory, or a schedule with its moves.
     options
         How it was planned (interpolation, feed, tolerance), as text, for people and recordings.
     """
 
     job: Job
     machine: Machine
-    programmed: ProgrammedPath
-    path: PlannedPath
-    trajectory: Trajectory
     commands: Commands
-    unshaped: Trajectory | None = None
-    feed_forward: tuple[Demand, ...] = ()
-    rests_s: tuple[float, float] = (0.0, 0.0)
+    intent: Intent
     options: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def interpolation(self) -> str:
-        """The interpolation that was asked for; feed-forward has ``auto`` keep programmed times."""
-        return self.options.get("interpolation", self.path.interpolation)
-
-    @property
-    def motion_s(self) -> tuple[float, float]:
-        """When the motion begins and ends, on the clock of the table."""
-        before_s, after_s = self.rests_s
-        return before_s, self.trajectory.duration_s - after_s
-
-    @property
-    def planned_with(self) -> str:
-        """Interpolation, and feed-forward where it was asked for, for people."""
-        return f"{self.interpolation}, feed-forward" if self.feed_forward else self.interpolation
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SwitchPlan:
-    """Everything that was decided before an on/off machine moved.
-
-    Such a machine is told when to switch and not where to be: there are moves with levels instead
-    of paths and a trajectory.
-
-    Parameters
-    ----------
-    scheduled
-        Job, machine, schedule, and every move with its levels.
-    options
-        How it was planned (shaper), as text, for people and recordings.
-    """
-
-    scheduled: Scheduled
-    options: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def job(self) -> Job:
-        """The job."""
-        return self.scheduled.job
-
-    @property
-    def machine(self) -> Machine:
-        """The machine."""
-        return self.scheduled.machine
-
-    @property
-    def commands(self) -> SwitchSchedule:
-        """What the PLC is given."""
-        return self.scheduled.commands
+    def axes(self) -> tuple[str, ...]:
+        """Names of what moves, in the order of all columns."""
+        return self.intent.axes
 
     @property
     def duration_s(self) -> float:
-        """Of the schedule; inputs that come late make a cycle longer."""
-        return self.commands.duration_ticks * float(self.commands.clock.period_s)
+        """As planned, s; inputs that come late make a job longer."""
+        return self.intent.duration_s
+
+    @property
+    def interpolation(self) -> str:
+        """The interpolation that was asked for, or what stands in its place."""
+        return self.intent.interpolation(self.options)
+
+    @property
+    def planned_with(self) -> str:
+        """How it was planned, for people."""
+        return self.intent.planned_with(self.options)
+
+    def intended(self, wanted: type[IntentT]) -> IntentT:
+        """Return the intent of this plan, which must be of the type ``wanted``.
+
+        Raises
+        ------
+        PlanError
+            If it is of another: a schedule has no path, and a path no schedule.
+        """
+        if not isinstance(self.intent, wanted):
+            raise PlanError(
+                f"{self.job.name} on {self.machine.name} is planned as "
+                f"{type(self.intent).__name__}, not as {wanted.__name__}",
+                remedy="Take a machine and a job of the other kind.",
+            )
+        return self.intent
+
+    @property
+    def motion(self) -> Motion:
+        """Paths and trajectory; see ``intended`` for what has none."""
+        return self.intended(Motion)
+
+    @property
+    def scheduled(self) -> Scheduled:
+        """Schedule and moves; see ``intended`` for what has none."""
+        return self.intended(Scheduled)

@@ -26,6 +26,10 @@ _PATTERNS = {
         "is no name of letters, digits, _ and -, with a letter first",
         "Name it like x_belt.",
     ),
+    "^[A-Za-z_]+(\\.(\\*|[A-Za-z0-9_-]+))+$": (
+        "must be a number's place in the file, with * for any part of it",
+        'Write it like "links.x_belt.stiffness" or "drives.*.resistance".',
+    ),
     "^(bodies|links|drives|sensors|controllers)(\\.[A-Za-z][A-Za-z0-9_-]*){2,3}$": (
         "must be the key of a number of a body, link, drive, sensor or controller",
         "Write it like links.x_belt.stiffness.",

@@ -14,6 +14,7 @@ import pytest
 
 from threadline.cli import prove
 from threadline.cli.main import main
+from threadline.writing import staged_file
 
 
 def stopped(
@@ -94,11 +95,12 @@ def test_a_termination_is_one_line_and_leaves_nothing(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """SIGTERM of a time limit, while the recording is being written into its temporary folder."""
+    """SIGTERM of a time limit, while the recording is being written."""
 
-    def terminated(_recording: object, temporary: Path, **_: object) -> None:
-        temporary.write_text("half")
-        os.kill(os.getpid(), signal.SIGTERM)
+    def terminated(_recording: object, path: Path, **_: object) -> None:
+        with staged_file(path) as file:
+            file.write(b"half")
+            os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr(prove, "prove_job", lambda *_: SimpleNamespace(recording=None))
     monkeypatch.setattr(prove, "write_recording", terminated)

@@ -97,7 +97,7 @@ def test_a_project_that_cannot_be_written_leaves_nothing(
 @pytest.mark.parametrize(
     ("kind", "name", "words"),
     [
-        ("embroidery", "mine", "There are: winder, stitcher, placer"),
+        ("embroidery", "mine", "There are: winder, stepper, stitcher, placer"),
         ("windr", "mine", "Did you mean 'winder'?"),
         ("winder", "full", "is not empty"),
         ("winder", "file", "is not a folder"),
@@ -120,5 +120,5 @@ def test_what_cannot_be_made_is_refused_in_one_line(
 
 def test_help_lists_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = run(capsys, "new", "--help")
-    assert "winder, stitcher, placer" in out
+    assert "winder, stepper, stitcher, placer" in out
     assert "embroidery" not in out

@@ -32,7 +32,7 @@ points = [[0, 0], [1, 0], [1, 0.8]]
 """
 SAYS = re.compile(
     r"warning: ([\w-]+) does not keep the tolerance of 0\.1 mm: the planned path is "
-    r"([\d.]+) mm off the programmed one at line \d+; auto and parabolic keep it"
+    r"([\d.]+) mm off the programmed one at line \d+; auto, optimal and parabolic keep it"
 )
 
 

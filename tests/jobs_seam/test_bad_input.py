@@ -7,9 +7,10 @@ import ezdxf
 import numpy as np
 import pytest
 
+from threadline.drawing import read_dxf
 from threadline.errors import InputError, JobError, LimitError
 from threadline.jobs.operations import Job, Move
-from threadline.jobs.seam import read_dxf, read_seam
+from threadline.jobs.seam import read_seam
 from threadline.machine import Machine, load_machine
 
 SPEED = {"stitch_length": "2.5 mm", "needle_speed": "50 stitch/s"}
@@ -236,8 +237,8 @@ def test_dxf_block_that_holds_itself(sewer: Machine, tmp_path: Path) -> None:
 
 
 def test_dxf_block_bomb(sewer: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """2^29 points; the limit is lowered from a million, which takes a minute to reach."""
-    monkeypatch.setattr(read_dxf, "MAX_STROKES", 1000)
+    """2^29 points: they are counted block by block, and not copied."""
+    monkeypatch.setattr(read_dxf, "MAX_LINES", 1000)
     document = ezdxf.new(units=4)
     document.blocks.new("B0").add_point((0, 0))
     for k in range(1, 30):
@@ -309,11 +310,12 @@ def test_stitch_longer_than_the_segment(sewer: Machine, tmp_path: Path) -> None:
     assert all(op.tags["exempt"] for op in job if isinstance(op, Move) and "exempt" in op.tags)
 
 
-def test_bowed_line_is_said(sewer: Machine, tmp_path: Path) -> None:
+def test_bowed_line_is_refused(sewer: Machine, tmp_path: Path) -> None:
     """Stitches of 2.5 mm around a radius of 1.5 mm leave the line by 0.6 mm."""
     circle = '[[1.5, 0], {to = [1.5, 0], centre = [0, 0], turn = "ccw"}]'
-    job = read(tmp_path, sewer, "t.seam.toml", seam(circle), needle="slowed")
-    assert any("bows" in t and "of a stitch" in t for t in job.warnings)
+    for needle in ("slowed", "constant"):
+        with pytest.raises(JobError, match=r"t\.seam\.toml:\d+: .* bows 0\.\d+ mm out of a stitch"):
+            read(tmp_path, sewer, "t.seam.toml", seam(circle), needle=needle, least_stitch="2.5 mm")
 
 
 def test_outside_the_travel(sewer: Machine, tmp_path: Path) -> None:
@@ -386,3 +388,10 @@ def test_damaged_files_raise_nothing_else(
         except InputError:
             outcomes.add("error")
     assert "error" in outcomes
+
+
+def test_an_arc_beyond_all_numbers_is_refused(sewer: Machine, tmp_path: Path) -> None:
+    """Its square is no number: that ended in a warning of numpy."""
+    points = "[[0, 0], {to = [9, 0], bulge = 1e300}]"
+    with pytest.raises(JobError, match="reaches further than 10000 m"):
+        read(tmp_path, sewer, "t.seam.toml", seam(points))

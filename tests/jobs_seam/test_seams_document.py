@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from threadline.drawing.read_csv import _KNOWN as COLUMNS
+from threadline.drawing.written import _POINT, CONTOUR_KEYS
 from threadline.errors import JobError, Place
 from threadline.jobs import read_job
-from threadline.jobs.seam.read_csv import _KNOWN as COLUMNS
 from threadline.jobs.seam.read_toml import _DRAWING, _SEAM, DEFAULT_GAP_M
 from threadline.jobs.seam.settings import _SETTINGS, Stitching, stitching
-from threadline.jobs.seam.written import _POINT, CONTOUR_KEYS
 from threadline.machine import load_machine
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "seams.md").read_text(encoding="utf-8")

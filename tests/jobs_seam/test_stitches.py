@@ -169,7 +169,9 @@ def test_ellipse_keeps_chords_even_where_it_bends(sewer: Machine, tmp_path: Path
         '<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="50mm" '
         'viewBox="0 0 100 50"><ellipse cx="40" cy="20" rx="20" ry="5" stroke="red"/></svg>'
     )
-    job = read_seam(svg, sewer, stitch_length="2 mm", needle_speed="50 stitch/s", needle="slowed")
+    job = read_seam(
+        svg, sewer, stitch_length="2 mm", needle_speed="50 stitch/s", needle="slowed", bow="0.5 mm"
+    )
     middle = tag(job, "length_m")[2:-2]
 
     assert np.ptp(middle) < 0.01 * middle.mean()
@@ -295,6 +297,24 @@ def test_inside_allowance_shifts_the_stitches(sewer: Machine, tmp_path: Path) ->
     at = places(sew(tmp_path, sewer, SQUARE, allowance="5 mm", side="inside"))
     distance = np.minimum(at, 100 - at).min(axis=1)
     assert distance == pytest.approx(5.0, abs=1e-6)
+
+
+def test_a_trim_takes_its_time(sewer: Machine, examples: Path) -> None:
+    """The head rests at the end of each contour before it travels on; stitches stay as they are."""
+    job = read_seam(examples / "pocket.seam.toml", sewer, trim="300 ms", settle="0 s")
+    plain = read_seam(examples / "pocket.seam.toml", sewer, settle="0 s")
+    operations = list(job)
+    trims = [
+        k for k, op in enumerate(operations) if isinstance(op, ToolEvent) and op.name == "trim"
+    ]
+
+    assert len(trims) > 1
+    for k in trims:
+        rest = operations[k + 1]
+        assert isinstance(rest, Dwell) and rest.duration_s == 0.3
+        assert rest.source == operations[k].source
+    without = [op for k, op in enumerate(operations) if k - 1 not in trims]
+    assert without == list(plain)
 
 
 def test_needle_speed_scales_the_clock_only(sewer: Machine, tmp_path: Path) -> None:

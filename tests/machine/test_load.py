@@ -100,6 +100,49 @@ def test_overlays_change_what_they_name_and_nothing_else() -> None:
     assert load_machine("lathe-winder+current").drives["x"].amplifier.current_limit.si == 4.0
 
 
+def test_8_a_give_twice_the_acceleration_of_4_a() -> None:
+    """Kt I r / J by hand, from the motor's data and the effective radii that the counts give."""
+    over = load_machine("lathe-winder+8A")
+    torque, per_turn = 8.0 * 0.082, 4000.0 / (2.0 * np.pi)
+    for name, body in (("A", "a"), ("X", "x"), ("Y", "y")):
+        axis = over.axes[name]
+        radius = per_turn / axis.counts.si
+        at_8_a = torque * radius / over.bodies[body].inertia.si
+        assert axis.acceleration.si == pytest.approx(at_8_a, rel=2e-3)
+        assert axis.jerk is not None
+        assert axis.jerk.si == pytest.approx(axis.acceleration.si / 5e-3, rel=1e-9)
+        assert "8 A" in axis.acceleration.note
+
+
+def test_what_no_code_reads_may_be_left_out(tmp_path) -> None:
+    text = WINDER
+    for key in ("manual_feed", "limit_feed", "knots_between"):
+        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    operator = load_machine(path).operator
+    assert operator is not None and operator.normal_feed.si == 10.0
+    assert operator.manual_feed is operator.limit_feed is operator.knots_between is None
+
+
+def test_a_tool_is_asked_for_only_where_an_axis_turns(tmp_path, refused) -> None:
+    without = WINDER.replace(
+        '[tool]\nradius = "100 mm exact, assumed: half the largest mandrel"\n', ""
+    )
+    assert without != WINDER
+    message = refused(without)
+    assert "'tool' is missing" in message and "axis A acts" in message and "radius = " in message
+    both = refused(without.replace('resistance = "0.4 ohm', 'x = "0.4 ohm', 1))
+    assert "unknown key" in both
+    both = refused(
+        without.replace('tick_budget = "5e8 tick exact, assumed: 29 days at 5 ms"\n', "")
+    )
+    assert "2 keys are missing" in both and "'tool' (like [tool] radius" in both
+    for name in ("letter-placer", "stitcher"):
+        assert load_machine(name).tool is None
+    assert load_machine("stitcher").radius_m.tolist() == [1.0, 1.0]
+
+
 def test_the_hash_is_of_the_content_and_not_of_its_layout(tmp_path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(WINDER, encoding="utf-8")

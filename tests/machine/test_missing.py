@@ -49,7 +49,6 @@ def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
     assert told == {
         "tick_budget": "",
         "clocks": "",
-        "tool": "",
         "bodies.x.inertia": str(LINES["[bodies.x]"]),
         "drives.x.torque_constant": str(LINES["[drives.x]"]),
         "drives.x.back_emf": str(LINES["[drives.x]"]),
@@ -69,7 +68,6 @@ def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
     [
         'tick_budget = "1e8 tick exact, assumed"',
         '[clocks] name = "5 ms exact, assumed"',
-        '[tool] radius = "100 mm exact, assumed"',
         # The unit is that of what the part says it is.
         'inertia = "1 kg*m^2 exact, assumed"',
         'gain = "1 A/V exact, assumed"',
@@ -80,6 +78,13 @@ def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
 )
 def test_a_missing_key_comes_with_a_value_that_would_do(tmp_path: Path, form: str) -> None:
     assert form in refused(tmp_path, BARE)
+
+
+def test_a_tool_is_among_what_is_missing_where_an_axis_turns(tmp_path: Path) -> None:
+    """A linear axis needs none; what a rotary one lacks is told with the rest."""
+    assert "tool" not in refused(tmp_path, BARE)
+    turning = BARE.replace('kind = "linear"', 'kind = "rotary"')
+    assert "'tool' (like [tool] radius = \"100 mm exact, assumed\")" in refused(tmp_path, turning)
 
 
 def test_what_is_proposed_is_accepted(tmp_path: Path) -> None:
@@ -100,13 +105,14 @@ def test_what_is_proposed_is_accepted(tmp_path: Path) -> None:
 def test_one_that_is_missing_is_told_alone(tmp_path: Path) -> None:
     message = refused(tmp_path, 'base = "lathe-winder"\ntool = "none"\n')
     assert message.endswith(
-        "'tool' is missing. Add it, like [tool] radius = \"100 mm exact, assumed\""
+        "'tool' is missing: it says at which radius the rotary axis A acts, "
+        'like [tool] radius = "100 mm exact, assumed".'
     )
 
 
 def test_a_machine_without_axes_and_more_is_told_of_both(tmp_path: Path) -> None:
     message = refused(tmp_path, 'name = "x"\n')
-    assert "'axes' (like [axes.X] with kind, controller, counts, velocity, acceleration)" in message
+    assert "'axes' (like [axes.X] with kind, counts, velocity, acceleration)" in message
     assert "'bodies' (like [bodies.name] with kind, inertia)" in message
 
 

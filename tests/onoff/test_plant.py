@@ -11,19 +11,46 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from threadline.machine import load_machine
+from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Quantity
+from threadline.plant.cylinders import cylinder_equations, network_of
 from threadline.plant.pneumatic import (
-    cylinder_plant,
     flow_mode,
     frame_mode,
-    network_of,
     step_ringing,
 )
-from threadline.twin.switching_cylinder import CylinderTwin
+from threadline.plant.values import Values
+from threadline.twin.switching_cylinder import advance, cylinders_of
 
 M1, MC, M2, K1, K2, B1, B2 = 19.78 + 53.76, 1.0, 6.0, 2.7e4, 1e8, 24.0, 1.5
 """Table 1 of the paper; Mc is what reproduces its eigenvalues."""
+
+
+class Twin:
+    """One cylinder of the twin, a millisecond at a time."""
+
+    def __init__(self, machine: Machine, axis: str) -> None:
+        made = cylinders_of(machine, (axis,), Values.of(machine), 1e-3)
+        self.bank, self.motion = made.bank(), made.at_rest()
+
+    def advance(self, level: float) -> None:
+        self.motion.state[0, -2] = level
+        advance(0, 0, self.bank, self.motion)
+
+    def row(self, index: int) -> float:
+        return float(self.bank.rows[0, index] @ self.motion.state[0])
+
+    @property
+    def stroke_m(self) -> float:
+        return self.row(0)
+
+    @property
+    def speed_m_s(self) -> float:
+        return self.row(1)
+
+    @property
+    def frame_m(self) -> float:
+        return self.row(2)
 
 
 def by_hand(reaction: float) -> tuple[np.ndarray, np.ndarray]:
@@ -79,10 +106,10 @@ def residual_um(a: np.ndarray, force: np.ndarray, row: np.ndarray) -> float:
 
 def test_reaction_of_the_piston_is_what_shakes_the_table() -> None:
     """662 um with the reaction, 8.6 um without, for a 200 mm bang-bang at 1 m/s2."""
-    plant = cylinder_plant(load_machine("letter-placer"), "X")
+    plant = cylinder_equations(load_machine("letter-placer"), "X")
     n = len(plant.states) - 2
-    a, force = plant.matrix[:n, :n], plant.force[:n]
-    assert residual_um(a, force, plant.frame[:n]) == pytest.approx(662.0, rel=0.005)
+    a, force = plant.matrix[0, :n, :n], plant.force[0, :n]
+    assert residual_um(a, force, plant.frame[0, :n]) == pytest.approx(662.0, rel=0.005)
     paper, alone = by_hand(0.0)
     found = residual_um(paper, alone, np.eye(6)[0])
     assert found == pytest.approx(8.6, rel=0.02)
@@ -91,7 +118,7 @@ def test_reaction_of_the_piston_is_what_shakes_the_table() -> None:
 def measured_stroke(reference: str) -> tuple[float, float, float, np.ndarray]:
     machine = load_machine(reference)
     cylinder = machine.cylinders["X"]
-    twin = CylinderTwin(machine, "X", 1e-3)
+    twin = Twin(machine, "X")
     speeds = []
     for k in range(3000):
         if twin.stroke_m >= cylinder.stroke.si - 1e-3:
@@ -99,7 +126,7 @@ def measured_stroke(reference: str) -> tuple[float, float, float, np.ndarray]:
             left = cylinder.stroke.si - twin.stroke_m
             return cylinder.delay.si + k * 1e-3 + left / speed, max(speeds), speed, np.array(speeds)
         twin.advance(1.0)
-        speeds.append(float(twin.plant.stroke_rate @ twin.state[:-2]))
+        speeds.append(twin.speed_m_s)
     raise AssertionError
 
 
@@ -147,7 +174,7 @@ def test_twin_agrees_with_an_independent_integration() -> None:
         values.append(done.y[:, :-1])
         state = done.y[:, -1]
     expected = np.concatenate(values, axis=1)
-    twin = CylinderTwin(machine, "X", 1e-3)
+    twin = Twin(machine, "X")
     frame, stroke = [], []
     for i in range(expected.shape[1]):
         frame.append(twin.frame_m)
@@ -167,7 +194,7 @@ def test_ringing_of_a_step_is_that_of_the_twin() -> None:
     ))  # fmt: skip
     machine = replace(machine, cylinders={"X": plain, "Z": machine.cylinders["Z"]})
     ringing = step_ringing(machine, "X")
-    twin = CylinderTwin(machine, "X", 1e-3)
+    twin = Twin(machine, "X")
     frame = []
     for _ in range(4000):
         frame.append(twin.frame_m)

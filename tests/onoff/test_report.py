@@ -12,9 +12,9 @@ import pytest
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
-from threadline.pipeline import prove_switching
+from threadline.pipeline import prove
 from threadline.plant.pneumatic import flow_mode, step_ringing
-from threadline.report import write_switching
+from threadline.report import write_report
 from threadline.report.onoff import (
     break_figure,
     break_on_twin,
@@ -127,8 +127,8 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     file.write_text(ACROSS)
     machine = load_machine(TRIMMED)
     spec = load_spec(None, machine)
-    proof = prove_switching(file, machine, spec, Options(shaper="zv"))
-    unshaped = prove_switching(file, machine, spec, Options())
+    proof = prove(file, machine, spec, Options(shaper="zv"))
+    unshaped = prove(file, machine, spec, Options())
     with figure_style():
         bars = residual_figure(proof, unshaped).axes[0].patches
         cycle = cycle_figure(proof)
@@ -143,8 +143,8 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     lanes = [t.get_text() for t in cycle.axes[-1].get_yticklabels()]
     assert lanes == list(machine.outputs)
     scheduled = replace(proof.plan.scheduled, warnings=("X is told 50.1 mm instead",))
-    proof = replace(proof, plan=replace(proof.plan, scheduled=scheduled))
-    page = write_switching(proof, tmp_path / "report").read_text(encoding="utf-8")
+    proof = replace(proof, plan=replace(proof.plan, intent=scheduled))
+    page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
     assert "X is told 50.1 mm instead" in page
     assert "IN SPEC" in page
     hertz, ratio = flow_mode(machine, "X")

@@ -24,19 +24,24 @@ ROWS = {
 }
 
 
+BY_A_LAW = "law:modified-sine"
+"""One of those by a motion law, which stands for them all."""
+
+
 def test_each_has_its_row_and_its_paragraph() -> None:
-    assert set(ROWS) == set(interpolation_names())
+    assert set(ROWS) == {*interpolation_names(), BY_A_LAW}
+    assert "## `law:NAME`" in TEXT
     assert set(re.findall(r"^## `([\w-]+)`$", TEXT, re.MULTILINE)) == set(interpolation_names())
 
 
-@pytest.mark.parametrize("name", sorted(interpolation_names()))
+@pytest.mark.parametrize("name", [*sorted(interpolation_names()), BY_A_LAW])
 def test_a_row_says_what_the_planner_does(name: str) -> None:
     """On the printed winder program: duration and deviation to the last digit that is written."""
     _, limits, tolerance, _, figures = ROWS[name]
     machine = load_machine("lathe-winder")
     job = read_job(ROOT / "examples" / "cone-dome-cylinder.prg", machine)
     plan = plan_job(job, machine, Options(interpolation=name))
-    path = plan.path
+    path = plan.motion.path
     (found,) = measure_path_deviation(plan)
     deviation_m = found.value
     assert deviation_m is not None
@@ -46,6 +51,6 @@ def test_a_row_says_what_the_planner_does(name: str) -> None:
     if name in KEEPING_TOLERANCE:
         assert deviation_m <= 1e-4
     seconds, millimetres = re.findall(r"([\d.]+) (?:s|mm off)", figures)
-    assert plan.trajectory.duration_s == pytest.approx(float(seconds), abs=0.051)
+    assert plan.motion.trajectory.duration_s == pytest.approx(float(seconds), abs=0.051)
     digits = len(millimetres.partition(".")[2])
     assert deviation_m * 1e3 == pytest.approx(float(millimetres), abs=0.6 * 10**-digits)

@@ -100,7 +100,9 @@ def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
     [
         (["stitcher", "--axis", "Q"], "machine 'stitcher' has no axis 'Q'. It has: X, Y."),
         (["no-such"], "no machine 'no-such'"),
-        (["letter-placer"], "machine 'letter-placer' has no axes"),
+        (["letter-placer", "--axis", "Q"], "'letter-placer' has no axis 'Q'. It has: X, Z."),
+        (["letter-placer", "--experiments"], "axis X of 'letter-placer' has none"),
+        (["letter-placer", "--lead", "13 Hz, 60 deg"], "--lead is of loops, and axis X"),
         (["stitcher", "--data", "sweep.csv"], "Name it with --axis"),
         (["stitcher", "--lead", "13 Hz"], "is not a crossover and a margin"),
         (["stitcher", "--lead", "13 mm, 60 deg"], "not a unit of the kind of 'Hz'"),
@@ -132,14 +134,18 @@ def test_wrong_data_names_the_line(text, message, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("gain", "words"),
+    ("gain", "place", "words"),
     [
-        ("0", "gives 0 V whatever the error, so there is no loop to analyse. Correct its gains."),
-        ("1e300", "V for an error of a count, which is beyond 1e-100 ... 1e+100."),
-        ("1e-300", "V for an error of a count, which is beyond 1e-100 ... 1e+100."),
+        (
+            "0",
+            "mine.toml: axes.X: controllers.x",
+            "gives 0 V whatever the error, so there is no loop to analyse. Correct its gains.",
+        ),
+        ("1e300", "mine.toml:4: controllers.x.gain", "are 0 or from 1e-15 to 1e+15."),
+        ("1e-300", "mine.toml:4: controllers.x.gain", "are 0 or from 1e-15 to 1e+15."),
     ],
 )
-def test_a_gain_without_a_loop_is_told_in_one_line(capsys, tmp_path, gain, words):
+def test_a_gain_without_a_loop_is_told_in_one_line(capsys, tmp_path, gain, place, words):
     """A warning of numpy would fail the test; it stood above the tables."""
     path = tmp_path / "mine.toml"
     path.write_text(
@@ -148,5 +154,5 @@ def test_a_gain_without_a_loop_is_told_in_one_line(capsys, tmp_path, gain, words
     )
     code, out, err = run(capsys, str(path), "--axis", "X", "--json")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("error: [MACHINE] mine.toml: axes.X: controllers.x gives ")
+    assert err.startswith(f"error: [MACHINE] {place}")
     assert words in err

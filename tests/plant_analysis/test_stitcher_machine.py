@@ -10,7 +10,7 @@ import pytest
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
-from threadline.plant.network import linear_model
+from threadline.plant.linear_model import linear_model
 from threadline.plant.rigid import current_needed, rigid_motion
 from threadline.plant.suspicions import suspicions
 

@@ -18,10 +18,10 @@ from threadline.options import Options, parse_feed
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
-from threadline.report.comparison import write_comparison
 from threadline.report.document import Document, Table, _pages, _with_caption, write_document
 from threadline.report.figures import error_figure
 from threadline.report.mismatch import draw_mismatch
+from threadline.report.proof import write_comparison
 from threadline.report.style import AXES, LIMIT, figure_style
 from threadline.report.traces import collect
 from threadline.search import Fastest, Interval, Mismatch, compare

@@ -134,3 +134,19 @@ def test_the_scan_is_even_on_a_logarithmic_scale_and_judges_no_feed_twice() -> N
 def test_an_empty_range_is_refused(low: float, high: float, points: int) -> None:
     with pytest.raises(ValueError, match="nothing to scan"):
         find_fastest(lambda _: verdict(0.5), low, high, points=points)
+
+
+def test_feeds_can_be_typed_back() -> None:
+    """Sixteen digits are not what a search of 0.2 % means; what is said is what was tried."""
+    tried: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        tried.append(feed)
+        return verdict(0.5 if feed <= 0.0312345678 else 2.0)
+
+    found = find_fastest(judged, 1e-3, 1.0)
+    assert found.best in tried
+    assert all(len(f"{feed:g}") <= 8 and float(f"{feed:.6g}") == feed for feed in tried)
+    assert found.best == pytest.approx(0.0312345678, rel=2.1e-3)
+    close = find_fastest(judged, 1.0, 1.0 + 1e-12, points=5)
+    assert close.tried == 5  # so near to each other that every digit is needed

@@ -39,7 +39,7 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
         feed=Feed(FeedMode.FASTEST_AXIS, result.best.found.best), limit_share=result.best.share
     )
     again = plan_job(job, machine, chosen)
-    assert again.trajectory.duration_s == result.best.duration_s
+    assert again.duration_s == result.best.duration_s
     assert prove_plan(again, spec).verdict.passed
 
 

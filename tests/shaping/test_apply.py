@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from tests.made import Made
 
 from threadline.errors import LimitError, OptionError, PlanError
 from threadline.jobs import read_job
@@ -30,7 +31,6 @@ from threadline.shaping import (
     shaping_deviation,
     vibration_of,
 )
-from threadline.signals import Stream
 from threadline.targets import compile_ticks
 from threadline.trajectory import Trajectory, TrajectoryBlock, limit_peaks, plan_trajectory
 
@@ -61,7 +61,7 @@ def made(
                     operation=label[a:b],
                 )
 
-    return Trajectory(axes=axes, blocks=Stream(blocks))
+    return Trajectory(axes=axes, blocks=Made(blocks))
 
 
 def random_pieces(rng: np.random.Generator, n: int) -> tuple[list[float], np.ndarray]:
@@ -147,7 +147,7 @@ def test_memory_holds_only_what_the_train_reaches() -> None:
             )
 
     shaped = shape_trajectory(
-        Trajectory(axes=("X", "Y"), blocks=Stream(blocks)), design("zvd", MODE), None
+        Trajectory(axes=("X", "Y"), blocks=Made(blocks)), design("zvd", MODE), None
     )
     longest = 0
     for count, block in enumerate(shaped, start=1):

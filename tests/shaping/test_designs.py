@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from scipy.integrate import solve_ivp
 
 from threadline.errors import OptionError
 from threadline.shaping.combine import convolve
-from threadline.shaping.designs import UNIT_MAGNITUDE, ShaperKind, design
+from threadline.shaping.designs import UNIT_MAGNITUDE, ShaperKind, _proved_humps, design
+from threadline.shaping.humps import positive_humps
 from threadline.shaping.oscillator import prove, simulated_vibration
 from threadline.shaping.robustness import insensitivity
 from threadline.shaping.types import FlexibleMode, Shaper, ShaperError
@@ -210,3 +212,13 @@ def test_arrays_are_locked() -> None:
     shaper = design("zv", FlexibleMode(1.0))
     with pytest.raises(ValueError, match="read-only"):
         shaper.amplitudes[0] = 2.0
+
+
+def test_a_hump_above_the_tolerance_between_the_zeros_is_found() -> None:
+    """An EI shaper for 5 %, said to be one for 4 %, and without a word of where its hump is."""
+    mode = FlexibleMode(frequency_hz=5.0, damping_ratio=0.0)
+    found = positive_humps(1, 0.0, 0.05)
+    silent = replace(found, peaks=np.empty(0))
+    assert _proved_humps(ShaperKind.EI, mode, silent, 0.05).name == "ei"
+    with pytest.raises(ShaperError, match="vibration"):
+        _proved_humps(ShaperKind.EI, mode, silent, 0.04)

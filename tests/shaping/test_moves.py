@@ -67,15 +67,15 @@ def test_shaping_leaves_a_fraction_of_the_vibration(
     assert away is not None
     assert away < 1e-9
     assert shaped.plan.options["shaper"] == shaper
-    assert shaped.plan.unshaped is not None
+    assert shaped.plan.motion.timed is not None
 
 
 def test_the_plan_is_that_of_the_shaped_trajectory(tmp_path: Path) -> None:
     text = "zvd:12.463Hz:0.0574"
     proof = proved(tmp_path, "lathe-winder+springy", "X 150", "400 mm/s", text)
-    assert proof.plan.unshaped is not None
-    wanted = shape_trajectory(proof.plan.unshaped, parse_shaper(text), None)
-    assert proof.plan.trajectory.duration_s == wanted.duration_s
+    assert proof.plan.motion.timed is not None
+    wanted = shape_trajectory(proof.plan.motion.timed, parse_shaper(text), None)
+    assert proof.plan.motion.trajectory.duration_s == wanted.duration_s
 
 
 def test_a_reversal_that_is_cut_is_the_deviation(tmp_path: Path) -> None:
@@ -85,12 +85,12 @@ def test_a_reversal_that_is_cut_is_the_deviation(tmp_path: Path) -> None:
     """
     words = "X 50;\nN 25 X -50"
     proof = proved(tmp_path, "lathe-winder", words, "36 mm/s", "zv:12Hz:0.02")
-    column = proof.plan.trajectory.axes.index("X")
-    time_s = np.linspace(0.0, proof.plan.trajectory.duration_s, 5000)
-    assert proof.plan.unshaped is not None
+    column = proof.plan.motion.trajectory.axes.index("X")
+    time_s = np.linspace(0.0, proof.plan.motion.trajectory.duration_s, 5000)
+    assert proof.plan.motion.timed is not None
     farthest = [
         float(motion(time_s)[:, column].max())
-        for motion in (proof.plan.unshaped, proof.plan.trajectory)
+        for motion in (proof.plan.motion.timed, proof.plan.motion.trajectory)
     ]
     lacking = farthest[0] - farthest[1]
     assert lacking > 1e-4

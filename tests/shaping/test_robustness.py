@@ -149,3 +149,20 @@ def test_klipper_is_not_asked_for_more_damping_than_it_takes() -> None:
     assert len(klipper_impulses("3hump_ei", FlexibleMode(10.0, 0.2)).times_s) == 5
     with pytest.raises(OptionError, match=r"3hump_ei takes damping ratios up to 0\.2, got 0\.25"):
         klipper_impulses("3hump_ei", FlexibleMode(10.0, 0.25))
+
+
+@pytest.mark.parametrize("below", [1e-4, 1e-5, 1e-6])
+def test_a_hump_that_rises_above_the_tolerance_between_two_places_of_the_grid(below: float) -> None:
+    """Two humps of 5 %, asked for hardly less: the interval ends at the foot of the first top.
+
+    The reference is the vibration at a hundred times the places, each rise refined by bisection.
+    """
+    mode = FlexibleMode(frequency_hz=4.8, damping_ratio=0.0)
+    shaper = design("2hump-ei", mode, tolerance=0.05)
+    limit = 0.05 * (1.0 - below)
+    found = insensitivity(shaper, mode, limit)
+    f = np.linspace(mode.frequency_hz, 2.0 * mode.frequency_hz, 400_001)
+    over = int(np.argmax(residual_vibration(shaper, f, 0.0) > limit))
+    low, high = float(f[over - 1]), float(f[over])
+    assert low - 1e-4 <= found.high_hz <= high + 1e-4
+    assert found.high_hz < 1.3 * mode.frequency_hz  # and not at the end of the whole band

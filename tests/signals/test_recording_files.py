@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.made import Made
 from threadline.errors import RecordingError
 from threadline.signals import (
     Channel,
@@ -394,7 +395,7 @@ def test_writing_is_all_or_nothing(tmp_path) -> None:
 
     bad = Recording(
         channels=good.channels,
-        blocks=Stream(broken),
+        blocks=Made(broken),
         job_sha256="",
         machine_sha256="",
         simulated=True,
@@ -443,7 +444,7 @@ def test_samples_are_not_kept_in_memory(tmp_path) -> None:
     channel = recording_of({"X.measured": [0.0]}).channels[0]
     recording = Recording(
         channels=(channel,),
-        blocks=Stream(blocks),
+        blocks=Made(blocks),
         job_sha256="",
         machine_sha256="",
         simulated=True,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Iterator
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import pytest
@@ -126,7 +129,50 @@ def test_a_recording_finds_its_channels_and_names_them() -> None:
 
 
 def test_streams_begin_anew() -> None:
-    calls = []
-    stream = Stream(lambda: iter(calls.append(1) or [1, 2]))
-    assert (list(stream), list(stream)) == ([1, 2], [1, 2])
+    calls: list[int] = []
+    stream = Stream(noted, calls, upto=3)
+    assert (list(stream), list(stream)) == ([0, 1, 2], [0, 1, 2])
     assert len(calls) == 2
+
+
+def noted(calls: list[int], upto: int) -> Iterator[int]:
+    calls.append(upto)
+    return iter(range(upto))
+
+
+class Steps:
+    def __init__(self, upto: int) -> None:
+        self.upto = upto
+
+    def steps(self, first: int = 0) -> Iterator[int]:
+        return iter(range(first, self.upto))
+
+    def __iter__(self) -> Iterator[int]:
+        return self.steps()
+
+
+def test_streams_are_recipes() -> None:
+    """What its module names is found in another process too; nothing else is taken."""
+    for stream in (Stream(Steps(3).steps), Stream(iter, Steps(3)), Stream(reversed, (2, 1, 0))):
+        assert list(pickle.loads(pickle.dumps(stream))) == list(stream) == [0, 1, 2]
+
+    def nested() -> Iterator[int]:
+        return iter([1])
+
+    class Nested(Steps):
+        pass
+
+    remedy = r"Put it into its module, and give what it needs .* as arguments"
+    for arguments in (
+        (lambda: iter([1]),),
+        (nested,),
+        (Nested, 3),
+        (Nested(3).steps,),
+        (iter, Nested(3)),
+        (map, nested, (1, 2)),
+        (partial(noted, calls=nested), 3),
+    ):
+        with pytest.raises(TypeError, match=remedy):
+            Stream(*arguments)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="can be read once only"):
+        Stream(iter, (k for k in range(3)))

@@ -278,3 +278,11 @@ def test_an_unknown_axis_and_an_absurd_position_are_refused() -> None:
 def test_the_table_can_be_read_again() -> None:
     table = compile_ticks(lines([[0.0], [0.1]], [1.0], per_block=1), winder(), rows=16)
     assert np.array_equal(rows_of(table), rows_of(table))
+
+
+def test_a_tick_beyond_the_budget_is_refused() -> None:
+    budget = Quantity(200.0, "tick", 0.0, Provenance.ASSUMED)
+    machine = replace(winder(), tick_budget=budget)
+    assert compile_ticks(lines([[0.0], [0.1]], [1.0]), machine).tick_count() == 200
+    with pytest.raises(BudgetError, match="allows 200"):
+        compile_ticks(lines([[0.0], [0.1]], [1.005]), machine).tick_count()

@@ -13,11 +13,12 @@ from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Move, SetOutput, Stop
 from threadline.machine import load_machine
+from threadline.pipeline import target_names, target_of, write
 from threadline.signals import Clock, SwitchSchedule
 from threadline.signals.files import read_table
-from threadline.targets import compile_ticks, target_names, write
+from threadline.targets import compile_ticks
 from threadline.targets.planned_job import planned_job
-from threadline.targets.write import check_target
+from threadline.targets.write import TABLES
 
 from .makers import HERE, job_of, lines, polynomials, winder
 
@@ -41,7 +42,7 @@ def plan_of(trajectory, operations=OPERATIONS):
     return SimpleNamespace(
         job=job,
         machine=machine,
-        trajectory=trajectory,
+        motion=SimpleNamespace(trajectory=trajectory),
         commands=compile_ticks(trajectory, machine, job),
     )
 
@@ -59,7 +60,8 @@ def test_tables_hold_the_commands(tmp_path, target) -> None:
     )
     assert [e for b in read for e in b.events] == [e for b in wanted for e in b.events]
     assert read_table(path).job_sha256 == plan.job.sha256
-    assert write(plan.commands, target, str(path))[0].sha256 == done.sha256
+    assert write(plan, target, str(path))[0].sha256 == done.sha256
+    assert TABLES[target](plan.commands, path).sha256 == done.sha256
 
 
 def test_unknown_targets_name_the_nearest(tmp_path) -> None:
@@ -83,13 +85,13 @@ def test_commands_of_another_kind_are_refused(tmp_path) -> None:
         job_sha256="",
         machine_sha256="",
     )
-    with pytest.raises(
-        OptionError,
-        match=r"does not have\. An on/off machine is written as st",
-    ):
-        write(schedule, "csv", tmp_path / "x")
-    with pytest.raises(OptionError, match="planned motion of axes, which a tick table is not"):
-        write(plan_of(polynomials(PIECES)).commands, "nc", tmp_path / "x")
+    plan = plan_of(polynomials(PIECES))
+    plan.commands = schedule
+    with pytest.raises(OptionError, match=r"a table of counts is needed, which an on/off machine"):
+        write(plan, "csv", tmp_path / "x")
+    plan.machine = load_machine("letter-placer")
+    with pytest.raises(OptionError, match=r"commanded by switches. Use plcopen or st"):
+        write(plan, "csv", tmp_path / "x")
 
 
 def test_a_plan_over_the_limits_leaves_no_file(tmp_path) -> None:
@@ -141,7 +143,7 @@ def test_our_own_reader_takes_the_part_program(tmp_path) -> None:
     text = re.sub(r"N\d+ G64 P0\.01\n", "", (tmp_path / "out.prg").read_text())
     (tmp_path / "out.prg").write_text(text)
     read = list(read_job(tmp_path / "out.prg", plan.machine))
-    wanted = list(planned_job(plan.job, plan.trajectory, plan.machine))
+    wanted = list(planned_job(plan.job, plan.motion.trajectory, plan.machine))
     assert [type(o) for o in read] == [type(o) for o in wanted]
     for ours, theirs in zip(read, wanted, strict=True):
         if isinstance(ours, Move):
@@ -167,12 +169,12 @@ def test_a_rest_that_no_dwell_asks_for_keeps_its_time() -> None:
 
 def test_a_target_is_refused_before_anything_is_planned() -> None:
     """By its name and the kind of machine alone, with what would do."""
-    check_target("nc", winder())
+    assert not target_of("nc", winder()).takes_shaped
     with pytest.raises(OptionError, match=r"unknown target 'klipper'. Known: csv, nc, npz"):
-        check_target("klipper", winder())
-    with pytest.raises(OptionError, match=r"which lathe-winder is not\. Use csv, npz, ticks, nc"):
-        check_target("st", winder())
+        target_of("klipper", winder())
+    with pytest.raises(OptionError, match=r"than lathe-winder, .* Use csv or npz or ticks or nc"):
+        target_of("st", winder())
     placer = load_machine("letter-placer")
-    check_target("plcopen", placer)
-    with pytest.raises(OptionError, match=r"letter-placer switches on and off\. Use plcopen or st"):
-        check_target("csv", placer)
+    assert target_of("plcopen", placer).takes_shaped
+    with pytest.raises(OptionError, match=r"than letter-placer, .* Use plcopen or st"):
+        target_of("csv", placer)

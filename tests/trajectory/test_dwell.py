@@ -31,7 +31,7 @@ def test_a_dwell_keeps_its_place_and_its_time(
     file = tmp_path / "dwell.prg"
     file.write_text("%\nO1;\nG1 F600;\nG91;\nX20;\nG4 P0.7;\nX-5;\nM30;\n%\n")
     machine = load_machine(machine_name)
-    trajectory = plan_job(read_job(file, machine), machine, options).trajectory
+    trajectory = plan_job(read_job(file, machine), machine, options).motion.trajectory
     blocks = list(trajectory.blocks)
     starts = np.concatenate([b.start_s for b in blocks])
     ends = starts + np.concatenate([b.duration_s for b in blocks])

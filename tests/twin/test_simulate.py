@@ -175,3 +175,34 @@ def test_wrong_commands_are_refused(table):
         simulate(commands, machine, encoder_phase=np.array([0.0, 1.0, 0.0]))
     with pytest.raises(OptionError, match="settle_s"):
         simulate(commands, machine, settle_s=-1.0)
+
+
+@pytest.mark.parametrize("encoder", ["nearest", "floor", "truncate"])
+@pytest.mark.parametrize("dac", ["nearest", "floor", "truncate"])
+def test_rounding_is_the_machine_files(encoder, dac, table):
+    """Readings and levels against numpy's rounding of what the load and the controller were."""
+    machine = load_machine("lathe-winder")
+    sensor = dataclasses.replace(machine.sensors["x"], rounding=encoder)
+    controller = machine.controllers["x"]
+    output = dataclasses.replace(controller.dac, rounding=dac, zero_on_reversal=False)
+    kp = dataclasses.replace(controller.kp, si=0.37130517)
+    controller = dataclasses.replace(controller, dac=output, kp=kp)
+    machine = dataclasses.replace(
+        machine,
+        sensors={**machine.sensors, "x": sensor},
+        controllers={**machine.controllers, "x": controller},
+    )
+    rows = np.concatenate((np.full(40, 7), np.full(80, -9)))
+    recording = simulate(table(machine, {"X": rows}), machine)
+    scale = machine.axes["X"].counts.si
+    exact = recording.samples("X.load")[1] * scale
+    read = np.rint(recording.samples("X.measured")[1] * scale)
+    ways = {"nearest": lambda x: np.floor(x + 0.5), "floor": np.floor, "truncate": np.trunc}
+    np.testing.assert_array_equal(read, ways[encoder](exact))
+    error = np.rint(recording.samples("X.commanded")[1] * scale) - read
+    asked = 0.37130517 * error + 4.0 * np.diff(error, prepend=0.0)
+    given = {**ways, "nearest": np.rint}[dac](asked)
+    # A sample is taken before the controller acts: it shows the level of the tick before.
+    levels = recording.samples("X.voltage")[1] / output.volt_per_level
+    np.testing.assert_allclose(levels[1:], given[:-1], atol=1e-9)
+    assert (exact < 0).any() and np.abs(asked - given).max() > 0.3

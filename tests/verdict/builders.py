@@ -7,6 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from tests.made import Made
 from threadline.arrays import FloatArray
 from threadline.jobs.operations import Feed, FeedMode, Job, Move, Source
 from threadline.machine import Machine, load_machine
@@ -17,7 +18,7 @@ from threadline.path.types import (
     Timing,
     VertexBlock,
 )
-from threadline.plan import Plan
+from threadline.plan import Motion, Plan
 from threadline.signals import (
     Channel,
     ChannelKind,
@@ -144,10 +145,12 @@ def plan_through(
             ),
         ),
         machine=machine,
-        programmed=ProgrammedPath(axes=axes, radius_m=radius, blocks=Stream(vertex_blocks)),
-        path=planned,
-        trajectory=trajectory,
         commands=commands,
+        intent=Motion(
+            programmed=ProgrammedPath(axes=axes, radius_m=radius, blocks=Made(vertex_blocks)),
+            path=planned,
+            trajectory=trajectory,
+        ),
         options={"interpolation": "by hand"},
     )
 
@@ -184,18 +187,16 @@ def record(
         )
         columns["operation"] = np.asarray(operation, dtype=float)
     count = len(next(iter(columns.values())))
-
-    def blocks():
-        for begin in range(0, count, per_block):
-            end = min(begin + per_block, count)
-            yield RecordingBlock(
-                first_tick={clock.name: begin * stride},
-                samples={name: values[begin:end] for name, values in columns.items()},
-            )
-
+    blocks = [
+        RecordingBlock(
+            first_tick={clock.name: begin * stride},
+            samples={name: values[begin : begin + per_block] for name, values in columns.items()},
+        )
+        for begin in range(0, count, per_block)
+    ]
     return Recording(
         channels=tuple(described),
-        blocks=Stream(blocks),
+        blocks=Stream.of(blocks),
         job_sha256=job_sha256,
         machine_sha256="",
         simulated=simulated,
@@ -217,6 +218,11 @@ def follow(
     part = (along - operation)[:, None]
     at = operation.astype(int)
     return vertices[at] * (1 - part) + vertices[at + 1] * part, operation
+
+
+def move_s(operation: FloatArray) -> float:
+    """Return how long each move of ``follow`` took: that of a plan with the same times."""
+    return TICK_S * float(np.count_nonzero(operation == operation[0]))
 
 
 def spec_of(*criteria: Criterion, lag_s: float = 0.1) -> Spec:

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.made import Made
 from threadline.path.types import PieceBlock, VertexBlock
-from threadline.signals import ChannelKind, RecordingBlock, Stream
+from threadline.signals import ChannelKind, RecordingBlock
 from threadline.trajectory.types import TrajectoryBlock
 from threadline.verdict import judge, load_spec
 
@@ -88,12 +89,15 @@ def long_job(chunks: int):
 
     plan = replace(
         plan,
-        programmed=replace(plan.programmed, blocks=Stream(vertices)),
-        path=replace(plan.path, blocks=Stream(pieces)),
-        trajectory=replace(plan.trajectory, blocks=Stream(motion)),
+        intent=replace(
+            plan.motion,
+            programmed=replace(plan.motion.programmed, blocks=Made(vertices)),
+            path=replace(plan.motion.path, blocks=Made(pieces)),
+            trajectory=replace(plan.motion.trajectory, blocks=Made(motion)),
+        ),
     )
     kinds = {ChannelKind.LOAD: np.zeros((1, 2)), ChannelKind.COMMANDED: np.zeros((1, 2))}
-    recording = replace(record(("X", "Y"), kinds, np.zeros(1)), blocks=Stream(samples))
+    recording = replace(record(("X", "Y"), kinds, np.zeros(1)), blocks=Made(samples))
     return plan, recording
 
 

@@ -14,7 +14,7 @@ from threadline.signals import ChannelKind
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.nearest import vertices_to_path
 
-from .builders import TICK_S, follow, plan_through, record, spec_of
+from .builders import TICK_S, follow, move_s, plan_through, record, spec_of
 
 CONTOUR = spec_of(Criterion(name="contour_error", limit=5e-4))
 XY = ("X", "Y")
@@ -23,7 +23,7 @@ XY = ("X", "Y")
 def contour(
     points, actual, operation, *, commanded=None, spec=CONTOUR, axes=XY, per_block=64, **plan
 ):
-    made = plan_through(points, axes, **plan)
+    made = plan_through(points, axes, **{"move_s": move_s(operation), **plan})
     channels = {ChannelKind.LOAD: actual}
     if commanded is not None:
         channels[ChannelKind.COMMANDED] = commanded
@@ -56,6 +56,42 @@ def brute_force(points, actual, operation, lag, axes=XY, radius=None):
         ]
         worst = max(worst, min(near))
     return worst
+
+
+def brute_between(points, actual, operation, lag, parts=64):
+    """Return the farthest of many places between samples, and how much farther one may be."""
+    v, n = np.asarray(points, dtype=float), len(actual)
+    worst = longest = 0.0
+    for i in range(n - 1):
+        early, late = operation[max(i - lag, 0)], operation[min(i + 1 + lag, n - 1)]
+        longest = max(longest, np.linalg.norm(actual[i + 1] - actual[i]))
+        u = np.arange(1, parts)[:, None] / parts
+        places = actual[i] + u * (actual[i + 1] - actual[i])
+        best = np.full(len(places), np.inf)
+        for c in range(int(early), int(late) + 1):
+            d = v[c + 1] - v[c]
+            square = d @ d
+            along = np.clip((places - v[c]) @ d / square, 0, 1) if square > 0 else np.zeros(len(u))
+            best = np.minimum(best, np.linalg.norm(places - v[c] - along[:, None] * d, axis=1))
+        worst = max(worst, best.max())
+    return worst, longest / parts
+
+
+def test_a_jump_between_two_legs_is_seen_between_its_samples() -> None:
+    """Two legs 10 mm apart, both followed; one sample of the first lies on the second.
+
+    Every sample is on the path and every point is passed, but half-way across the tool is 5 mm off.
+    """
+    points = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.01], [0.0, 0.01]]
+    commanded, operation = follow(points, 10)
+    actual = commanded.copy()
+    actual[5, 1] += 0.01
+    spec = spec_of(*CONTOUR.criteria, lag_s=30 * TICK_S)
+    result = contour(points, actual, operation, spec=spec)
+    # From (40, 0) to (50, 10) mm: half-way it is 5 mm from either leg.
+    assert result.measured == pytest.approx(5e-3, abs=1e-9)
+    assert result.time_s == pytest.approx(4.5 * TICK_S)
+    assert result.status is Status.FAILED
 
 
 def test_constant_lateral_offset_is_the_error() -> None:
@@ -205,23 +241,46 @@ def test_no_operation_after_the_end_means_the_last_one() -> None:
 
 
 @pytest.mark.parametrize("vertices_per_block", [2, 1000])
-def test_a_recording_that_ends_early_fails(vertices_per_block: int) -> None:
-    """The end is 100 mm along a slanted line, 44 of them done, whether the rest was read or not."""
+def test_a_machine_that_stops_on_its_way_fails(vertices_per_block: int) -> None:
+    """The end is 100 mm along a slanted line, 44 of them done, whether the rest was read or not.
+
+    It stands there, in the same operation, for longer than the whole job takes.
+    """
     points = [[0.006 * i, 0.008 * i] for i in range(11)]
     commanded, operation = follow(points, 10)
+    stands = np.minimum(np.arange(150), 44)
     result = contour(
         points,
-        commanded[:45],
-        operation[:45],
+        commanded[stands],
+        operation[stands],
         per_block=7,
         spec=spec_of(*CONTOUR.criteria, lag_s=0.0),
         vertices_per_block=vertices_per_block,
     )
 
     assert result.measured == pytest.approx(0.1 - 0.044, abs=1e-12)
-    assert result.time_s == pytest.approx(44 * TICK_S)
+    assert result.time_s == pytest.approx(149 * TICK_S)
     assert result.job_line == 100
     assert "before" in result.note
+
+
+@pytest.mark.parametrize("vertices_per_block", [2, 1000])
+def test_a_recording_that_ends_early_proves_nothing_of_the_rest(vertices_per_block: int) -> None:
+    """Cut at 44 of 100 mm: what was seen is on the path; a sample that is off it still fails."""
+    points = [[0.006 * i, 0.008 * i] for i in range(11)]
+    commanded, operation = follow(points, 10)
+    spec = spec_of(*CONTOUR.criteria, lag_s=0.0)
+    more = {"per_block": 7, "spec": spec, "vertices_per_block": vertices_per_block}
+    result = contour(points, commanded[:45], operation[:45], **more)
+    assert (result.status, result.measured) == (Status.NOT_MEASURED, None)
+    assert "X.load ends at 0.22 s, the motion at 0.5 s" in result.note
+
+    off = commanded[:45].copy()
+    off[20] += np.array([0.8e-3, -0.6e-3])
+    result = contour(points, off, operation[:45], **more)
+    assert result.status is Status.FAILED
+    assert result.measured == pytest.approx(1e-3, abs=1e-12)
+    assert "X.load ends at 0.22 s" in result.note
 
 
 def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
@@ -273,10 +332,15 @@ def test_random_polylines_against_brute_force(
         per_block=10**6,
     )
 
-    assert result.measured == pytest.approx(
-        brute_force(points, actual, operation, lag), abs=1e-12
-    ), (points, actual)
-    assert again == result
+    least = brute_force(points, actual, operation, lag)
+    between, step_m = brute_between(points, actual, operation, lag)
+    assert result.measured >= max(least, between) - step_m - 1e-12, (points, actual)
+    assert result.measured <= max(least, between + step_m) + 1e-12, (points, actual)
+    if least > between + step_m:
+        assert result.measured == pytest.approx(least, abs=1e-12), (points, actual)
+    # What waits at the end of a block is the same but for the last place of a sum.
+    assert result.measured == pytest.approx(again.measured, abs=1e-12)
+    assert (result.note, result.job_line) == (again.note, again.job_line)
 
 
 def test_a_move_to_where_the_machine_is_needs_no_sample() -> None:

@@ -20,7 +20,7 @@ ALL = spec_of(*(Criterion(name=name) for name in NAMES))
 
 
 def judged(plan, spec=ALL):
-    axes = plan.programmed.axes
+    axes = plan.motion.programmed.axes
     nothing = np.zeros((4, len(axes)))
     return judge([record(axes, {ChannelKind.COMMANDED: nothing}, None)], plan, spec)
 
@@ -40,7 +40,8 @@ def with_pieces(coefficients, duration_s, *, per_block=1000, historical=False, a
         )
         for p in parts
     ]
-    return replace(plan, trajectory=Trajectory(axes=axes, blocks=Stream.of(blocks)))
+    trajectory = Trajectory(axes=axes, blocks=Stream.of(blocks))
+    return replace(plan, intent=replace(plan.motion, trajectory=trajectory))
 
 
 QUINTIC = np.array([0, 0, 0, 10, -15, 6.0])

@@ -320,3 +320,30 @@ def test_an_angle_is_no_length() -> None:
     )
     with pytest.raises(RecordingError, match=r"'Y.load' is in rad.*Y of .* is linear.*mm"):
         judge([turned], plan, spec)
+
+
+def test_the_window_of_residual_vibration_has_both_its_ends() -> None:
+    """On a clock of 1/8 s instants are exact: from 0.5 to 1.0 s after the end at 2.5 s.
+
+    A place that counts differs from the rest by its own amount; half of the largest is measured.
+    """
+    eighth = Clock("eighth", Fraction(1, 8))
+    commanded, operation = follow(POINTS, 20, standstill=20)
+    plan = plan_through(POINTS, move_s=2.5)
+    options = {"after": 0.5, "window": 0.5}
+    spec = spec_of(Criterion(name="residual_vibration", options=options), lag_s=1.0)
+
+    def half_swing(sample: int, options_of=spec) -> float | None:
+        load = commanded.copy()
+        load[sample, 0] += 1e-3
+        made = record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: load}, operation, clock=eighth)
+        return judge([made], plan, options_of).result("residual_vibration", "X").measured
+
+    inside = [sample for sample in range(15, 40) if half_swing(sample) == pytest.approx(5e-4)]
+    assert inside == [24, 25, 26, 27, 28]
+    # From the end on: the sample at which the command arrives is not seen, the next one is.
+    whole = spec_of(
+        Criterion(name="residual_vibration", options={"after": 0.0, "window": 0.5}), lag_s=1.0
+    )
+    inside = [s for s in range(15, 40) if half_swing(s, whole) == pytest.approx(5e-4)]
+    assert inside == [21, 22, 23, 24]

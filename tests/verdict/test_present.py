@@ -20,6 +20,7 @@ from threadline.verdict import (
     Result,
     Status,
     Verdict,
+    closing,
     criteria_json,
     judge,
     load_spec,
@@ -199,3 +200,51 @@ def test_an_unknown_measure_is_named_with_the_nearest() -> None:
     recording = record(("X",), {ChannelKind.LOAD: commanded}, operation)
     with pytest.raises(SpecError, match="Did you mean 'contour_error'"):
         judge([recording], plan_through(points, ("X",)), spec_of(Criterion(name="contuor_error")))
+
+
+def test_a_verdict_says_its_level_and_how_narrowly_it_passed() -> None:
+    """Shares are rounded up, so that 99.6 % does not read as less; hard limits are full."""
+
+    def of(name: str, measured: float, limit: float | None, *, hard: bool = False) -> Result:
+        status = Status.PASSED if limit else Status.REPORTED
+        return Result(
+            name=name, axis="", measured=measured, limit=limit, unit="m", status=status, hard=hard
+        )
+
+    results = (of("velocity", 1.0, 1.0, hard=True), of("a", 0.4811, 0.5), of("b", 9.0, None))
+    once = Verdict(results=results, simulated=True)
+    often = Verdict(results=results, simulated=True, runs=20)
+    assert closing(once) == "IN SPEC (nominal: 1 run; 97 % of a used)"
+    assert closing(often) == "IN SPEC (repeated: 20 runs; 97 % of a used)"
+    assert Verdict(results=results, simulated=True, runs=19).level == "nominal"
+    assert Verdict(results=results[2:], simulated=True).tightest is None
+
+
+def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
+    """Their results stay; so does what they fail, and every row where nothing moves at all."""
+    at_rest = Result(
+        name="velocity", axis="A", measured=0.0, limit=1.0, unit="rad/s", status=Status.PASSED
+    )
+    lag = Result(
+        name="tracking_error",
+        axis="A",
+        measured=0.0,
+        limit=None,
+        unit="rad",
+        status=Status.REPORTED,
+    )
+    moves = Result(
+        name="velocity", axis="X", measured=0.1, limit=1.0, unit="m/s", status=Status.PASSED
+    )
+    fails = Result(
+        name="travel", axis="A", measured=0.0, limit=0.0, unit="rad", status=Status.FAILED
+    )
+
+    def rows(*results: Result) -> list[str]:
+        return [row[1] for row in verdict_rows(Verdict(results=results, simulated=True))[1]]
+
+    assert rows(at_rest, lag, moves) == ["X"]
+    assert rows(at_rest, lag, moves, fails) == ["X", "A"]
+    assert rows(at_rest, lag) == ["A", "A"]
+    every = verdict_rows(Verdict(results=(at_rest, moves), simulated=True), every_axis=True)[1]
+    assert len(every) == 2

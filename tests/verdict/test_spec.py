@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 
 from threadline.errors import SpecError
 from threadline.machine import load_machine
-from threadline.verdict import load_spec
+from threadline.search.design_files import spec_toml
+from threadline.signals import ChannelKind
+from threadline.verdict import Status, judge, load_spec
+from threadline.verdict.registry import MEASURES
 
-from .builders import winder
+from .builders import follow, plan_through, record, winder
 
 GOOD = """\
 name = "mine"
@@ -212,3 +215,112 @@ def test_a_machine_based_on_another_is_asked_for_the_same() -> None:
     spec = load_spec(None, load_machine("stitcher-rigid-half-mass"))
     assert spec.name == "stitcher"
     assert next(c.limit for c in spec.criteria if c.name == "stitch_length_error") == 0.05
+
+
+def of(spec, name):
+    """Return (axis, limit, hard) of every criterion of a measure."""
+    return {(c.axis, c.limit, c.hard) for c in named(spec, name)}
+
+
+NAMED = 'name = "m"\n[[criteria]]\nname = "velocity"\naxis = "Y"\n'
+
+
+@pytest.mark.parametrize(
+    ("written", "of_y"),
+    [
+        ("", {("Y", "own", True)}),  # reported, as far as the file goes; the machine still ends it
+        ('limit = "100 mm/s"', {("Y", 0.1, False)}),
+        ('limit = "1200 mm/s"', {("Y", 1.2, False), ("Y", "own", True)}),
+        ('limit = "machine"', {("Y", "own", True)}),
+    ],
+)
+def test_naming_one_axis_leaves_the_machines_limits_of_all(tmp_path: Path, written, of_y) -> None:
+    spec, machine = read(tmp_path, f"{NAMED}{written}\n"), winder()
+    own = dict(zip(machine.axis_names, machine.velocity_limit.tolist(), strict=True))
+    expected = {(a, own[a] if limit == "own" else limit, hard) for a, limit, hard in of_y}
+    expected |= {(a, own[a], True) for a in ("A", "X")}
+    assert of(spec, "velocity") == expected
+    assert {c.axis for c in named(spec, "jerk") if c.hard} == {"A", "X", "Y"}
+    notes = [c.note for c in named(spec, "velocity") if c.note]
+    assert bool(notes) is ("1200" in written)
+
+
+def test_a_wider_limit_than_the_machines_fails_with_the_machines_own(tmp_path: Path) -> None:
+    """X at 1.286 of the machine's 1 m/s, while the file speaks of Y, or asks for less."""
+    machine = winder()
+    assert machine.velocity_limit.tolist()[1] == 1.0
+    points = [[0.0, 0.0], [0.1286, 0.01]]
+    commanded, operation = follow(points, 20)
+    recording = record(("X", "Y"), {ChannelKind.LOAD: commanded}, operation)
+    for text in (f'{NAMED}limit = "1 m/s"\n', NAMED.replace('"Y"', '"X"') + 'limit = "2 m/s"\n'):
+        verdict = judge([recording], plan_through(points, ("X", "Y")), read(tmp_path, text))
+        failed = [r for r in verdict.results if r.name == "velocity" and r.axis == "X"]
+        assert max(r.severity for r in failed)[0] == 3
+        assert verdict.result("velocity", "X").limit == 1.0
+        assert verdict.result("velocity", "X").status is Status.FAILED
+        wide = [r for r in failed if r.limit == 2.0]
+        assert all(r.status is Status.PASSED for r in wide)
+        assert ("cannot widen" in verdict.result("velocity", "X").note) is bool(wide)
+
+
+def test_naming_one_axis_keeps_what_is_always_listed_of_the_others(tmp_path: Path) -> None:
+    text = 'name = "m"\n[[criteria]]\nname = "dac_saturation"\naxis = "Y"\nlimit = "1 %"\n'
+    spec = read(tmp_path, text)
+    assert of(spec, "dac_saturation") == {
+        ("Y", 0.01, False),
+        ("A", None, False),
+        ("X", None, False),
+    }
+
+
+def test_a_wider_limit_of_a_valve_holds_beside_the_machines(tmp_path: Path) -> None:
+    file = tmp_path / "s.toml"
+    file.write_text('name = "s"\n[[criteria]]\nname = "switching_dwell"\nlimit = "50 ms"\n')
+    spec = load_spec(file, load_machine("letter-placer"))
+    assert of(spec, "switching_dwell") == {("", 0.05, False), ("", 0.0, True)}
+    assert {c.limit for c in named(spec, "valve_conflict")} == {0.0}
+
+
+SHARE = 'name = "m"\n[[criteria]]\nname = "{}"\nlimit = {}\n'
+SHARES = sorted(n for n, k in MEASURES.items() if k.dimension == "ratio" and k.start is not None)
+
+
+@pytest.mark.parametrize("name", SHARES)
+def test_a_share_needs_its_unit_or_is_no_more_than_the_whole(tmp_path: Path, name: str) -> None:
+    for written, value in [('"5 %"', 0.05), ("0.05", 0.05), ('"0.05"', 0.05), ("1", 1.0)]:
+        assert named(read(tmp_path, SHARE.format(name, written)), name)[0].limit == value
+    assert named(read(tmp_path, SHARE.format(name, '"150 %"')), name)[0].limit == 1.5
+    for written in ("5", '"5"', "1.0001", '"+-5"'):
+        with pytest.raises(SpecError, match=rf"mine\.spec\.toml:4.*{name} is a share.* %"):
+            read(tmp_path, SHARE.format(name, written))
+    for written in ('"5 mm"', "true", '""', "nan", "inf", "-0.1"):
+        with pytest.raises(SpecError, match=r"mine\.spec\.toml:4"):
+            read(tmp_path, SHARE.format(name, written))
+
+
+def test_how_many_recordings_is_a_whole_number(tmp_path: Path) -> None:
+    text = SHARE.format("repeatability", '"1 mm"') + "recordings = {}\n"
+    assert dict(named(read(tmp_path, text.format(5)), "repeatability")[0].options) == {
+        "recordings": 5.0
+    }
+    for written in ("1", "2.5", '"20 %"', "true", "-3", "0.05"):
+        with pytest.raises(SpecError, match=r"mine\.spec\.toml:5.*whole number of 2 at least"):
+            read(tmp_path, text.format(written))
+
+
+def test_a_specification_written_beside_a_design_reads_the_same(tmp_path: Path) -> None:
+    """With a limit wider than the machine's, a share above the whole and a count among it."""
+    text = (
+        f'{NAMED}limit = "1200 mm/s"\n'
+        + '[[criteria]]\nname = "repeatability"\nlimit = "1 mm"\nrecordings = 5\n'
+        + '[[criteria]]\nname = "velocity_ripple"\nlimit = "150 %"\nover = "10 ms"\n'
+        + '[[criteria]]\nname = "dac_saturation"\nlimit = "0.1 %"\nrequired = true\n'
+    )
+    spec = read(tmp_path, text)
+    again = read(tmp_path, spec_toml(spec, winder()))
+
+    def every(criteria):
+        return {(c.name, c.axis, c.limit, c.hard, c.required, *c.options.items()) for c in criteria}
+
+    assert every(again.criteria) == every(spec.criteria)
+    assert len(again.criteria) == len(spec.criteria)

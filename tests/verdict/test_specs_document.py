@@ -11,7 +11,9 @@ from threadline.machine import load_machine
 from threadline.units import parse_quantity
 from threadline.verdict import load_spec
 from threadline.verdict import spec as spec_module
+from threadline.verdict.measure import OfPlan, OfRun
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.types import Status
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "specs.md"
@@ -41,8 +43,11 @@ def measures(text: str) -> dict[str, list[str]]:
 
 def test_every_measure_has_its_row_and_no_other_has() -> None:
     assert set(measures(TEXT)) == set(MEASURES)
-    only_on_off = {name for name, kind in MEASURES.items() if kind.of_switching}
-    only_on_off -= {"travel", "residual_vibration", "settling_time"}
+    only_on_off = {
+        name
+        for name, kind in MEASURES.items()
+        if all(isinstance(reading, OfRun) and reading.run is SwitchRun for reading in kind.reads)
+    }
     assert set(measures(part("On/off machines only"))) == only_on_off
 
 
@@ -56,7 +61,7 @@ def test_a_row_says_what_the_measure_is(name: str) -> None:
     assert of == ("each axis" if kind.per_axis else "the tool")
     for alternatives in kind.needs:
         assert " or ".join(f"`{channel}`" for channel in alternatives) in needs
-    if not kind.needs and kind.of_switching is None:
+    if all(isinstance(reading, OfPlan) for reading in kind.reads):
         assert needs == "plan"
     said = {o: text for o, text in re.findall(r"`(\w+)` ([\d.]+ ?(?:mm|ms|s)?)", options)}
     assert set(said) == set(kind.options)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from threadline.signals import ChannelKind
 from threadline.verdict import Criterion, judge
 
-from .builders import TICK_S, follow, plan_through, record, spec_of
+from .builders import TICK_S, follow, move_s, plan_through, record, spec_of
 
 TURNING = Criterion(name="turning_point_error", limit=5e-4)
 
@@ -24,7 +24,8 @@ def turning(
     points, actual, operation, axes=("X",), *, per_block=64, lag_s=0.1, criterion=TURNING, **plan
 ):
     recording = record(axes, {ChannelKind.LOAD: actual}, operation, per_block=per_block)
-    return judge([recording], plan_through(points, axes, **plan), spec_of(criterion, lag_s=lag_s))
+    made = plan_through(points, axes, **{"move_s": move_s(operation), **plan})
+    return judge([recording], made, spec_of(criterion, lag_s=lag_s))
 
 
 def late(positions, samples):
@@ -119,13 +120,26 @@ def test_a_rotary_axis_is_judged_at_the_tool() -> None:
     assert result.unit == "m"
 
 
-def test_a_recording_that_ends_early_fails() -> None:
+def test_a_machine_that_stops_on_its_way_fails() -> None:
     points = [[0.0], [0.1], [0.0]]
     commanded, operation = follow(points, 40)
-    result = turning(points, commanded[:30], operation[:30]).result("turning_point_error")
+    stands = np.minimum(np.arange(120), 29)
+    result = turning(points, commanded[stands], operation[stands], move_s=40 * TICK_S).result(
+        "turning_point_error"
+    )
     # It stands on the way out: what it lacks to the reversal is less than the way to the end.
     assert result.measured == pytest.approx(0.1 * 29 / 40, abs=1e-12)
     assert result.note == "short"
+
+
+def test_a_recording_that_ends_early_measures_no_turning() -> None:
+    points = [[0.0], [0.1], [0.0]]
+    commanded, operation = follow(points, 40)
+    made = plan_through(points, ("X",), move_s=40 * TICK_S)
+    recording = record(("X",), {ChannelKind.LOAD: commanded[:30]}, operation[:30])
+    result = judge([recording], made, spec_of(TURNING)).result("turning_point_error")
+    assert result.measured is None
+    assert "X.load ends at 0.145 s, the motion at 0.4 s" in result.note
 
 
 def test_a_turning_that_bears_the_next_operations_name_early() -> None:

@@ -9,16 +9,17 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.options import JsonOption, ReportOption
-from threadline.cli.output import note, print_json, print_table
+from threadline.cli.output import print_json, print_table, say
+from threadline.cli.told import warning
 from threadline.control import LeadDesign, design_lead
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.controllers import LeadFilter
-from threadline.plant.analysis import AxisAnalysis, analyse_axis
 from threadline.plant.loop import axis_loop
-from threadline.plant.measured import MeasuredResponse, read_response
+from threadline.plant.measured import read_response
 from threadline.plant.suspicions import suspicions
 from threadline.plant.values import Values
+from threadline.plant.without_loop import Analysis, analyse_moving
 from threadline.report.analysis import analysis_tables, write_analysis
 from threadline.search.campaign import run_experiments
 from threadline.units import parse_quantity
@@ -50,6 +51,8 @@ def analyse(
 ) -> None:
     """Analyse the loops of MACHINE: margins, bandwidth, poles, modes, actuators, steps.
 
+    What has no loop, as a cylinder, says so in a line and gives its modes.
+
     Both the true sampled loop and the continuous one with its exact dead time. With --lead the
     axes get the filters that give them that crossover and phase margin. Exit status: 0 when every
     loop is stable, 1 when one is not, 2 wrong input.
@@ -57,15 +60,19 @@ def analyse(
     Example: threadline analyse stitcher --axis X --report reports/stitcher
     """
     chosen = load_machine(machine)
-    if not chosen.axes:
-        raise OptionError(
-            f"machine {chosen.name!r} has no axes, so there is no loop to analyse",
-            remedy="Name a machine with controllers and axes.",
-        )
-    if axis is not None and axis not in chosen.axes:
+    if axis is not None and axis not in chosen.moving:
         raise OptionError(
             f"machine {chosen.name!r} has no axis {axis!r}",
-            remedy=f"It has: {', '.join(chosen.axes)}.",
+            remedy=f"It has: {', '.join(chosen.moving)}.",
+        )
+    names = list(chosen.moving) if axis is None else [axis]
+    of_loops = {"--data": data is not None, "--lead": lead is not None}
+    asked = [name for name, given in (of_loops | {"--experiments": experiments}).items() if given]
+    without = [n for n in names if n not in chosen.axes or not chosen.axes[n].controller]
+    if asked and without:
+        raise OptionError(
+            f"{asked[0]} is of loops, and axis {without[0]} of {chosen.name!r} has none",
+            remedy="Leave it out, or name a machine with controllers and axes.",
         )
     if data is not None and axis is None and len(chosen.axes) > 1:
         raise OptionError(
@@ -73,11 +80,15 @@ def analyse(
             remedy="Name it with --axis.",
         )
     measured = None if data is None else read_response(data)
-    names = list(chosen.axes) if axis is None else [axis]
     designs = {} if lead is None else _designs(chosen, names, lead)
     replaced = {k: v for design, name in designs.values() for k, v in design.replaced(name).items()}
     values = Values.of(chosen, replaced)
-    analyses = {name: analyse_axis(chosen, name, values) for name in names}
+    analyses = {name: analyse_moving(chosen, name, values) for name in names}
+    apart = (
+        {}
+        if measured is None
+        else {name: measured.against(axis_loop(chosen, name, values)) for name in names}
+    )
     warnings = suspicions(chosen)
     tried = {name: run_experiments(chosen, name) for name in names} if experiments else {}
     written = (
@@ -86,53 +97,52 @@ def analyse(
         else write_analysis(chosen, analyses, warnings, report, measured, tried)
     )
     if json:
-        content = _content(chosen.name, analyses, warnings, measured, written)
+        points = 0 if measured is None else len(measured.frequency_hz)
+        content = _content(chosen.name, analyses, warnings, apart, points, written)
         for name, (design, _) in designs.items():
             content["axes"][name]["lead"] = _lead_json(design)
         for name, outcome in tried.items():
             content["axes"][name]["experiments"] = outcome.as_json()
         print_json(content)
     else:
-        for warning in warnings:
-            note(f"warning: {warning}")
+        for said in warnings:
+            warning(said)
         for table in analysis_tables(analyses):
             print_table(table.title, table.header, table.rows)
         for outcome in tried.values():
             print_table(*outcome.table())
-            typer.echo(outcome.summary())
+            say(outcome.summary())
         for name, (design, controller) in designs.items():
             k, a, b = design.continuous
-            typer.echo(
+            say(
                 f"axis {name}: controllers.{controller} gain {design.gain:.4f} dac/count, zero "
                 f"{design.zero:.4f}, pole {design.pole:.4f}; {k:.4g} (s + {a:.1f})/(s + {b:.0f}) "
                 "V/count"
             )
         for analysis in analyses.values():
-            typer.echo(analysis.verdict())
-            if measured is not None:
-                level, phase = measured.against(analysis.loop)
-                typer.echo(
+            say(analysis.verdict())
+            if analysis.axis in apart:
+                level, phase = apart[analysis.axis]
+                say(
                     f"axis {analysis.axis}: the measured response is {level:.2f} dB and "
                     f"{phase:.1f} deg (rms) from the model"
                 )
         if written is not None:
-            typer.echo(f"Report: {written}")
+            say(f"Report: {written}")
     raise typer.Exit(0 if all(a.stable for a in analyses.values()) else 1)
 
 
 def _content(
     name: str,
-    analyses: dict[str, AxisAnalysis],
+    analyses: dict[str, Analysis],
     warnings: list[str],
-    measured: MeasuredResponse | None,
+    apart: dict[str, tuple[float, float]],
+    points: int,
     written: Path | None,
 ) -> dict[str, Any]:
     axes: dict[str, Any] = {key: a.as_json() for key, a in analyses.items()}
-    if measured is not None:
-        for key, analysis in analyses.items():
-            level, phase = measured.against(analysis.loop)
-            points = len(measured.frequency_hz)
-            axes[key]["measured"] = {"points": points, "rms_db": level, "rms_deg": phase}
+    for key, (level, phase) in apart.items():
+        axes[key]["measured"] = {"points": points, "rms_db": level, "rms_deg": phase}
     content: dict[str, Any] = {
         "machine": name,
         "stable": all(a.stable for a in analyses.values()),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -19,18 +21,21 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import note, print_json, print_table, progress_bar
+from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
+from threadline.cli.told import warning
 from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
-from threadline.options import parse_feed
+from threadline.kinds import kind_of
+from threadline.options import DEFAULT_INTERPOLATION, parse_feed
 from threadline.pipeline import Proof
 from threadline.report import write_comparison
 from threadline.search import Comparison, Rung
 from threadline.search import compare as compare_job
-from threadline.verdict import Result, load_spec, verdict_json
+from threadline.targets.schedule_options import UNSHAPED_WORD
+from threadline.verdict import load_spec, verdict_json
 
 COLUMNS = (
     ("tracking_error", "tracking mm"),
@@ -38,16 +43,32 @@ COLUMNS = (
     ("turning_point_error", "turning point mm"),
     ("path_deviation", "plan misses mm"),
 )
+STEP_COLUMNS = (
+    ("cycle_time", "cycle s"),
+    ("residual_vibration", "rings mm"),
+    ("settling_time", "settles s"),
+    ("end_position_error", "end missed mm"),
+)
 
 
 def compare(
     job: JobArgument,
     machine: MachineOption,
     interpolation: Annotated[
-        str, typer.Option(help="Names, separated by commas.")
-    ] = "linear,b-spline,b-spline-pulled",
+        str | None,
+        typer.Option(
+            help="Names, separated by commas; linear,b-spline,b-spline-pulled unless given."
+        ),
+    ] = None,
     feed: Annotated[
         str | None, typer.Option(help="Feeds, separated by commas; default: as programmed.")
+    ] = None,
+    shaper: Annotated[
+        str | None,
+        typer.Option(
+            help="Shapers, separated by commas, as prove takes one; of an on/off machine "
+            "none,zv,um-zv,um-zvd unless given."
+        ),
     ] = None,
     spec: SpecOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
@@ -58,15 +79,24 @@ def compare(
 ) -> None:
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
-    The fastest feed of each is searched within the placement criteria alone. Exit status: 0 when
+    Of an on/off machine it is shapers that stand side by side. The fastest feed of each
+    interpolation is searched within the placement criteria alone. Exit status: 0 when
     every proof is in spec, 1 when one is not, 2 wrong input.
 
     Example: threadline compare examples/x-180.prg -m lathe-winder
     --interpolation linear,b-spline,b-spline-pulled --feed "10 count/tick,80 count/tick"
+
+    Of an on/off machine: threadline compare examples/letter-cycle.toml -m letter-placer
+    --shaper none,zv,um-zv
     """
     check_outputs(folder=report)
     chosen = machine_from(machine, par)
-    names = _listed(interpolation, "--interpolation")
+    defaults = kind_of(chosen).compared
+    names = _values(interpolation, defaults, "interpolation", DEFAULT_INTERPOLATION)
+    shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
+    shown = ["shaper"] if "shaper" in defaults else ["interpolation", "feed"]
+    if shaper is not None and "shaper" not in shown:
+        shown.append("shaper")
     feeds = [None] if feed is None else [parse_feed(text) for text in _listed(feed, "--feed")]
     read = read_job(job, chosen)
     warn(chosen, read)
@@ -78,46 +108,55 @@ def compare(
             names,
             feeds,
             options_of(names[0], None, tolerance),
+            shapers=[None if text == UNSHAPED_WORD else text for text in shapers],
             with_fastest=fastest,
             progress=progress,
         )
-        written = (
-            None if report is None else write_comparison(found, report, comparison_tables(found))
-        )
-    for warning in dict.fromkeys(line for proof in found.proofs for line in proof_warnings(proof)):
-        note(f"warning: {warning}")
+        tables = comparison_tables(found, shown)
+        written = None if report is None else write_comparison(found, report, tables)
+    for said in dict.fromkeys(line for proof in found.proofs for line in proof_warnings(proof)):
+        warning(said)
     if json:
         content = comparison_json(found)
         if written is not None:
             content["report"] = str(written)
         print_json(content)
     else:
-        show_comparison(found)
+        show_comparison(found, shown)
         if written is not None:
-            typer.echo(f"Report: {written}")
+            say(f"Report: {written}")
     raise typer.Exit(0 if all(proof.verdict.passed for proof in found.proofs) else 1)
 
 
-def show_comparison(found: Comparison) -> None:
+def show_comparison(found: Comparison, shown: Sequence[str]) -> None:
     """Print a comparison for people."""
-    for title, header, rows in comparison_tables(found):
+    for title, header, rows in comparison_tables(found, shown):
         print_table(title, header, rows)
+    for name, why in found.refused:
+        say(f"{name} is refused: {why}")
 
 
-def comparison_tables(found: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Return the tables of a comparison: title, header, rows."""
+def comparison_tables(
+    found: Comparison, shown: Sequence[str] = ("interpolation", "feed")
+) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Return the tables of a comparison: title, header, rows; ``shown`` are its options."""
     first = found.proofs[0].plan
-    header = ["interpolation", "feed", "time s", *(title for _, title in COLUMNS), "verdict"]
+    stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
+    columns = STEP_COLUMNS if stepwise else COLUMNS
+    header = [*shown, "time s", *(title for _, title in columns), "verdict"]
     rows = [
         [
-            proof.plan.path.interpolation,
-            proof.plan.options["feed"],
-            f"{proof.plan.trajectory.duration_s:.3f}",
-            *(_worst_mm(proof, name) for name, _ in COLUMNS),
+            *(_label(proof, key) for key in shown),
+            f"{proof.plan.duration_s:.3f}",
+            *(_worst(proof, name) for name, _ in columns),
             "in spec" if proof.verdict.passed else "OUT",
         ]
         for proof in found.proofs
     ]
+    if "shaper" in shown:
+        blank = [""] * (len(header) - len(shown) - 1)
+        for shaper, _ in found.refused:
+            rows.append([*(shaper if k == "shaper" else "" for k in shown), *blank, "refused"])
     tables = [(f"{first.job.name} on {first.machine.name}", header, rows)]
     if found.fastest:
         reference = next(iter(found.fastest))
@@ -146,9 +185,11 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
     """Return a comparison as JSON content."""
     return {
         "proofs": [
-            verdict_json(proof.verdict, proof.plan) | {"feed": proof.plan.options["feed"]}
+            verdict_json(proof.verdict, proof.plan)
+            | {"feed": proof.plan.options["feed"], "shaper": proof.plan.options.get("shaper")}
             for proof in found.proofs
         ],
+        "refused": [{"shaper": name, "why": why} for name, why in found.refused],
         "fastest": {
             name: {
                 "best": f.best.found.best,
@@ -163,12 +204,33 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
     }
 
 
-def _worst_mm(proof: Proof, name: str) -> str:
-    results: list[Result] = [
-        r for r in proof.verdict.results if r.name == name and r.measured is not None
+def _label(proof: Proof, key: str) -> str:
+    """Return what a case has of one of the options that are compared."""
+    if key == "interpolation":
+        return proof.plan.motion.path.interpolation
+    return proof.plan.options.get(key, "none")
+
+
+def _worst(proof: Proof, name: str) -> str:
+    """Return the largest length in mm, or time in s, of a criterion; ``-`` where there is none."""
+    sizes = [
+        (abs(r.measured), r.unit)
+        for r in proof.verdict.results
+        if r.name == name and r.measured is not None and r.unit in {"m", "s"}
     ]
-    lengths = [abs(r.measured) * 1e3 for r in results if r.unit == "m" and r.measured is not None]
-    return f"{max(lengths):.3f}" if lengths else "-"
+    if not sizes:
+        return "-"
+    size, unit = max(sizes)
+    if math.isinf(size):
+        return "never"
+    return f"{size * 1e3:.3f}" if unit == "m" else f"{size:.3f}"
+
+
+def _values(
+    text: str | None, defaults: Mapping[str, tuple[str, ...]], key: str, otherwise: str
+) -> list[str]:
+    """Return the values of an option that is compared: as given, else those of the kind."""
+    return list(defaults.get(key, (otherwise,))) if text is None else _listed(text, f"--{key}")
 
 
 def _listed(text: str, option: str) -> list[str]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from threadline.cli.feed_forward import feed_forward_warnings
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
@@ -18,6 +18,7 @@ from threadline.cli.options import (
     InterpolationOption,
     JobArgument,
     JsonOption,
+    LawOption,
     LimitsOption,
     MachineOption,
     ParOption,
@@ -27,19 +28,16 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json
-from threadline.cli.outputs import check_outputs, folder_of
+from threadline.cli.output import print_json, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.told import note
 from threadline.cli.tolerance import tolerance_warnings
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.jobs import read_job
-from threadline.options import refuse_axis_options
-from threadline.pipeline import open_job, plan_job
-from threadline.targets import write
-from threadline.targets.schedule import compile_schedule
-from threadline.targets.schedule_options import UNSHAPED_WORD, shaping_of
-from threadline.targets.write import TABLES, check_target
-from threadline.trajectory import check_limits
+from threadline.kinds import kind_of
+from threadline.pipeline import open_job, plan_job, target_of, write
+from threadline.targets.schedule_options import UNSHAPED_WORD
+from threadline.writing import is_stdout, together
 
 
 def compile_(
@@ -48,6 +46,7 @@ def compile_(
     target: Annotated[str, typer.Option(help="ticks, csv, npz, nc, st or plcopen.")],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    law: LawOption = None,
     feed: FeedOption = None,
     feed_mode: FeedModeOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
@@ -85,52 +84,48 @@ def compile_(
     chosen = machine_from(machine, par)
     keep_inputs(out, job, chosen.file, par)
     check_outputs(file=out)
+    if json and is_stdout(out):
+        raise OptionError(
+            f"--json and {str(out)!r} both go to standard output", remedy="Leave one of them out."
+        )
     if shaper == UNSHAPED_WORD and (mode is not None or damping is not None):
         raise OptionError("--mode and --damping are of a shaper", remedy="Give --shaper too.")
-    shapes_axes = shaper != UNSHAPED_WORD and not chosen.cylinders
-    if shapes_axes and (mode is not None or damping is not None):
-        raise OptionError(
-            f"--mode and --damping are of on/off machines, which {chosen.name} is not",
-            remedy='Write both with the shaper: --shaper "zv:12Hz:0.02".',
-        )
-    options = options_of(
-        interpolation,
-        feed,
-        tolerance,
-        limits,
-        shaper if shapes_axes else None,
-        feed_forward=feed_forward,
-        smoothing=smoothing,
-        feed_mode=feed_mode,
+    asked = None if shaper == UNSHAPED_WORD else shaper
+    options = replace(
+        options_of(
+            interpolation,
+            feed,
+            tolerance,
+            limits,
+            asked,
+            feed_forward=feed_forward,
+            smoothing=smoothing,
+            feed_mode=feed_mode,
+            law=law,
+        ),
+        shaper_mode=mode,
+        shaper_damping=damping,
     )
-    check_target(target, chosen)
-    if chosen.cylinders:
-        refuse_axis_options(chosen, options)
-        shaping = shaping_of(chosen, shaper, mode=mode, damping_ratio=damping)
-        scheduled = compile_schedule(read_job(job, chosen), chosen, shaping)
-        with folder_of(out):
-            files = write(scheduled, target, out)
-        for warning in files[0].warnings:
-            typer.echo(f"warning: {warning}", err=True)
-    else:
-        if (feed_forward or shapes_axes) and target not in TABLES:
-            what = "feed-forward" if feed_forward else "a shaper"
-            raise OptionError(
-                f"{what} gives a reference for every tick, which target {target!r} has not",
-                remedy=f"Use {' or '.join(TABLES)}.",
-            )
-        plan = plan_job(open_job(job, chosen, options), chosen, options)
-        warn(
-            chosen, plan.job, [*feed_forward_warnings(plan.feed_forward), *tolerance_warnings(plan)]
+    kind = kind_of(chosen)
+    kind.check_options(chosen, options)
+    written_as = target_of(target, chosen)
+    if (feed_forward or asked is not None) and not written_as.takes_shaped:
+        own = kind.targets
+        raise OptionError(
+            f"{'feed-forward' if feed_forward else 'a shaper'} gives a reference for every tick, "
+            f"which target {target!r} has not",
+            remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
         )
-        check_limits(plan.trajectory, chosen)
-        with folder_of(out):
-            files = write(plan, target, out)
+    plan = plan_job(open_job(job, chosen, options), chosen, options)
+    warn(chosen, plan.job, [*plan.intent.warnings, *tolerance_warnings(plan)])
+    with together(out):
+        files = write(plan, target, out)
     if json:
         print_json({"files": [{"file": str(f.path), "sha256": f.sha256} for f in files]})
     else:
+        tell = note if is_stdout(out) else say
         for file in files:
-            typer.echo(f"{file.sha256}  {file.path}")
+            tell(f"{file.sha256}  {file.path}")
 
 
 def register(app: typer.Typer) -> None:

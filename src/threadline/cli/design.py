@@ -22,8 +22,8 @@ from threadline.cli.options import (
     keep_inputs,
     options_of,
 )
-from threadline.cli.output import print_json, print_table, progress_bar
-from threadline.cli.outputs import check_outputs, folder_of
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
 from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine
@@ -39,6 +39,7 @@ from threadline.search.design import Candidate, DesignResult
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
 from threadline.verdict import load_spec, verdict_rows
+from threadline.writing import together
 
 _MOST_WIDTHS = 6
 
@@ -116,18 +117,18 @@ def design(
             progress=progress,
         )
     written = []
-    if output is not None and result.found is not None:
-        with folder_of(output):
+    with together(output if result.found is not None else None):
+        if output is not None and result.found is not None:
             written = write_design(result, result.found, output)
-    page = None if report is None else write_design_report(result, report)
+        page = None if report is None else write_design_report(result, report)
     if json:
         print_json(_content(result, [str(p) for p in written], page))
     else:
         _show(result)
         for path in written:
-            typer.echo(f"Wrote {path}")
+            say(f"Wrote {path}")
         if page is not None:
-            typer.echo(f"Report: {page}")
+            say(f"Report: {page}")
     raise typer.Exit(0 if result.found is not None else 1)
 
 
@@ -168,8 +169,8 @@ def _show(result: DesignResult) -> None:
             *verdict_rows(result.found.verdict),
         )
     print_table("Cost against margin, and other machines", *candidate_rows(result))
-    typer.echo(what_binds(result))
-    typer.echo(f"{result.simulated} machines simulated")
+    say(what_binds(result))
+    say(f"{result.simulated} machines simulated")
 
 
 def _content(result: DesignResult, written: list[str], page: Path | None) -> dict[str, Any]:

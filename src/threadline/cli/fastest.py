@@ -8,7 +8,15 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.fastest_seam import fastest_seam, needle_hz
+from threadline.cli.fastest_cycle import fastest_moves
+from threadline.cli.fastest_seam import (
+    ABOVE,
+    check_mismatch,
+    fastest_seam,
+    mismatch_json,
+    needle_hz,
+    show_mismatch,
+)
 from threadline.cli.found import (
     command_line,
     limit_words,
@@ -24,6 +32,7 @@ from threadline.cli.options import (
     InterpolationOption,
     JobArgument,
     JsonOption,
+    LawOption,
     MachineOption,
     ParOption,
     SmoothingOption,
@@ -33,16 +42,26 @@ from threadline.cli.options import (
     options_of,
     report_folder,
 )
-from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.tolerance import warn_tolerance
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
-from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
+from threadline.kinds import kind_of
+from threadline.machine import Machine
 from threadline.options import Options, parse_feed, parse_margin
 from threadline.pipeline import plan_job
-from threadline.search import Fastest, FastestJob, fastest_job
+from threadline.plan import Following
+from threadline.report.mismatch import write_mismatch
+from threadline.search import (
+    Fastest,
+    FastestJob,
+    Mismatch,
+    fastest_job,
+    feed_over_tolerances,
+    feed_range_m_s,
+)
 from threadline.search.gentle import Rung
 from threadline.verdict import criteria_json, load_spec, verdict_rows
 
@@ -52,6 +71,7 @@ def fastest(
     machine: MachineOption,
     spec: SpecOption = None,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    law: LawOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
@@ -72,8 +92,8 @@ def fastest(
         bool,
         typer.Option(
             "--mismatch",
-            help="Of a seam: the same with masses and stiffnesses at the ends of their "
-            "tolerances, planned for the machine as its file says.",
+            help="The same with masses and stiffnesses at the ends of their tolerances, planned "
+            "for the machine as its file says.",
         ),
     ] = False,
     report: Annotated[
@@ -84,22 +104,54 @@ def fastest(
             help="Folder for the picture of --mismatch (PNG, SVG).",
         ),
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "--output",
+            "-o",
+            help="Of an on/off machine: write the move list of the shortest cycle to this file.",
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
 
     Of a seam it is the needle speed that is searched, in stitch/s. With --margin "20 %" it is
-    the fastest that keeps a fifth of every limit free.
+    the fastest that keeps a fifth of every limit free. Of an on/off machine it is the shortest
+    cycle: a shaper or switchings of its own for every move, and the waits between them.
 
     Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
 
     Example: threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear
+
+    Of an on/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer
+    -o best.toml
     """
     chosen = machine_from(machine, par)
     kept_free = parse_margin(margin)
     asked = load_spec(spec, chosen).with_margin(kept_free)
     read = read_job(job, chosen)
-    if job.name.lower().endswith(SEAM_SUFFIXES):
+    if read.paced_by == "switchings":
+        given = [low, high, actual, report, None if not mismatch else ""]
+        if any(value is not None for value in given):
+            raise OptionError(
+                "--low, --high, --actual, --mismatch and --report are of feeds, which "
+                f"{chosen.name} does not have",
+                remedy="Leave them out; its moves and waits are searched.",
+            )
+        shaped = options_of(
+            interpolation, None, tolerance, feed_forward=feed_forward, smoothing=smoothing, law=law
+        )
+        kind_of(chosen).check_options(chosen, shaped)
+        names = {"-m": machine, "-s": spec, "--par": par}
+        fastest_moves(job, read, chosen, asked, kept_free, out, names, json)
+    if out is not None:
+        raise OptionError(
+            "--out is of move lists, which have commands and waits to write",
+            remedy="Leave it out; the command that proves the answer is printed.",
+        )
+    if read.paced_by == "needle":
         fastest_seam(
             job,
             read,
@@ -112,6 +164,7 @@ def fastest(
                 tolerance,
                 feed_forward=feed_forward,
                 smoothing=smoothing,
+                law=law,
             ),
             None if actual is None else machine_from(actual, par),
             (needle_hz(low), needle_hz(high)),
@@ -119,21 +172,34 @@ def fastest(
             report,
             json,
         )
-    if feed_forward or mismatch or actual is not None or report is not None:
-        raise OptionError(
-            "--feed-forward, --actual, --mismatch and --report are for needle speeds of a seam",
-            remedy="Leave them out; threadline prove takes the first two for any job.",
-        )
-    options = options_of(interpolation, None, tolerance)
+    check_mismatch(mismatch, actual is not None, report)
+    options = options_of(
+        interpolation, None, tolerance, feed_forward=feed_forward, smoothing=smoothing, law=law
+    )
+    other = None if actual is None else machine_from(actual, par)
     lowest = None if low is None else _metres_per_second(low)
     highest = None if high is None else _metres_per_second(high)
     warn(chosen, read)
     with progress_bar(not json) as progress:
         result = fastest_job(
-            read, chosen, asked, options, low=lowest, high=highest, progress=progress
+            read, chosen, asked, options, low=lowest, high=highest, progress=progress, actual=other
         )
-    best = result.best
-    warn_tolerance(plan_job(read, chosen, _at(options, best)))
+        best = result.best
+        cells: list[Mismatch] = []
+        if mismatch:
+            cells = feed_over_tolerances(
+                read,
+                chosen,
+                asked,
+                replace(options, limit_share=best.share),
+                low=lowest,
+                high=_end_of_mismatch(best, highest, chosen),
+                progress=progress,
+            )
+        title = f"{read.name} on {chosen.name}{margin_words(kept_free)}"
+        drawn = None if report is None else write_mismatch(cells, title, report, "mm/s", 1e3)
+    if best.found.best is not None or options.following is Following.MOTOR:
+        warn_tolerance(plan_job(read, chosen, _at(options, best)))
     again = (
         None
         if best.found.best is None
@@ -148,16 +214,36 @@ def fastest(
                 "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
                 "--feed": f"{best.found.best!r} m/s",
                 "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
+                "--feed-forward": "" if feed_forward else None,
+                "--smoothing": smoothing,
+                "--actual": actual,
             },
         )
     )
     if json:
-        print_json(_content(result) | {"margin": kept_free, "command": again})
+        told = {"report": str(drawn)} if drawn is not None else {}
+        print_json(
+            _content(result) | {"margin": kept_free, "command": again} | mismatch_json(cells) | told
+        )
     else:
-        _show(result, f"{read.name} on {chosen.name}, {interpolation}{margin_words(kept_free)}")
+        how = f"{interpolation}, feed-forward" if feed_forward else interpolation
+        _show(result, f"{read.name} on {chosen.name}, {how}{margin_words(kept_free)}")
         if again is not None:
-            typer.echo(f"To prove it: {again}")
+            say(f"To prove it: {again}")
+        if cells:
+            show_mismatch(cells, title, "mm/s", 1e3)
+        if drawn is not None:
+            say(f"Report: {drawn}")
     raise typer.Exit(0 if result.best.found.best is not None else 1)
+
+
+def _end_of_mismatch(best: Rung, highest: float | None, machine: Machine) -> float:
+    """Return where the search over tolerances ends: a little above what the file's own does."""
+    if highest is not None:
+        return highest
+    if best.found.best is None:
+        return feed_range_m_s(machine)[1]
+    return best.found.best * ABOVE
 
 
 def _at(options: Options, best: Rung) -> Options:
@@ -213,15 +299,15 @@ def _show(result: FastestJob, title: str) -> None:
     tried = sum(rung.found.tried for rung in result.rungs)
     head, body = verdict_rows(best.found.verdict)
     if best.found.best is None:
-        typer.echo(f"no feed is in spec ({tried} tried): {best.found.limited_by} fails at all")
+        say(f"no feed is in spec ({tried} tried): {best.found.limited_by} fails at all")
         print_table("verdict where the search came closest", head, body)
         return
-    typer.echo(
+    say(
         f"fastest: {best.duration_s:.3f} s at {best.found.best * 1e3:.2f} mm/s with "
         f"{best.share:.1%} of the limits, limited by {limit_words(best.found.limited_by)}; "
         f"{tried} plans tried"
     )
-    typer.echo(f"feeds {resolution_words(best.found)}")
+    say(f"feeds {resolution_words(best.found)}")
     print_table("verdict at the fastest", head, body)
 
 

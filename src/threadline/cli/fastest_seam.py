@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.found import limit_words, margin_words, resolution_words
-from threadline.cli.output import print_json, print_table, progress_bar
+from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.tolerance import warn_tolerance
 from threadline.cli.warn import warn
@@ -38,11 +38,7 @@ def fastest_seam(
     json: bool,
 ) -> NoReturn:
     """Search the needle speed of a seam, say what was found, and leave."""
-    if report is not None and not mismatch:
-        raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
-    if mismatch and actual is not None:
-        raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
-    check_outputs(folder=report)
+    check_mismatch(mismatch, actual is not None, report)
     warn(machine, read)
     low, high = span
     cells: list[Mismatch] = []
@@ -51,7 +47,7 @@ def fastest_seam(
             job, machine, spec, options, low=low, high=high, progress=progress, actual=actual
         )
         if mismatch:
-            end = found.best * _ABOVE if high is None and found.best else (high or _UNKNOWN_HZ)
+            end = found.best * ABOVE if high is None and found.best else (high or _UNKNOWN_HZ)
             cells = needle_over_tolerances(
                 job, machine, spec, options, low=low, high=end, progress=progress
             )
@@ -61,31 +57,50 @@ def fastest_seam(
         sewn = read_job(job, machine, needle_speed=f"{found.best!r} stitch/s")
         warn_tolerance(plan_job(sewn, machine, options))
     if json:
-        content = _content(found) | {"margin": margin}
-        if cells:
-            content["mismatch"] = [
-                {"mass": c.mass, "stiffness": c.stiffness, **_interval_content(c.found)}
-                for c in cells
-            ]
+        content = _content(found) | {"margin": margin} | mismatch_json(cells)
         if written is not None:
             content["report"] = str(written)
         print_json(content)
     else:
         _show(found, title)
         if found.best is not None:
-            typer.echo(
+            say(
                 f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {job.name}, then '
                 "threadline prove with the same options"
             )
         if cells:
-            _show_mismatch(cells, title)
+            show_mismatch(cells, title)
         if written is not None:
-            typer.echo(f"Report: {written}")
+            say(f"Report: {written}")
     raise typer.Exit(0 if found.best is not None else 1)
 
 
-_ABOVE = 1.1  # a machine off its file is rarely faster than by that
+ABOVE = 1.1
+"""A machine off its file is rarely faster than by that."""
 _UNKNOWN_HZ = 100.0
+
+
+def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
+    """Refuse a report without what it shows, and two machines for one search.
+
+    Raises
+    ------
+    OptionError
+        If they are given so, or the report cannot be written.
+    """
+    if report is not None and not mismatch:
+        raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
+    if mismatch and actual:
+        raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
+    check_outputs(folder=report)
+
+
+def mismatch_json(cells: list[Mismatch]) -> dict[str, Any]:
+    """Return what is printed of a search over tolerances; nothing where there was none."""
+    found = [
+        {"mass": c.mass, "stiffness": c.stiffness, **_interval_content(c.found)} for c in cells
+    ]
+    return {"mismatch": found} if found else {}
 
 
 def _interval_content(found: Fastest) -> dict[str, Any]:
@@ -112,35 +127,44 @@ def _content(found: Fastest) -> dict[str, Any]:
 
 def _show(found: Fastest, title: str) -> None:
     if found.best is None:
-        typer.echo(
-            f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all"
-        )
+        say(f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all")
         print_table("verdict where the search came closest", *verdict_rows(found.verdict))
         return
     rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
     print_table(f"{title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows)
-    typer.echo(
+    say(
         f"fastest: {found.best:.2f} stitch/s, limited by {limit_words(found.limited_by)}; "
         f"{found.tried} plans tried"
     )
-    typer.echo(f"needle speeds {resolution_words(found)}")
+    say(f"needle speeds {resolution_words(found)}")
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
 
 
-def _show_mismatch(cells: list[Mismatch], title: str) -> None:
-    """Print the fastest per mass and stiffness, both at the ends of their tolerances."""
+def show_mismatch(
+    cells: list[Mismatch], title: str, unit: str = "stitch/s", per_unit: float = 1.0
+) -> None:
+    """Print the fastest per mass and stiffness, both at the ends of their tolerances.
+
+    Parameters
+    ----------
+    unit
+        In which speeds are printed.
+    per_unit
+        How many of it make one of what was searched.
+    """
     names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
     rows = [
         [
             names[cell.mass],
             names[cell.stiffness],
-            "none" if cell.found.best is None else f"{cell.found.best:.2f}",
+            "none" if cell.found.best is None else f"{per_unit * cell.found.best:.2f}",
             limit_words(cell.found.limited_by),
         ]
         for cell in cells
     ]
-    header = ["mass of loads", "stiffness of links", "fastest stitch/s", "limited by"]
-    print_table(f"{title}: planned for the file, sewn off its tolerances", header, rows)
+    header = ["mass of loads", "stiffness of links", f"fastest {unit}", "limited by"]
+    done = "sewn" if unit == "stitch/s" else "done"
+    print_table(f"{title}: planned for the file, {done} off its tolerances", header, rows)
 
 
 def needle_hz(text: str | None) -> float | None:

@@ -1,48 +1,125 @@
-"""``threadline law``: motion laws and what they ask of a machine."""
+"""``threadline law``: motion laws and what they ask of a machine and leave swinging on it."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import JsonOption
-from threadline.cli.output import print_json, print_table
-from threadline.laws import LAWS, Law
+from threadline.cli.options import JsonOption, ReportOption
+from threadline.cli.output import print_json, print_table, say
+from threadline.cli.outputs import check_outputs
+from threadline.errors import OptionError
+from threadline.laws import LAWS, Law, write_law
 from threadline.laws import law as law_called
+from threadline.writing import together
 
 
 def law(
     name: Annotated[
-        str | None, typer.Argument(help="Name of the law, modified-sine or 3-4-5; default: all.")
+        str | None,
+        typer.Argument(
+            help="Law: modified-sine, 3-4-5, trapezoid:0.2, harmonic:7, a table t,s,v,a (.csv); "
+            "default: all."
+        ),
     ] = None,
+    mode: Annotated[
+        str | None, typer.Option(help='Rank by what is left swinging on this mode: "12 Hz".')
+    ] = None,
+    damping: Annotated[float, typer.Option(help="Damping ratio of the mode.")] = 0.0,
+    move: Annotated[str | None, typer.Option(help='Length of the move: "16.5 mm".')] = None,
+    time: Annotated[str | None, typer.Option(help='Its duration: "120 ms".')] = None,
+    mass: Annotated[str, typer.Option(help="What is moved, for the force.")] = "1000 kg",
+    residual: Annotated[
+        str | None,
+        typer.Option(help='Amplitude allowed after the move: "0.05 mm"; tells shortest windows.'),
+    ] = None,
+    limit: Annotated[
+        str | None,
+        typer.Option(help='Largest acceleration, "6.33 m/s^2": with it a law is made.'),
+    ] = None,
+    jerk: Annotated[
+        str | None,
+        typer.Option(help="Largest jerk of that law; default: full acceleration in a 16th."),
+    ] = None,
+    band: Annotated[
+        float | None,
+        typer.Option(help="Half width of the band that it serves, of the frequency; 0.1."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "--output", help="Write the law, or the one made, as a table (.csv)."
+        ),
+    ] = None,
+    report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show a motion law from rest to rest, of rise 1 in time 1.
+    """Show a motion law, rank laws on a mode, make one for it.
 
-    Cv, Ca and Cj are the peaks of velocity, acceleration and jerk: a move by h in time T has the
-    peak velocity Cv h / T, acceleration Ca h / T^2, jerk Cj h / T^3. The efficiency is the heat
-    in the motor of the cubic law, the least there is, over that of this law.
+    A law is a rise from rest to rest, 1 in time 1. Cv, Ca and Cj are the peaks of velocity,
+    acceleration and jerk: a move by h in time T has the peak velocity Cv h / T, acceleration
+    Ca h / T^2, jerk Cj h / T^3. The efficiency is the heat in the motor of the cubic law, the least
+    there is, over that of this law.
+
+    With --mode, --move and --time the laws are ranked by the amplitude that they leave on that
+    mode. With --residual and --limit too, a law is made for the mode: the shortest window that
+    keeps the residual over the band.
 
     Example: threadline law modified-sine
+
+    Example: threadline law --mode 12Hz --damping 0.02 --move "16.5 mm" --time "120 ms"
+    --limit "6.33 m/s^2" --residual "0.05 mm" --band 0.1
     """
+    check_outputs(file=out, folder=report)
     laws = list(LAWS.values()) if name is None else [law_called(name)]
+    of_a_mode = {
+        "--move": move, "--time": time, "--residual": residual, "--limit": limit, "--jerk": jerk,
+        "--band": band,
+    }  # fmt: skip
+    if mode is not None:
+        from threadline.cli.law_mode import study
+
+        study(
+            laws, mode=mode, damping=damping, move=move, time=time, mass=mass, residual=residual,
+            limit=limit, jerk=jerk, band=band, out=out, report=report, json=json,
+        )  # fmt: skip
+        return
+    for option, given in of_a_mode.items():
+        if given is not None:
+            raise OptionError(f"{option} is of a mode", remedy='Add --mode "12 Hz".')
+    if out is not None and name is None:
+        raise OptionError(f"--out {str(out)!r} is for one law", remedy="Name the law.")
+    written = None
+    with together(out):
+        if report is not None:
+            from threadline.report.laws import write_laws
+
+            written = write_laws(laws[:4] if name is None else laws, [], [], report)
+        if out is not None:
+            write_law(laws[0], out)
     if json and name is not None:
-        print_json(law_json(laws[0]))
+        print_json(law_json(laws[0]) | ({} if written is None else {"report": str(written)}))
     elif json:
         print_json({"laws": {each.name: law_json(each) for each in laws}})
     else:
-        rows = [
-            [
-                each.name,
-                f"{each.velocity:.4f}",
-                f"{each.acceleration:.4f}",
-                "infinite" if each.jerk is None else f"{each.jerk:.4f}",
-                f"{each.efficiency:.4f}",
-            ]
-            for each in laws
-        ]
-        print_table("Motion laws", ["law", "Cv", "Ca", "Cj", "efficiency"], rows)
+        print_table(
+            "Motion laws", ["law", "Cv", "Ca", "Cj", "efficiency"], [law_row(each) for each in laws]
+        )
+        if written is not None:
+            say(f"Report: {written}")
+
+
+def law_row(law: Law) -> list[str]:
+    """Return the characteristics of a law as a row of a table."""
+    return [
+        law.name,
+        f"{law.velocity:.4f}",
+        f"{law.acceleration:.4f}",
+        "infinite" if law.jerk is None else f"{law.jerk:.4f}",
+        f"{law.efficiency:.4f}",
+    ]
 
 
 def law_json(law: Law) -> dict[str, Any]:

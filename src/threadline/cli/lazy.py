@@ -34,6 +34,7 @@ class LazyCommand:
 COMMANDS = {
     "new": LazyCommand("new", "Make a working project: machine, specification, job."),
     "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
+    "verify": LazyCommand("verify", "Say whether a proof is one of what its files say now."),
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
@@ -43,7 +44,8 @@ COMMANDS = {
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
     "machines": LazyCommand("machines", "List the machines of the library, or print one."),
-    "law": LazyCommand("law", "Show a motion law: its Cv, Ca, Cj and efficiency."),
+    "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),
+    "cam": LazyCommand("cam", "Turn a measured cam into a motion law."),
 }
 
 

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.options import JsonOption
-from threadline.cli.output import note, print_json
+from threadline.cli.output import print_json, say, say_lines
+from threadline.cli.told import note
 from threadline.machine import (
     Machine,
     library_file,
@@ -39,11 +40,11 @@ def machines(
         return
     for entry in entries:
         axes = ", ".join(f"{axis} {kind}" for axis, kind in entry["axes"].items())
-        typer.echo(entry["name"])
-        typer.echo(f"    {entry['title']}")
-        typer.echo(f"    axes        {axes}")
-        typer.echo(f"    controller  {', '.join(entry['controllers'])}")
-        typer.echo(f"    overlays    {', '.join(entry['overlays']) or 'none'}")
+        say(entry["name"])
+        say(f"    {entry['title']}")
+        say(f"    axes        {axes}")
+        say(f"    controller  {', '.join(entry['controllers'])}")
+        say(f"    overlays    {', '.join(entry['overlays']) or 'none'}")
 
 
 def _show(name: str, json: bool) -> None:
@@ -53,7 +54,7 @@ def _show(name: str, json: bool) -> None:
         print_json({"name": name, "file": str(file), "text": text})
         return
     note(f"{file}")
-    typer.echo(text, nl=False)
+    say_lines(text)
 
 
 def machine_json(name: str) -> dict[str, Any]:
@@ -62,8 +63,7 @@ def machine_json(name: str) -> dict[str, Any]:
     return {
         "name": machine.name,
         "title": machine.title,
-        "axes": {axis: part.kind for axis, part in machine.axes.items()}
-        | dict.fromkeys(machine.cylinders, "cylinder"),
+        "axes": machine.moving,
         "controllers": controllers_of(machine),
         "overlays": list(overlay_names(name)),
         "file": str(library_file(name)),

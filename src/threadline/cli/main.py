@@ -11,6 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from threadline import __version__
+from threadline.cli.crash import EXIT_DEFECT, keep_traceback
 from threadline.cli.interrupt import (
     EXIT_INTERRUPTED,
     EXIT_TERMINATED,
@@ -19,7 +20,15 @@ from threadline.cli.interrupt import (
     terminating,
 )
 from threadline.cli.lazy import LazyGroup
-from threadline.errors import InputError, LinkFaultError, OptionError, ThreadlineError
+from threadline.cli.told import STDOUT, note, tell_warnings, telling
+from threadline.errors import (
+    BudgetError,
+    InputError,
+    LinkFaultError,
+    OptionError,
+    ThreadlineError,
+)
+from threadline.opening import noting_inputs
 
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
@@ -29,7 +38,8 @@ _HEAD_SHOWN, _TAIL_SHOWN = 320, 155
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 _EPILOG = (
-    "Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault. An error is "
+    "Exit status: 0 in spec, 1 out of spec, 2 wrong input, 3 machine or link fault, 70 a defect "
+    "of this program (its traceback is kept in a file that the error names). An error is "
     'one line of text on standard error, "error: [CODE] file:line: what. Remedy.", with --json '
     "too: standard output is then empty, so look at the exit status before reading it."
 )
@@ -67,20 +77,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with terminating() as termination:
         status = _run(given)
     if status == EXIT_INTERRUPTED and termination.came:
-        sys.stderr.write(TERMINATED)
+        note(TERMINATED.rstrip())
         sys.exit(EXIT_TERMINATED)
     if status == EXIT_INTERRUPTED:
-        sys.stderr.write(INTERRUPTED)
+        note(INTERRUPTED.rstrip())
     sys.exit(status)
 
 
 def _run(given: list[str]) -> int:
     """Return the exit status of a command; end the program with one line at an error."""
     try:
-        # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
-        # interrupt in none. It returns the exit status, or nothing for 0.
-        status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
-        sys.stdout.flush()
+        _refuse_undecodable(given)
+        with telling() as told, noting_inputs():
+            # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
+            # interrupt in none. It returns the exit status, or nothing for 0.
+            status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
+            _flush()
+            tell_warnings(told.warnings)
     except ThreadlineError as error:
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
         _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT)
@@ -98,18 +111,55 @@ def _run(given: list[str]) -> int:
         raise
     except OSError as error:
         subject = error.filename or "file"
+        if subject == STDOUT:
+            _discard_output()
         _stop(
-            f"[FILE] cannot use {subject}: {error.strerror}. Give another path.", EXIT_WRONG_INPUT
+            f"[FILE] cannot use {subject}: {error.strerror or error}. Give another path.",
+            EXIT_WRONG_INPUT,
         )
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
+    except MemoryError:
+        _stop(
+            f"[{BudgetError.code}] this needs more memory than there is. Give a shorter job, a "
+            "higher feed or a longer clock.",
+            EXIT_WRONG_INPUT,
+        )
+    except Exception as error:
+        _stop(keep_traceback(error, given), EXIT_DEFECT)
     return status
+
+
+def _refuse_undecodable(given: list[str]) -> None:
+    """Refuse an argument that is no text: a name of bytes could not be told, nor be recorded."""
+    for text in given:
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:
+            raise OptionError(
+                f"the argument {text!r} is not UTF-8 text", remedy="Rename the file."
+            ) from None
+
+
+def _flush() -> None:
+    """Hand on what was printed; an error names what it was printed to."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        error.filename = STDOUT
+        raise
+
+
+def _discard_output() -> None:
+    """Let nothing more go to standard output: the interpreter would try once more, and complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
 
 
 def _nobody_reads() -> NoReturn:
     """End as a shell's own tools do: a closed pipe is no error of the input."""
-    # The interpreter would flush what is left once more, and complain.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
+    _discard_output()
     sys.exit(EXIT_NO_READER)
 
 
@@ -119,5 +169,5 @@ def _stop(text: str, status: int) -> NoReturn:
     if len(line) > _MOST_SHOWN:
         # The subject stands at the head and the remedy at the tail.
         line = f"{line[:_HEAD_SHOWN]} ... {line[-_TAIL_SHOWN:]}"
-    sys.stderr.write(f"error: {line}\n")
+    note(f"error: {line}")
     sys.exit(status)

@@ -28,7 +28,8 @@ def needle_warnings(proof: Proof) -> list[str]:
     way = "more" if time.note == "too long" else "less"
     at = f" at line {time.job_line}" if time.job_line else ""
     return [
-        f"the needle is to turn evenly, but {proof.plan.path.interpolation} gives a stitch{at} "
+        f"the needle is to turn evenly, but {proof.plan.motion.path.interpolation} gives a "
+        f"stitch{at} "
         f"{100.0 * time.measured:.2g} % {way} than a turn, limit {100.0 * limit:g} %: stitches are "
         f"judged as if it waited for the head; --feed-forward and --interpolation linear keep "
         f"its time"

@@ -16,7 +16,7 @@ import typer
 
 from threadline import __version__
 from threadline.cli.options import JsonOption
-from threadline.cli.output import print_json
+from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.errors import OptionError
 from threadline.machine import library_file
@@ -41,6 +41,7 @@ class Project:
 
 PROJECTS = {
     "winder": Project("lathe-winder", "reversal.prg -m machine.toml"),
+    "stepper": Project("stepper-winder", "reversal.prg -m machine.toml"),
     "stitcher": Project("stitcher", "corners.seam.toml -m machine.toml"),
     "placer": Project(
         "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
@@ -69,9 +70,9 @@ def new(
     if json:
         print_json({"folder": str(folder), "files": sorted(contents), "prove": command})
         return
-    typer.echo(f"{folder}: {', '.join(sorted(contents))}")
+    say(f"{folder}: {', '.join(sorted(contents))}")
     there = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
-    typer.echo(f"Next: {there}{command}")
+    say(f"Next: {there}{command}")
 
 
 def project_files(kind: str) -> dict[str, str]:

@@ -7,21 +7,12 @@ from typing import Annotated
 
 import typer
 
+from threadline import options as planning
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
-from threadline.options import (
-    DEFAULT_INTERPOLATION,
-    Options,
-    parse_feed,
-    parse_share,
-    parse_tolerance_m,
-    parse_width_s,
-)
-from threadline.path.plan import DEFAULT_TOLERANCE_M
 
-FEED_FORWARD = "40 ms"
-"""Over which feed-forward smooths the motion unless told otherwise."""
+FEED_FORWARD = planning.FEED_FORWARD
 
 JobArgument = Annotated[Path, typer.Argument(help="Part program, seam or move list.")]
 MachineOption = Annotated[
@@ -44,7 +35,15 @@ ParOption = Annotated[
 InterpolationOption = Annotated[
     str,
     typer.Option(
-        help="point-to-point, linear, parabolic, cubic, quintic, b-spline, b-spline-pulled, auto."
+        help="auto, optimal, point-to-point, linear, parabolic, cubic, quintic, b-spline, "
+        "b-spline-pulled, law:NAME."
+    ),
+]
+LawOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Every move from rest to rest by this motion law: modified-sine, harmonic:7, "
+        "frame.csv (threadline law lists them)."
     ),
 ]
 FeedOption = Annotated[
@@ -122,9 +121,9 @@ ActualOption = Annotated[
         help="Machine that runs what was planned for --machine: a file or name, as there."
     ),
 ]
-DEFAULT_INTERPOLATION_TEXT = DEFAULT_INTERPOLATION
-DEFAULT_LIMITS_TEXT = "100 %"
-DEFAULT_TOLERANCE_TEXT = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
+DEFAULT_INTERPOLATION_TEXT = planning.DEFAULT_INTERPOLATION
+DEFAULT_LIMITS_TEXT = planning.DEFAULT_LIMITS
+DEFAULT_TOLERANCE_TEXT = planning.DEFAULT_TOLERANCE
 
 
 def machine_from(reference: str, par: Path | None) -> Machine:
@@ -152,41 +151,4 @@ def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
             )
 
 
-def options_of(
-    interpolation: str,
-    feed: str | None,
-    tolerance: str,
-    limits: str = DEFAULT_LIMITS_TEXT,
-    shaper: str | None = None,
-    feed_forward: bool = False,
-    smoothing: str | None = None,
-    feed_mode: str | None = None,
-) -> Options:
-    """Return the planning options, read from their text.
-
-    Raises
-    ------
-    OptionError
-        If one is unreadable, a smoothing is given without feed-forward, or a meaning of F with a
-        feed that replaces it.
-    """
-    if smoothing is not None and not feed_forward:
-        raise OptionError(
-            f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
-        )
-    if feed is not None and feed_mode is not None:
-        raise OptionError(
-            f"--feed-mode {feed_mode!r} says what F means, and --feed replaces every F",
-            remedy="Leave one of them out.",
-        )
-    return Options(
-        interpolation=interpolation,
-        feed=None if feed is None else parse_feed(feed),
-        feed_mode=feed_mode,
-        tolerance_m=parse_tolerance_m(tolerance),
-        limit_share=parse_share(limits),
-        shaper=shaper,
-        feed_forward_s=parse_width_s(FEED_FORWARD if smoothing is None else smoothing)
-        if feed_forward
-        else None,
-    )
+options_of = planning.options_of

@@ -13,7 +13,10 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
+from threadline.cli.told import STDOUT, at_work
+from threadline.escaping import plain
 from threadline.pipeline import Progress as ProgressCall
 
 _SHOW_AFTER_S = 1.0
@@ -23,31 +26,61 @@ _FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its o
 
 def print_json(content: Any) -> None:
     """Print ``content`` as one JSON object; a number that JSON lacks is an error, not a NaN."""
-    sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
+    text = json.dumps(content, allow_nan=False, indent=2)
+    with _to_stdout():
+        sys.stdout.write(text + "\n")
+
+
+def say(text: str) -> None:
+    """Print a line for people; what is no letter, sign or blank of it is written as an escape."""
+    with _to_stdout():
+        sys.stdout.write(plain(text) + "\n")
+
+
+@contextmanager
+def _to_stdout() -> Iterator[None]:
+    """Let a full disk behind standard output be named as such, and not as a file."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        error.filename = error.filename or STDOUT
+        raise
+
+
+def say_lines(text: str) -> None:
+    """Print the lines of ``text`` as ``say`` prints one."""
+    for line in text.splitlines():
+        say(line)
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table; all columns but the first and a last one called note are aligned right."""
     console = Console() if sys.stdout.isatty() else Console(width=_FILE_WIDTH)
+    title, header = plain(title), [plain(cell) for cell in header]
+    rows = [[plain(cell) for cell in row] for row in rows]
     notes: list[tuple[str, str]] = []
     if header[-1] == "note" and not _fits(header, rows, console.width):
         named = 2 if len(header) > 1 and header[1] == "axis" else 1
         notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
         header, rows = header[:-1], [row[:-1] for row in rows]
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    # Text, not str: rich would take "[/b]" for its own markup, and ":x:" for a picture.
+    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for index, name in enumerate(header):
         text = index == 0 or name == "note"
         table.add_column(
-            name,
+            Text(name),
             justify="left" if text else "right",
             no_wrap=name != "note",
             overflow="fold",
         )
     for row in rows:
-        table.add_row(*row)
-    console.print(table)
-    for subject, said in notes:
-        console.print(f"  {subject}: {said}", markup=False, highlight=False, soft_wrap=True)
+        table.add_row(*map(Text, row))
+    with _to_stdout():
+        console.print(table)
+        for subject, said in notes:
+            console.print(f"  {subject}: {said}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:
@@ -57,16 +90,11 @@ def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> b
     return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
 
 
-def note(text: str) -> None:
-    """Print a line for people on standard error, so that --json stays pure."""
-    sys.stderr.write(text + "\n")
-
-
 @contextmanager
 def progress_bar(wanted: bool = True) -> Iterator[ProgressCall | None]:
     """Give a progress call that draws a bar on a terminal once a second has passed."""
     if not wanted or not sys.stderr.isatty():
-        yield None
+        yield None  # it would cost a second reading of the trajectory to know the fraction
         return
     bar = Progress(
         TextColumn("{task.description}"),
@@ -85,6 +113,7 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall | None]:
         if not shown and time.monotonic() - began > _SHOW_AFTER_S:
             bar.start()
             shown = True
+        at_work(what, shown=shown)
         bar.update(task, description=what, completed=fraction)
 
     try:

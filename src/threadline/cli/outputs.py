@@ -1,15 +1,16 @@
-"""Files that a command writes: refused before the work where they cannot be, all or none after."""
+"""Files that a command writes: refused before the work where they cannot be written."""
 
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from itertools import product
 from pathlib import Path
 
 from threadline.errors import OptionError
-from threadline.opening import naming
+from threadline.writing import check_output, is_stdout
+
+_STEMS = ("report", "comparison", "shaper", "analysis", "design")
+"""Of the pages of reports: a folder or a read-only file of such a name is in the way."""
 
 
 def check_outputs(
@@ -29,14 +30,17 @@ def check_outputs(
     Raises
     ------
     OptionError
-        If the folder is none, or nothing can be written there.
+        If the folder is none, nothing can be written there, or something is in the way.
     """
     if file is not None:
-        if file.is_dir():
-            raise OptionError(f"cannot write {str(file)!r}: it is a folder", remedy="Name a file.")
-        _check_folder(file.parent, file, made=make)
+        check_output(file)
+        if not is_stdout(file):
+            _check_folder(Path(os.path.realpath(file)).parent, file, made=make)
     if folder is not None:
-        _check_folder(folder, folder, made=True)
+        _check_folder(Path(os.path.realpath(folder)), folder, made=True)
+        for stem, ending in product(_STEMS, ("html", "pdf")):
+            if (page := folder / f"{stem}.{ending}").exists():
+                check_output(page)
 
 
 def _check_folder(folder: Path, wanted: Path, *, made: bool) -> None:
@@ -53,38 +57,3 @@ def _check_folder(folder: Path, wanted: Path, *, made: bool) -> None:
             f"cannot write {str(wanted)!r}: no permission to write in {str(there)!r}",
             remedy="Give another path.",
         )
-
-
-@contextmanager
-def folder_of(file: Path | None) -> Iterator[None]:
-    """Make the folder of ``file`` for the block; a block that fails takes it away again."""
-    missing = []
-    if file is not None:
-        missing = [p for p in (file.parent, *file.parent.parents) if not os.path.lexists(p)]
-        file.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        yield
-    except BaseException:
-        for folder in missing:
-            with suppress(OSError):  # something else has been put there
-                folder.rmdir()
-        raise
-
-
-@contextmanager
-def appearing(file: Path | None) -> Iterator[Path | None]:
-    """Give a path to write to that becomes ``file`` when the block ends well, and not otherwise.
-
-    It ends like ``file``, beside it, so that a writer sees the format and the move is one step.
-    """
-    if file is None:
-        yield None
-        return
-    with (
-        folder_of(file),
-        tempfile.TemporaryDirectory(dir=file.parent, prefix=f".{file.name[:80]}.") as made,
-    ):
-        temporary = Path(made) / file.name
-        with naming(file, temporary):
-            yield temporary
-            temporary.replace(file)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from threadline.cli.feed_forward import feed_forward_lines, feed_forward_warnings
 from threadline.cli.needle import needle_warnings
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
@@ -19,6 +19,7 @@ from threadline.cli.options import (
     InterpolationOption,
     JobArgument,
     JsonOption,
+    LawOption,
     LimitsOption,
     MachineOption,
     ParOption,
@@ -32,26 +33,25 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import note, print_json, print_table, progress_bar
-from threadline.cli.outputs import appearing, check_outputs
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
 from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
-from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.pipeline import Proof, SwitchProof, prove_switching, with_shaping
+from threadline.pipeline import Proof, with_shaping
 from threadline.pipeline import prove as prove_job
-from threadline.report import write_report, write_switching
+from threadline.proof_file import write_proof
+from threadline.report import about, write_report
 from threadline.signals.files import write_recording
-from threadline.targets import calculate
 from threadline.verdict import (
+    Verdict,
     closing,
     load_spec,
-    motion_lines,
-    shaping_rows,
     step_rows,
     verdict_json,
     verdict_rows,
 )
+from threadline.writing import together
 
 
 def prove(
@@ -59,6 +59,7 @@ def prove(
     machine: MachineOption,
     spec: SpecOption = None,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    law: LawOption = None,
     feed: FeedOption = None,
     feed_mode: FeedModeOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
@@ -70,6 +71,14 @@ def prove(
     actual: ActualOption = None,
     report: ReportOption = None,
     recording: RecordingOption = None,
+    proof_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--proof",
+            help="Write the proof to this file (JSON): hashes of all that it was made from, and "
+            "the verdict; threadline verify reads it.",
+        ),
+    ] = None,
     repeats: Annotated[
         int,
         typer.Option(
@@ -91,59 +100,37 @@ def prove(
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
     chosen = machine_from(machine, par)
-    keep_inputs(recording, job, chosen.file, par, spec)
-    check_outputs(file=recording, folder=report)
+    for output in (recording, proof_file):
+        keep_inputs(output, job, chosen.file, par, spec)
+        check_outputs(file=output, folder=report)
     options = options_of(
-        interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing, feed_mode
+        interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing, feed_mode, law
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
-    if chosen.cylinders and actual is not None:
-        raise OptionError(f"--actual is of machines with loops, which {chosen.name} does not have")
-    if chosen.cylinders and repeats > 1:
-        raise OptionError(
-            f"--repeats varies loops and encoders, which {chosen.name} does not have",
-            remedy="Leave it out; overlays like +hysteresis vary an on/off machine.",
-        )
     with progress_bar(not json) as progress:
-        proof: Proof | SwitchProof
-        if chosen.cylinders:
-            proof = prove_switching(job, chosen, asked, options)
-        else:
-            other = None if actual is None else machine_from(actual, par)
-            proof = prove_job(job, chosen, asked, options, progress, repeats, other)
-        with appearing(recording) as temporary:
-            if temporary is not None:
-                write_recording(proof.recording, temporary, plot_every=_plot_every(chosen))
-            written = None
-            if report is not None and isinstance(proof, SwitchProof):
-                written = write_switching(proof, report)
-            elif report is not None and isinstance(proof, Proof):
-                written = write_report(proof, report)
-    if isinstance(proof, SwitchProof):
-        for warning in proof.plan.scheduled.warnings:
-            note(f"warning: {warning}")
-    else:
-        warn(
-            chosen,
-            proof.plan.job,
-            [
-                *feed_forward_warnings(proof.plan.feed_forward),
-                *proof_warnings(proof),
-                *needle_warnings(proof),
-            ],
-        )
+        other = None if actual is None else machine_from(actual, par)
+        proof = prove_job(job, chosen, asked, options, progress, repeats, other)
+        with together(recording, proof_file):
+            if recording is not None:
+                write_recording(proof.recording, recording, plot_every=_plot_every(chosen))
+            if proof_file is not None:
+                write_proof(proof, proof_file)
+            written = None if report is None else write_report(proof, report)
+    more = [*proof.plan.intent.warnings, *proof_warnings(proof), *needle_warnings(proof)]
+    warn(chosen, proof.plan.job, more)
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:
             content["report"] = str(written)
+        if proof_file is not None:
+            content["proof"] = str(proof_file)
         print_json(content)
     else:
-        if isinstance(proof, SwitchProof):
-            show_switching(proof)
-        else:
-            show_proof(proof)
+        show_proof(proof)
         if written is not None:
-            typer.echo(f"Report: {written}")
+            say(f"Report: {written}")
+        if proof_file is not None:
+            say(f"Proof: {proof_file}")
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
 
@@ -157,29 +144,17 @@ def show_proof(proof: Proof) -> None:
     plan = proof.plan
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.planned_with}", header, rows)
-    about = [
-        *feed_forward_lines(plan.feed_forward),
-        *motion_lines(plan),
-        *calculate(plan).lines(),
-    ]
-    for line in about:
-        typer.echo(line)
-    added = plan.path.summary.get("points_added")
-    if added is not None:
-        typer.echo(f"Points added:         {added:.0f} (path_deviation is what is left, and where)")
-    typer.echo(closing(proof.verdict))
+    show_steps(proof.verdict, f", shaper {plan.options.get('shaper', 'none')}")
+    for line in about(proof):
+        say(line)
+    say(closing(proof.verdict))
 
 
-def show_switching(proof: SwitchProof) -> None:
-    """Print the verdict of a proof on an on/off machine for people."""
-    plan = proof.plan
-    header, rows = verdict_rows(proof.verdict)
-    print_table(f"{plan.job.name} on {plan.machine.name}, switched", header, rows)
-    header, rows = step_rows(proof.verdict)
-    print_table(f"Step by step, shaper {plan.options.get('shaper', 'none')}", header, rows)
-    for axis, words in shaping_rows(plan):
-        typer.echo(f"Cylinder {axis}:".ljust(22) + words)
-    typer.echo(closing(proof.verdict))
+def show_steps(verdict: Verdict, how: str = "") -> None:
+    """Print what each step leaves, where the job has steps."""
+    header, rows = step_rows(verdict)
+    if rows:
+        print_table(f"Step by step{how}", header, rows)
 
 
 def register(app: typer.Typer) -> None:

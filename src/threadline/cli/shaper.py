@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.options import JsonOption, ReportOption
-from threadline.cli.output import note, print_json, print_table, progress_bar
+from threadline.cli.output import print_json, print_table, progress_bar, say, say_lines
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
     KINDS,
@@ -18,6 +18,7 @@ from threadline.cli.shaper_text import (
     modes_of,
     suspicions,
 )
+from threadline.cli.told import warning
 from threadline.errors import OptionError
 from threadline.options import parse_number
 from threadline.report.document import Table
@@ -184,18 +185,18 @@ def shaper(
     if json:
         print_json(_content(answer, written))
         return
-    for warning in warnings:
-        note(f"warning: {warning}")
+    for said in warnings:
+        warning(said)
     for table in _tables(answer):
         print_table(table.title, table.header, table.rows)
     for line in curve_lines(made, modes, tolerance):
-        typer.echo(line)
+        say(line)
     if answer.klipper is not None:
-        typer.echo(answer.klipper.explanation)
+        say(answer.klipper.explanation)
         if answer.klipper.section:
-            typer.echo(answer.klipper.section, nl=False)
+            say_lines(answer.klipper.section)
     if written is not None:
-        typer.echo(f"Report: {written}")
+        say(f"Report: {written}")
 
 
 def _tables(answer: _Answer) -> list[Table]:

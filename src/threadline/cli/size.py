@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.options import JsonOption
-from threadline.cli.output import note, print_json, print_table
+from threadline.cli.output import print_json, print_table
+from threadline.cli.told import warning
 from threadline.options import parse_number
 from threadline.sizing import PROFILES, Demands, Sizing
 from threadline.sizing import size as size_demands
@@ -112,8 +113,8 @@ def size(
     if json:
         print_json(_content(sizing))
         return
-    for warning in sizing.warnings:
-        note(f"warning: {warning}")
+    for said in sizing.warnings:
+        warning(said)
     rows = [
         [line.name, f"{line.value:.5g} {line.unit}".rstrip(), f"{line.formula} ({line.source})"]
         for line in sizing.lines

@@ -6,14 +6,51 @@ as it is later on.
 
 from __future__ import annotations
 
+import io
+import logging
+import os
+import sys
+import warnings
+
 from threadline.cli.interrupt import leaving_on_interrupt
+
+_STREAMS = 3
 
 
 def run() -> None:
     """Run the program with the arguments of the shell."""
+    _open_streams()
+    _silence_libraries()
     with leaving_on_interrupt():
         from threadline.cli.main import main
     main()
+
+
+def _open_streams() -> None:
+    """Give standard streams that were closed somewhere to go, and let none of them refuse a text.
+
+    Otherwise the next file that is opened would take the number of a closed stream, and get what
+    is told there.
+    """
+    for number in range(_STREAMS):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _silence_libraries() -> None:
+    """Keep what libraries say to programmers off standard error, unless ``python -W`` asks."""
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+    logging.lastResort = None
 
 
 if __name__ == "__main__":

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from threadline.cli.output import note
+from threadline.cli.told import warning
 from threadline.options import parse_tolerance_m
-from threadline.path.plan import KEEPING_TOLERANCE
+from threadline.path.plan import KEEPING_TOLERANCE, on_chords
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.verdict.deviation import measure_path_deviation
+from threadline.verdict.registry import MEASURES
 
 _ROUNDING = 1e-6  # relative: of what is measured on points of the path
 
 
 def tolerance_warnings(plan: Plan) -> list[str]:
     """Return a line if the planned path leaves the programmed one by more than the tolerance."""
-    if _keeps(plan):
+    if MEASURES["path_deviation"].of_plan(plan) is None or _keeps(plan):
         return []
     (worst,) = measure_path_deviation(plan)
     return _told(plan, worst.value, worst.job_line)
@@ -22,21 +23,21 @@ def tolerance_warnings(plan: Plan) -> list[str]:
 
 def warn_tolerance(plan: Plan) -> None:
     """Print the line of ``tolerance_warnings`` on standard error, where there is one."""
-    for warning in tolerance_warnings(plan):
-        note(f"warning: {warning}")
+    for said in tolerance_warnings(plan):
+        warning(said)
 
 
 def proof_warnings(proof: Proof) -> list[str]:
     """Return the same of a plan whose verdict has the path deviation already."""
     found = [r for r in proof.verdict.results if r.name == "path_deviation"]
-    if _keeps(proof.plan) or not found:
+    if not found or found[0].measured is None or _keeps(proof.plan):
         return []
     return _told(proof.plan, found[0].measured, found[0].job_line)
 
 
 def _keeps(plan: Plan) -> bool:
-    # Feed-forward replaces the path by one of its own: chords at their programmed times.
-    return plan.path.interpolation in (*KEEPING_TOLERANCE, "on-time")
+    name = plan.motion.path.interpolation
+    return name in KEEPING_TOLERANCE or on_chords(name)
 
 
 def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
@@ -45,7 +46,8 @@ def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
         return []
     at = f" at line {line}" if line else ""
     return [
-        f"{plan.path.interpolation} does not keep the tolerance of {tolerance_m * 1e3:g} mm: the "
-        f"planned path is {deviation_m * 1e3:.3g} mm off the programmed one{at}; "
-        f"{' and '.join(KEEPING_TOLERANCE)} keep it"
+        f"{plan.motion.path.interpolation} does not keep the tolerance of "
+        f"{tolerance_m * 1e3:g} mm: the planned path is "
+        f"{deviation_m * 1e3:.3g} mm off the programmed one{at}; "
+        f"{', '.join(KEEPING_TOLERANCE[:-1])} and {KEEPING_TOLERANCE[-1]} keep it"
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from threadline.cli.output import note
+from threadline.cli.told import warning
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.plant.suspicions import suspicions
@@ -12,5 +12,5 @@ from threadline.plant.suspicions import suspicions
 
 def warn(machine: Machine, job: Job, more: Iterable[str] = ()) -> None:
     """Print what is suspicious about ``machine`` and ``job``, and ``more``, on standard error."""
-    for warning in [*suspicions(machine), *job.warnings, *more]:
-        note(f"warning: {warning}")
+    for said in [*suspicions(machine), *job.warnings, *more]:
+        warning(said)

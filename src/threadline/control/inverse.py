@@ -19,6 +19,7 @@ from threadline.arrays import FloatArray
 from threadline.control.exponential import decay_and_moments
 from threadline.errors import MachineError
 from threadline.machine import Machine
+from threadline.plant.boundaries import not_decaying
 from threadline.plant.linear import StateSpace
 from threadline.plant.loop import Loop, axis_loop
 from threadline.plant.values import Values
@@ -193,9 +194,9 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     back = np.linalg.inv(whole)
     from_load, from_inner = back[:, :r] / scale.T, back[:, r:]
     Q, R = kept @ plant.A @ from_inner, kept @ plant.A @ from_load
-    zeros = np.linalg.eigvals(Q) if n > r else np.empty(0)
-    if (zeros.real >= 0).any():
-        worst = zeros[int(np.argmax(zeros.real))]
+    standing = not_decaying(Q)
+    if len(standing):
+        worst = standing[0]
         raise MachineError(
             f"axis {axis}: its inverse does not decay, a zero lies at {worst:.4g} rad/s",
             place=machine.place,

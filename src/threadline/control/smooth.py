@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SmoothMotion:
+class SmoothMotion(Locked):
     """Position over time with all the derivatives that its averages allow.
 
     Parameters

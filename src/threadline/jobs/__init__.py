@@ -1,5 +1,6 @@
 """Jobs and the readers that make them, one per file format."""
 
+from threadline.jobs.gcode import read_part_program
 from threadline.jobs.operations import (
     Dwell,
     Feed,
@@ -13,7 +14,6 @@ from threadline.jobs.operations import (
     ToolEvent,
     WaitInput,
 )
-from threadline.jobs.part_program import read_part_program
 from threadline.jobs.reading import FORMATS, Format, read_job
 
 __all__ = [

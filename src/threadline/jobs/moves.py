@@ -26,15 +26,15 @@ from threadline.jobs.operations import (
     ToolEvent,
     WaitInput,
 )
-from threadline.jobs.textfile import open_binary
 from threadline.machine import Machine
+from threadline.opening import open_binary
 from threadline.signals import Stream
 from threadline.units import parse_quantity
 from threadline.wording import line_in_rows, nearest, toml_fault
 
 TOP_KEYS = ("name", "operation")
 OPERATION_KEYS = {
-    "move": ("move",),
+    "move": ("move", "shaper", "levels"),
     "dwell": ("dwell",),
     "valve": ("valve", "on"),
     "vacuum": ("vacuum", "on"),
@@ -99,6 +99,7 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
         axes=tuple(machine.cylinders),
         start=tuple(0.0 for _ in machine.cylinders),
         operations=Stream.of(operations),
+        paced_by="switchings",
     )
 
 
@@ -188,7 +189,18 @@ class _Reader:
                     "Stay within the stroke.",
                 )
             position[axis] = value
-        return Move(tuple(position.values()), None, source, NO_TAGS)
+        return Move(tuple(position.values()), None, source, self._how(row, index))
+
+    def _how(self, row: Mapping[str, Any], index: int) -> Mapping[str, float | str]:
+        """Return how a move is to be commanded, where the list itself says it."""
+        given = {key: row[key] for key in ("shaper", "levels") if key in row}
+        if len(given) > 1:
+            self.refuse("a move has a shaper or levels, not both", index, "levels")
+        for key, text in given.items():
+            if not isinstance(text, str) or not text:
+                example = {"shaper": "um-zv", "levels": "1 for 180 ms, 0 for 60 ms, 1 for 290 ms"}
+                self.refuse(f"{key} = {text!r} is no text", index, key, f'"{example[key]}".')
+        return given or NO_TAGS
 
     def _time(self, row: Mapping[str, Any], index: int, key: str) -> float:
         value = self._number(row[key], "s", index, key)

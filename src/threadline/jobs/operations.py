@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import repeat
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.drawing.line import DrawnLine
 from threadline.errors import Place
 from threadline.signals import Stream
 
-NO_TAGS: Mapping[str, float | str] = {}
+Tags: TypeAlias = Mapping[str, float | str]
+Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_] | NDArray[np.object_]
+"""A tag of a run of moves: NaN, "" or None where a move lacks it."""
+NO_TAGS: Tags = {}
+NO_COLUMNS: Mapping[str, Column] = {}
 
 
 class FeedMode(StrEnum):
@@ -70,7 +76,7 @@ class Move:
     target: tuple[float, ...]
     feed: Feed | None
     source: Source
-    tags: Mapping[str, float | str] = field(default_factory=lambda: NO_TAGS)
+    tags: Tags = field(default_factory=lambda: NO_TAGS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +93,8 @@ class MoveRun:
         ``(i, feed)``: the feed from move ``i`` on; the first has i = 0.
     file, passes
         As in ``Source``, the same for all.
+    columns
+        The tags by name, (n,) each: stitch, layer, circuit, tension, thread.
     """
 
     targets: FloatArray
@@ -94,6 +102,7 @@ class MoveRun:
     feeds: tuple[tuple[int, Feed | None], ...]
     file: str
     passes: tuple[int, ...]
+    columns: Mapping[str, Column] = field(default_factory=lambda: NO_COLUMNS)
 
     def __len__(self) -> int:
         return len(self.targets)
@@ -104,7 +113,57 @@ class MoveRun:
             lines = self.line[begin:end].tolist()
             sources = map(Source, repeat(self.file), lines, repeat(self.passes))
             targets = map(tuple, self.targets[begin:end].tolist())
-            yield from map(Move, targets, repeat(feed), sources, repeat(NO_TAGS))
+            tags = tagged(self.columns, begin, end) if self.columns else repeat(NO_TAGS)
+            yield from map(Move, targets, repeat(feed), sources, tags)
+
+
+def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags]:
+    """Yield the tags of the moves from ``begin`` to before ``end``, out of their columns."""
+    names = tuple(columns)
+    parts = [column[begin:end] for column in columns.values()]
+    rows = zip(*(part.tolist() for part in parts), strict=True)
+    if not any(_lacking(part).any() for part in parts):
+        yield from (dict(zip(names, row, strict=True)) for row in rows)
+        return
+    for row in rows:
+        own = {
+            name: value
+            for name, value in zip(names, row, strict=True)
+            if value is not None and value == value and value != ""  # noqa: PLR0124 - NaN
+        }
+        yield own or NO_TAGS
+
+
+def columns_of(tags: Sequence[Tags]) -> Mapping[str, Column]:
+    """Return the columns of the tags of consecutive moves; none where there are no tags."""
+    if not any(tags):
+        return NO_COLUMNS
+    names = dict.fromkeys(name for own in tags for name in own)
+    return {name: _column([own.get(name) for own in tags]) for name in names}
+
+
+def _column(values: list[float | str | None]) -> Column:
+    kinds = {type(value) for value in values}
+    if kinds == {int}:
+        return np.array(values, dtype=np.int64)
+    if kinds <= {int, float, type(None)}:
+        return np.array(values, dtype=np.float64)  # None becomes NaN
+    if kinds == {str}:
+        return np.array(values, dtype=np.str_)
+    column = np.empty(len(values), dtype=np.object_)
+    column[:] = values
+    return column
+
+
+def _lacking(column: Column) -> NDArray[np.bool_]:
+    """Return (n,) whether a move lacks the tag of a column."""
+    if column.dtype.kind == "f":
+        return np.isnan(column)
+    if column.dtype.kind == "U":
+        return np.asarray(column == "")
+    if column.dtype.kind == "O":
+        return np.array([value is None for value in column], dtype=np.bool_)
+    return np.zeros(len(column), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +210,8 @@ class ToolEvent:
     source: Source
 
 
+Pace: TypeAlias = Literal["feed", "needle", "switchings"]
+"""What may set the speed of a job."""
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Stop | ToolEvent
 
 
@@ -160,7 +221,7 @@ class OperationStream(Stream[Operation]):
     Parameters
     ----------
     runs
-        Called once per reading; returns a fresh iterator over operations and runs of moves.
+        Operations and runs of moves.
     folded
         The same with repeated passes given once: an operation or run, how many times it
         happens, and the line of the call that repeats it (0 for none); left out where
@@ -171,25 +232,25 @@ class OperationStream(Stream[Operation]):
 
     def __init__(
         self,
-        runs: Callable[[], Iterator[Operation | MoveRun]],
-        folded: Callable[[], Iterator[tuple[Operation | MoveRun, int, int]]] | None = None,
+        runs: Stream[Operation | MoveRun],
+        folded: Stream[tuple[Operation | MoveRun, int, int]] | None = None,
     ) -> None:
-        super().__init__(lambda: _one_by_one(runs()))
+        super().__init__(_one_by_one, runs)
         self._runs = runs
         self._folded = folded
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
         """Return a fresh reading with repeated passes given once."""
         if self._folded is not None:
-            return self._folded()
-        return ((item, 1, 0) for item in self._runs())
+            return iter(self._folded)
+        return ((item, 1, 0) for item in self._runs)
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Return a fresh reading with moves in runs."""
-        return self._runs()
+        return iter(self._runs)
 
 
-def _one_by_one(runs: Iterator[Operation | MoveRun]) -> Iterator[Operation]:
+def _one_by_one(runs: Iterable[Operation | MoveRun]) -> Iterator[Operation]:
     for item in runs:
         if isinstance(item, MoveRun):
             yield from item
@@ -217,6 +278,11 @@ class Job:
         Re-iterable; the index of an operation in it is how later stages call it.
     warnings
         Suspicious things found by the reader, each with its place.
+    drawn
+        The drawn lines that are followed, by their number: the tag ``contour`` of a stitch, of
+        which it covers the stretch from ``from_m`` to ``to_m``.
+    paced_by
+        What its speed is set by: ``feed``, ``needle`` (stitches a second), or ``switchings``.
     """
 
     name: str
@@ -226,6 +292,8 @@ class Job:
     start: tuple[float, ...]
     operations: Stream[Operation]
     warnings: tuple[str, ...] = ()
+    paced_by: Pace = "feed"
+    drawn: tuple[DrawnLine, ...] = ()
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)
@@ -246,12 +314,12 @@ class Job:
 def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
     """Return the operations of ``job`` with every move in a run of at most about ``longest``.
 
-    Readers that give single moves have them gathered here; tags are left behind.
+    Readers that give single moves have them gathered here, tags in columns.
     """
     moves: list[Move] = []
     for item in job.runs():
         if isinstance(item, Move):
-            if moves and (len(moves) >= longest or item.source.file != moves[0].source.file):
+            if moves and (len(moves) >= longest or not _together(item.source, moves[0].source)):
                 yield gathered(moves)
                 moves = []
             moves.append(item)
@@ -264,8 +332,12 @@ def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
         yield gathered(moves)
 
 
+def _together(one: Source, other: Source) -> bool:
+    return one.passes == other.passes and one.file == other.file
+
+
 def gathered(moves: list[Move]) -> MoveRun:
-    """Return ``moves``, at least one, as a run; their tags are left behind."""
+    """Return ``moves``, at least one, as a run with their tags in columns."""
     feeds = [(0, moves[0].feed)]
     for index, move in enumerate(moves):
         if move.feed is not feeds[-1][1]:
@@ -276,4 +348,5 @@ def gathered(moves: list[Move]) -> MoveRun:
         feeds=tuple(feeds),
         file=moves[0].source.file,
         passes=moves[0].source.passes,
+        columns=columns_of([move.tags for move in moves]),
     )

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from threadline.errors import JobError, OptionError, Place
+from threadline.jobs.gcode import read_part_program
 from threadline.jobs.moves import read_moves
 from threadline.jobs.operations import Job
-from threadline.jobs.part_program import read_part_program
 from threadline.jobs.seam import STITCHING_KEYS, SUFFIXES, read_seam
-from threadline.jobs.textfile import open_binary
 from threadline.machine import Machine
+from threadline.opening import open_binary
 
 _HEAD_BYTES = 512
 

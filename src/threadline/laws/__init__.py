@@ -1,5 +1,39 @@
 """Motion laws: normalised moves from rest to rest."""
 
-from threadline.laws.catalogue import LAWS, Law, law, trapezoid, trapezoidal_acceleration
+from threadline.laws.catalogue import (
+    FAMILIES,
+    LAWS,
+    harmonic,
+    jerk_limited,
+    law,
+    modified_constant_velocity,
+    trapezoid,
+    trapezoidal_acceleration,
+)
+from threadline.laws.extremes import extremes, measured_law, refuse_descent
+from threadline.laws.forms import Form, Pieces
+from threadline.laws.law import Law, gauss
+from threadline.laws.spline import law_of_velocity
+from threadline.laws.table import law_through, read_law, write_law
 
-__all__ = ["LAWS", "Law", "law", "trapezoid", "trapezoidal_acceleration"]
+__all__ = [
+    "FAMILIES",
+    "LAWS",
+    "Form",
+    "Law",
+    "Pieces",
+    "extremes",
+    "gauss",
+    "harmonic",
+    "jerk_limited",
+    "law",
+    "law_of_velocity",
+    "law_through",
+    "measured_law",
+    "modified_constant_velocity",
+    "read_law",
+    "refuse_descent",
+    "trapezoid",
+    "trapezoidal_acceleration",
+    "write_law",
+]

@@ -1,13 +1,49 @@
-"""Closed forms that motion laws are made of, on the first half of the motion."""
+"""Closed forms that motion laws are made of, each from rest on, free of cancellation at its start.
+
+A form is a rise over ``[0, end]`` that begins at rest. Where the rise is small it is a sum of
+small terms and never the difference of large ones, so that it is right to the last digits there,
+too: a law is evaluated from whichever of its two ends is nearer.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import comb, cos, factorial, pi, sin
+from typing import Protocol
 
 import numpy as np
 
 from threadline.arrays import FloatArray
+
+_SERIES = tuple(1.0 / ((2 * k + 2) * (2 * k + 3)) for k in range(1, 9))
+
+
+class Form(Protocol):
+    """A rise from rest."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Where one smooth stretch ends and the next begins; neither 0 nor the end is named."""
+        ...
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative (0 to 3) at ``t``, of any shape."""
+        ...
+
+
+def less_sine(x: FloatArray) -> FloatArray:
+    """Return ``x - sin x``, right to the last digits near 0 as well."""
+    square = x * x
+    series = np.ones_like(square)
+    for factor in reversed(_SERIES):
+        series = 1.0 - factor * square * series
+    return np.where(square < 1.0, x * square / 6.0 * series, x - np.sin(x))
+
+
+def less_cosine(x: FloatArray) -> FloatArray:
+    """Return ``1 - cos x``, right to the last digits near 0 as well."""
+    half = np.sin(0.5 * x)
+    return np.asarray(2.0 * half * half)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,18 +65,20 @@ class Phase:
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
         """Return the ``derivative``-th derivative of the rise at ``t`` from the phase's start."""
-        angle = self.w * t + self.p
-        swing = self.b / self.w
+        angle = self.w * t
+        # b sin(wt + p) = rising sin(wt) + standing cos(wt), each integrated without cancellation.
+        rising, standing = self.b * cos(self.p), self.b * sin(self.p)
         if derivative == 0:
-            ramp = self.s0 + (self.v0 + swing * cos(self.p)) * t
             power = (self.c0 / 2.0 + self.c1 / 6.0 * t) * t * t
-            return np.asarray(ramp + power - swing / self.w * (np.sin(angle) - sin(self.p)))
+            swing = (rising * less_sine(angle) + standing * less_cosine(angle)) / self.w**2
+            return np.asarray(self.s0 + (self.v0 * t + (power + swing)))
         if derivative == 1:
             power = (self.c0 + self.c1 / 2.0 * t) * t
-            return np.asarray(self.v0 + power + swing * (cos(self.p) - np.cos(angle)))
+            swing = (rising * less_cosine(angle) + standing * np.sin(angle)) / self.w
+            return np.asarray(self.v0 + (power + swing))
         if derivative == 2:
-            return np.asarray(self.c0 + self.c1 * t + self.b * np.sin(angle))
-        return np.asarray(self.c1 + self.b * self.w * np.cos(angle))
+            return np.asarray(self.c0 + self.c1 * t + self.b * np.sin(angle + self.p))
+        return np.asarray(self.c1 + self.b * self.w * np.cos(angle + self.p))
 
 
 def chained(phases: list[Phase]) -> tuple[Phase, ...]:
@@ -64,8 +102,13 @@ class Phases:
 
     phases: tuple[Phase, ...]
 
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Begins of all phases but the first."""
+        return tuple(phase.begin for phase in self.phases[1:])
+
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
-        """Return the ``derivative``-th derivative at ``t`` in [0, 1/2]."""
+        """Return the ``derivative``-th derivative at ``t``; the last phase goes on for ever."""
         begins = np.array([phase.begin for phase in self.phases])
         which = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(self.phases) - 1)
         out = np.zeros_like(t)
@@ -76,12 +119,93 @@ class Phases:
 
 
 @dataclass(frozen=True, slots=True)
-class Power:
-    """A rise that is one polynomial, ``sum(coefficients[k] t**k)``."""
+class Rest:
+    """The polynomial of degree ``2 n + 1`` whose first ``n`` derivatives vanish at both ends.
 
-    coefficients: tuple[float, ...]
+    With u = 1 - t it is ``t**(n+1) sum(comb(n+k, k) u**k, k = 0 ... n)``, a sum of positive terms,
+    and its velocity is ``(2n+1)! / n!**2 (t u)**n``.
+    """
+
+    n: int
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """None: one polynomial."""
+        return ()
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
         """Return the ``derivative``-th derivative at ``t``."""
-        kept = np.polynomial.polynomial.polyder(np.array(self.coefficients), derivative)
-        return np.asarray(np.polynomial.polynomial.polyval(t, kept))
+        n, u = self.n, 1.0 - t
+        if derivative == 0:
+            total = np.zeros_like(t)
+            for k in range(n, -1, -1):
+                total = total * u + comb(n + k, k)
+            return np.asarray(t ** (n + 1) * total)
+        top, both = factorial(2 * n + 1) / factorial(n) ** 2, t * u
+        if derivative == 1:
+            return np.asarray(top * both**n)
+        if derivative == 2:
+            return np.asarray(top * n * both ** (n - 1) * (u - t))
+        bend = (n - 1) * (u - t) ** 2 - 2.0 * both
+        return np.asarray(top * n * both ** (n - 2) * bend)
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonics:
+    """A rise whose velocity is ``sum(shares[k] (1 - cos(2 pi orders[k] t)))``."""
+
+    orders: tuple[int, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Quarters of the period of the highest harmonic: smooth there, but each one simple."""
+        count = 2 * self.orders[-1]
+        return tuple(k / (2.0 * count) for k in range(1, count))
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative at ``t``."""
+        out = np.zeros_like(t)
+        for order, share in zip(self.orders, self.shares, strict=True):
+            w = 2.0 * pi * order
+            if derivative == 0:
+                out = out + share / w * less_sine(w * t)
+            elif derivative == 1:
+                out = out + share * less_cosine(w * t)
+            elif derivative == 2:
+                out = out + share * w * np.sin(w * t)
+            else:
+                out = out + share * w * w * np.cos(w * t)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """A rise of polynomials: tabulated laws, splines.
+
+    Parameters
+    ----------
+    begins
+        (n,) where each piece starts, the first at 0.
+    powers
+        (n, k) coefficients by rising powers of the time since its start; no constant or linear
+        term in the first, so that it starts at rest.
+    """
+
+    begins: FloatArray
+    powers: FloatArray
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Begins of all pieces but the first."""
+        return tuple(self.begins[1:].tolist())
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative at ``t``."""
+        which = np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.begins) - 1)
+        kept = np.polynomial.polynomial.polyder(self.powers, derivative, axis=1)[which]
+        since = t - self.begins[which]
+        out = np.zeros_like(t)
+        for column in range(kept.shape[-1] - 1, -1, -1):
+            out = out * since + kept[..., column]
+        return out

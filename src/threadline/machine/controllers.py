@@ -31,7 +31,7 @@ import numpy as np
 from pydantic import Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.machine.parts import STRICT
+from threadline.machine.parts import STRICT, Rounding
 from threadline.machine.quantity import Quantity, Units
 
 Gain = Annotated[Quantity, Units(("dac/count",), not_negative=True)]
@@ -45,11 +45,16 @@ VELOCITY_LOW, VELOCITY_HIGH = -128.0, 127.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Dac:
-    """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped."""
+    """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped.
+
+    ``rounding`` says which level an output in between is given as; a half goes to the even one of
+    the nearest two.
+    """
 
     bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
     range: Annotated[Quantity, Units(("V",), positive=True)]
     zero_on_reversal: StrictBool = False
+    rounding: Rounding = "nearest"
 
     @property
     def volt_per_level(self) -> float:

@@ -21,7 +21,7 @@ from threadline.errors import MachineError, Place
 from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
 from threadline.machine.schema import ADAPTER, field_names, in_file, kinds_with, line_of
-from threadline.opening import read_text
+from threadline.opening import note_input, read_text
 from threadline.wording import field_fault, nearest, toml_fault
 
 _MAX_BYTES = 1_000_000
@@ -178,9 +178,13 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
 
 def _read(name: str) -> tuple[str, str]:
     if name.endswith(".toml"):
-        return read_text(Path(name), _MAX_BYTES, MachineError, "machine file"), name
+        path = Path(name)
+        for specification in (path.with_suffix(".spec.toml"), path.with_name("spec.toml")):
+            note_input(specification)  # it belongs to the machine, whoever reads it
+        return read_text(path, _MAX_BYTES, MachineError, "machine file"), name
     _check_name(name)
     entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
+    note_input(Path(str(entry)))
     return entry.read_text(encoding="utf-8"), f"{name}.toml"
 
 

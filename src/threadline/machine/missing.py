@@ -78,6 +78,10 @@ def missing_keys(
         # What needs more than one key is checked when all others are right: too late for a list.
         node = field_node(_AXES)
         found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
+    turns = any(_kind(content, (*_AXES, name, "kind")) == "rotary" for name in _axes_of(content))
+    if found and turns and "tool" not in content:
+        node = field_node(("tool",))
+        found.append(MissingKey(("tool",), _assigned(("tool",), node, sample(node))))
     order = list(field_node(())["properties"])
     return sorted(found, key=lambda key: order.index(key.location[0]))
 
@@ -149,6 +153,11 @@ def _unit(units: Sequence[str], kind: str) -> str:
     if kind == "linear":
         return next((unit for unit in units if unit not in turning), units[0])
     return "A/V" if kind == "current" and "A/V" in units else units[0]
+
+
+def _axes_of(content: Mapping[str, Any]) -> list[str]:
+    axes = content.get("axes")
+    return list(axes) if isinstance(axes, Mapping) else []
 
 
 def _kind(content: Mapping[str, Any], location: tuple[str, ...]) -> str:

@@ -28,11 +28,21 @@ from threadline.machine.parts import (
 )
 from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc
 from threadline.machine.quantity import Quantity, Units
+from threadline.machine.sources import PulseServo, Source, Stepper
+from threadline.machine.tolerances import Tolerances, matches, quantities
 from threadline.signals import Clock
 
+Drive = Annotated[DcMotor | Stepper | PulseServo, Field(discriminator="kind")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 AxisName = Annotated[str, Field(pattern=r"^[A-Z]$")]
 MAX_AXES = 6
+NUMBERED = (
+    "tick_budget", "clocks", "bodies", "links", "drives", "sensors", "controllers", "axes",
+    "inputs", "cylinders", "outputs", "contacts", "plc", "tool", "operator",
+)  # fmt: skip
+"""Fields that hold the numbers of the machine itself."""
+CommandedBy = Literal["ticks", "switches"]
+"""The kinds of commands that a machine may take."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -51,6 +61,8 @@ class Machine:
         Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
     design
         What may be changed of it, for ``threadline design`` alone.
+    tolerances
+        How its numbers vary within their ``+-``.
     sha256
         Of the resolved content: base file and overlays included.
     file, reference
@@ -66,7 +78,7 @@ class Machine:
     clocks: dict[Name, PositiveTime] = Field(min_length=1)
     bodies: dict[Name, Body] = Field(min_length=1)
     links: dict[Name, Link] = Field(default_factory=dict)
-    drives: dict[Name, DcMotor] = Field(default_factory=dict)
+    drives: dict[Name, Drive] = Field(default_factory=dict)
     sensors: dict[Name, Sensor] = Field(default_factory=dict)
     controllers: dict[Name, Controller] = Field(default_factory=dict)
     axes: dict[AxisName, Axis] = Field(default_factory=dict, max_length=MAX_AXES)
@@ -75,9 +87,10 @@ class Machine:
     outputs: dict[Name, Output] = Field(default_factory=dict)
     contacts: dict[Name, Contact] = Field(default_factory=dict)
     plc: Plc | None = None
-    tool: Tool
+    tool: Tool | None = None
     operator: Operator | None = None
     design: Design | None = None
+    tolerances: Tolerances = Field(default_factory=Tolerances)
     sha256: str = ""
     file: str = ""
     reference: str = ""
@@ -91,7 +104,11 @@ class Machine:
                 at = f"links.{name}.eccentric.angle"
                 _known(link.eccentric.angle, self.bodies, at, "body")
         for name, drive in self.drives.items():
-            _known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
+            if isinstance(drive, DcMotor):
+                _known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
+            else:
+                _known([drive.body], self.bodies, f"drives.{name}.body", "body")
+                _known([drive.clock], self.clocks, f"drives.{name}.clock", "clock")
         for name, sensor in self.sensors.items():
             _known(sensor.reads, self.bodies, f"sensors.{name}.reads", "body")
         for name, controller in self.controllers.items():
@@ -102,16 +119,27 @@ class Machine:
                 _known([controller.reference_clock], self.clocks, at, "clock")
             encoders = [n for n, s in self.sensors.items() if s.kind == "encoder"]
             _known([controller.sensor], encoders, f"{where}.sensor", "encoder")
-            _known([controller.drive], self.drives, f"{where}.drive", "drive")
+            _known([controller.drive], self.motors, f"{where}.drive", "drive")
         for name, axis in self.axes.items():
             where = f"axes.{name}"
-            _known([axis.controller], self.controllers, f"{where}.controller", "controller")
+            if axis.drive:
+                at = f"{where}.drive"
+                _known([axis.drive], self.position_sources, at, "drive")
+            else:
+                _known([axis.controller], self.controllers, f"{where}.controller", "controller")
             _known(axis.load or {}, self.bodies, f"{where}.load", "body")
             _known(axis.frame or {}, self.bodies, f"{where}.frame", "body")
         for name, switch in self.inputs.items():
             _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
-            _known([switch.cuts], self.drives, f"inputs.{name}.cuts", "drive")
+            _known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
+        turning = [name for name, axis in self.axes.items() if axis.kind == "rotary"]
+        if turning and self.tool is None:
+            raise ValueError(
+                f"'tool' is missing: it says at which radius the rotary axis {turning[0]} acts, "
+                'like [tool] radius = "100 mm exact, assumed"'
+            )
         self._on_off_references()
+        self._tolerance_references()
         return self
 
     def _on_off_references(self) -> None:
@@ -157,10 +185,58 @@ class Machine:
                     )
                 taken[part.address] = name
 
+    def _tolerance_references(self) -> None:
+        paths = [path for table in NUMBERED for path, _ in quantities(getattr(self, table), table)]
+        for where, pattern in self.tolerances.named():
+            if not any(matches(path, (pattern,)) for path in paths):
+                close = difflib.get_close_matches(pattern, paths, n=1)
+                hint = (
+                    f"did you mean {close[0]!r}?" if close else "name it by its place in the file."
+                )
+                raise ValueError(
+                    f"{where} names the number {pattern!r}, which does not exist; {hint}"
+                )
+        taken: dict[str, str] = {}
+        for name, members in self.tolerances.groups.items():
+            for path in (path for path in paths if matches(path, members)):
+                if path in taken:
+                    raise ValueError(
+                        f"tolerances.groups.{name}: {path} is in the group {taken[path]!r} already"
+                    )
+                taken[path] = name
+
     @property
     def place(self) -> Place | None:
         """Its file, for an error; None for a machine that was not read from a file."""
         return Place(self.file) if self.file else None
+
+    @property
+    def commanded_by(self) -> CommandedBy:
+        """The kind of commands that it takes: the key of every table of kinds of work."""
+        return "switches" if self.cylinders else "ticks"
+
+    @property
+    def moving(self) -> dict[str, str]:
+        """What moves, by name, and as what.
+
+        A ``linear`` or ``rotary`` axis with a loop, a ``stepper``, a ``pulse-servo``, a
+        ``cylinder``.
+        """
+        told = {
+            name: self.drives[axis.drive].kind for name, axis in self.axes.items() if axis.drive
+        }
+        axes = {name: axis.kind for name, axis in self.axes.items()}
+        return axes | told | dict.fromkeys(self.cylinders, "cylinder")
+
+    @property
+    def motors(self) -> dict[str, DcMotor]:
+        """Drives that a loop commands, by name."""
+        return {name: d for name, d in self.drives.items() if isinstance(d, DcMotor)}
+
+    @property
+    def position_sources(self) -> dict[str, Source]:
+        """Drives that are told positions, by name."""
+        return {name: d for name, d in self.drives.items() if not isinstance(d, DcMotor)}
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -173,7 +249,11 @@ class Machine:
 
     def drive_of(self, axis: str) -> DcMotor:
         """Return the drive that the axis's controller commands."""
-        return self.drives[self.controller_of(axis).drive]
+        return self.motors[self.controller_of(axis).drive]
+
+    def source_of(self, axis: str) -> Source | None:
+        """Return the drive of an axis that is told positions; None for one with a loop."""
+        return self.position_sources.get(self.axes[axis].drive)
 
     def clock(self, name: str) -> Clock:
         """Return the clock called ``name``."""
@@ -183,8 +263,12 @@ class Machine:
 
     @property
     def tick_clock(self) -> Clock:
-        """The clock on which the axes' references are given: that of the first controller."""
-        first = self.controller_of(next(iter(self.axes)))
+        """The clock on which the axes' references are given: that of the first axis."""
+        name = next(iter(self.axes))
+        source = self.source_of(name)
+        if source is not None:
+            return self.clock(source.clock)
+        first = self.controller_of(name)
         return self.clock(first.reference_clock or first.clock)
 
     def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:
@@ -225,9 +309,9 @@ class Machine:
     @property
     def radius_m(self) -> FloatArray:
         """(axes,) 1 for a linear axis, the radius of the tool for a rotary one."""
-        return np.array(
-            [1.0 if axis.kind == "linear" else self.tool.radius.si for axis in self.axes.values()]
-        )
+        # Where an axis turns there is a tool: the checks above have seen to it.
+        acting = 1.0 if self.tool is None else self.tool.radius.si
+        return np.array([1.0 if axis.kind == "linear" else acting for axis in self.axes.values()])
 
 
 def _known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any, get_args, get_type_hints
 
 from threadline.errors import OptionError
 from threadline.machine.model import Machine
 from threadline.machine.quantity import Quantity, Units
+
+_PER_SECOND = 10**9
 
 
 def number_at(machine: Machine, path: str) -> Quantity:
@@ -46,7 +49,8 @@ def is_whole(machine: Machine, path: str) -> bool:
 def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
     """Return ``machine`` with other numbers (SI) and a hash that tells them apart.
 
-    Tolerances stay the same share of the value.
+    Tolerances stay the same share of the value; a time is an exact fraction of a second, too,
+    within 1e-18 s of what is given.
 
     Raises
     ------
@@ -56,13 +60,22 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
     for path, value in numbers.items():
         old = number_at(machine, path)
         share = 1.0 if old.si == 0.0 else abs(value / old.si)
+        exact = None if old.exact_s is None else exact_time_s(value)
         new = dataclasses.replace(
-            old, si=float(value), tolerance_si=old.tolerance_si * share, exact_s=None
+            old,
+            si=float(value),
+            tolerance_si=old.tolerance_si * share,
+            exact_s=exact,
         )
         machine = _replaced(machine, path.split("."), new)
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
     sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
     return dataclasses.replace(machine, sha256=sha256)
+
+
+def exact_time_s(seconds: float) -> Fraction:
+    """Return a time as a fraction whose parts are small enough for an exact common step."""
+    return Fraction(float(seconds)).limit_denominator(_PER_SECOND)
 
 
 def _replaced(node: Any, keys: list[str], value: Quantity) -> Any:

@@ -32,6 +32,8 @@ def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
     return coefficients
 
 
+Rounding = Literal["nearest", "floor", "truncate"]
+"""To the nearest whole number, to the one below, to the one towards zero."""
 Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(_weighing)]
 """Coordinates, weighed into a force's way or a stretch: one of them counts at least."""
 
@@ -163,10 +165,14 @@ class DcMotor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Encoder:
-    """Counts whole steps of ``sum(resolution * coordinate)``."""
+    """Counts whole steps of ``sum(resolution * coordinate)``.
+
+    ``rounding`` says which whole count a position in between is read as.
+    """
 
     kind: Literal["encoder"]
     reads: dict[str, Resolution] = Field(min_length=1)
+    rounding: Rounding = "nearest"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -184,6 +190,7 @@ Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]
 class Axis:
     """What the job moves: scale, travel and hard limits.
 
+    ``controller`` names the loop that moves it, or ``drive`` a drive that is told positions.
     ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum
     of coordinates; without it the axis' own sensor, free of its rounding, is the load.
     ``endless`` axes have no travel. ``working_velocity`` is the speed of the axis' daily work,
@@ -191,15 +198,16 @@ class Axis:
     """
 
     kind: Literal["linear", "rotary"]
-    controller: str
+    controller: str = ""
+    drive: str = ""
     counts: Resolution
     velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)]
     acceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
     travel: tuple[Position, Position] | None = None
     endless: StrictBool = False
-    load: dict[str, Coefficient] | None = None
-    frame: dict[str, Coefficient] | None = None
+    load: Weights | None = None
+    frame: Weights | None = None
     working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
 
     @model_validator(mode="after")
@@ -214,6 +222,11 @@ class Axis:
         ):
             if part is not None and part.unit != wanted:
                 raise ValueError(f"{name} of a {self.kind} axis is in {wanted}, not {part.unit}")
+        if bool(self.controller) == bool(self.drive):
+            raise ValueError(
+                "an axis has either a controller, whose loop moves it, or a drive that is told "
+                "positions"
+            )
         if (self.travel is None) != self.endless:
             raise ValueError('an axis has either travel = ["min", "max"] or endless = true')
         if self.travel is not None:
@@ -245,10 +258,14 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Operator:
-    """The operator's settings (the parameter file of the 1994 controller)."""
+    """The operator's settings (the parameter file of the 1994 controller).
 
-    manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
+    What that controller alone acts on may be left out: ``manual_feed``, ``limit_feed`` and
+    ``knots_between``.
+    """
+
     normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
-    limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
     record_every: Annotated[Quantity, Units(("tick",), positive=True, whole=True)]
-    knots_between: Annotated[Quantity, Units(("",), positive=True, whole=True)]
+    manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
+    limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
+    knots_between: Annotated[Quantity, Units(("",), positive=True, whole=True)] | None = None

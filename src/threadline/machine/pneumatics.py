@@ -13,10 +13,12 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.machine.parts import STRICT, Coefficient, PositiveTime
+from threadline.machine.parts import STRICT, PositiveTime, Weights
 from threadline.machine.quantity import Quantity, Units
 
 Length = Annotated[Quantity, Units(("m",), positive=True)]
+ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
+"""Of the air: a second is long for it."""
 InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
@@ -112,13 +114,13 @@ class Cylinder:
 
     pushes: str
     reacts_on: str
-    frame: dict[str, Coefficient] = Field(min_length=1)
+    frame: Weights
     stroke: Length
     speed: Annotated[Quantity, Units(("m/s",), positive=True)]
     forward: Way
     back: Way
-    delay: PositiveTime
-    lag: PositiveTime
+    delay: ShortTime
+    lag: ShortTime
     air_stiffness: Annotated[Quantity, Units(("N/m",), positive=True)]
     air_damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)]
     air_ramp: Length | None = None

@@ -25,6 +25,10 @@ from threadline.units import (
     split_quantity,
 )
 
+LEAST_SI, MOST_SI = 1e-15, 1e15
+"""The smallest and the largest size of a machine's number that is not 0."""
+_MOST_PARTS = 10**18
+_SHOWN = 120
 _FORM = re.compile(
     r"(?P<value>[^,]+?)\s+(?:exact|(?:\+-|\+/-|±)\s*(?P<tolerance>[^,]+?))\s*,\s*"
     r"(?P<provenance>printed|checked|assumed|measured)(?:\s*:\s*(?P<note>.+))?",
@@ -110,6 +114,28 @@ def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
     )
 
 
+def _check_size(text: str, quantity: Quantity) -> None:
+    """Refuse what no machine has: its square or its ratio to another would be no number.
+
+    Raises
+    ------
+    ValueError
+        If it is of such a size, or a time of too many digits to count in.
+    """
+    size, wide = abs(quantity.si), quantity.tolerance_si
+    if size > MOST_SI or wide > MOST_SI or 0.0 < size < LEAST_SI:
+        raise ValueError(
+            f"{text[:_SHOWN]!r} is {quantity.si:g} in SI units; a machine's numbers are 0 or from "
+            f"{LEAST_SI:g} to {MOST_SI:g}."
+        )
+    exact = quantity.exact_s
+    if exact is not None and exact.denominator > _MOST_PARTS:
+        raise ValueError(
+            f"{text[:_SHOWN]!r} has more digits than a time is counted in: the finest part of a "
+            f"second is 1/{_MOST_PARTS:.0e}. Give fewer digits."
+        )
+
+
 def _faulty(text: str) -> UnitError:
     """Return the error of a text that is no number of a machine: what it lacks, and how it goes."""
     refuse_decimal_comma(text)
@@ -178,6 +204,7 @@ class Units:
             quantity = parse_machine_quantity(value, self.units)
         except UnitError as error:
             raise ValueError(f"{error.message}. {error.remedy}".strip()) from error
+        _check_size(value, quantity)
         if self.positive and quantity.si <= 0:
             raise ValueError(f"{value!r} must be greater than zero.")
         if self.not_negative and quantity.si < 0:

@@ -70,7 +70,7 @@ def plain_node(node: Any) -> dict[str, Any]:
 
 def in_file(location: tuple[str, ...]) -> tuple[str, ...]:
     """Return ``location`` as the file has it: without the kind of a controller or sensor."""
-    tagged = len(location) > 2 and location[0] in {"controllers", "sensors"}
+    tagged = len(location) > 2 and location[0] in {"controllers", "drives", "sensors"}
     return location[:2] + location[3:] if tagged else location
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from threadline.machine.model import Machine
+from threadline.machine.model import Drive, Machine
 from threadline.machine.quantity import Quantity
+from threadline.machine.sources import Stepper
 
 
 def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Machine:
@@ -14,10 +15,13 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
     Parameters
     ----------
     friction
-        Scales sliding friction and stiction of every body.
+        Scales sliding friction and stiction of every body and every cylinder.
     supply
-        Scales the voltage and current that the amplifiers can give at most. Their gain is set by
-        feedback and does not follow the supply.
+        Scales the voltage and current that the amplifiers can give at most; their gain is set by
+        feedback and does not follow the supply; and the voltage of steppers' drivers. Of air it
+        scales the stiffness, which is in proportion to its pressure. The speed stays: an exhaust
+        flow control chokes below about half of the pressure before it, and then lets out the same
+        volume whatever that is.
 
     Raises
     ------
@@ -34,8 +38,8 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
         )
         for name, body in machine.bodies.items()
     }
-    drives = {}
-    for name, drive in machine.drives.items():
+    drives: dict[str, Drive] = dict(machine.drives)
+    for name, drive in machine.motors.items():
         drives[name] = replace(
             drive,
             amplifier=replace(
@@ -44,7 +48,21 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
                 current_limit=_scaled(drive.amplifier.current_limit, supply),
             ),
         )
-    return replace(machine, bodies=bodies, drives=drives)
+    for name, source in machine.position_sources.items():
+        if isinstance(source, Stepper) and source.winding is not None:
+            volts = source.winding.supply
+            winding = replace(source.winding, supply=replace(volts, si=volts.si * supply))
+            drives[name] = replace(source, winding=winding)
+    cylinders = {
+        name: replace(
+            cylinder,
+            friction=_scaled(cylinder.friction, friction),
+            stiction=_scaled(cylinder.stiction, friction),
+            air_stiffness=replace(cylinder.air_stiffness, si=cylinder.air_stiffness.si * supply),
+        )
+        for name, cylinder in machine.cylinders.items()
+    }
+    return replace(machine, bodies=bodies, drives=drives, cylinders=cylinders)
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:
@@ -54,9 +72,14 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
     ----------
     mass, stiffness
         In parts of the tolerance of each number: 1 is its upper end, -1 its lower one. Loads are
-        the bodies that carry the work of an axis, links all that are not rigid.
+        the bodies that carry the work of an axis, of a rigid axis those that its drive turns;
+        links all that are not rigid.
     """
-    loads = {body for axis in machine.axes.values() for body in axis.load or {}}
+    loads = {
+        body
+        for name, axis in machine.axes.items()
+        for body in axis.load or machine.drive_of(name).acts_on
+    }
     bodies = {
         name: replace(body, inertia=_off(body.inertia, mass)) if name in loads else body
         for name, body in machine.bodies.items()

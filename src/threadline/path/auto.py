@@ -22,7 +22,7 @@ from threadline.path.polygon import (
     join_controls,
     turns,
 )
-from threadline.path.runs import Chunk, Vertices, join_vertices, runs
+from threadline.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, runs
 from threadline.path.spans import pieces_of
 from threadline.path.types import PieceBlock, ProgrammedPath
 
@@ -30,13 +30,16 @@ _AHEAD = 1  # vertex beyond a chord that its control points depend on
 _CARRIED = 2  # control points before and after a span that its shape depends on
 
 
-def auto_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBlock]:
-    """Yield the pieces of a path that is never farther than ``cut_m`` from the program.
+def auto_pieces(
+    programmed: ProgrammedPath, cut_m: float, near_m: float = COINCIDENT_M
+) -> Iterator[PieceBlock]:
+    """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
-    ``cut_m`` is a distance at the tool, rotary axes at their radius.
+    ``cut_m`` is a distance at the tool, rotary axes at their radius; vertices within ``near_m`` of
+    each other are one.
     """
     run = _Run(programmed.radius_m, cut_m)
-    for chunk in runs(programmed):
+    for chunk in runs(programmed, near_m):
         yield from run.extend(chunk)
 
 

@@ -26,6 +26,14 @@ def velocity_limit_of(programmed: ProgrammedPath, machine: Machine) -> FloatArra
     return machine.velocity_limit[[machine.axis_names.index(axis) for axis in programmed.axes]]
 
 
+def chords(programmed: ProgrammedPath) -> Iterator[PieceBlock]:
+    """Yield one straight piece per move, with the time at its feed: 0 for a rapid move."""
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        coefficients = np.stack([block.positions - displacement, displacement], axis=1)
+        yield _pieces(block, coefficients, block.nominal_s, rest_after=block.rest)
+
+
 def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield one straight piece per move, at constant velocity, all axes arriving together.
 

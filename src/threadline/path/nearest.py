@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 
 SAMPLES = 8  # per curved piece, before refining
-NEWTON = 6  # steps to the nearest place of a piece
+NEAREST = 40  # steps to the nearest place of a piece; Newton's needs a few of them
+CLOSE = 1e-12  # of a piece: no step is smaller
 REFINE = 24  # golden-section steps: 1e-5 of a sample interval
 _GOLDEN = 0.6180339887498949
 
@@ -56,28 +57,15 @@ def _gap(c, u, target, point):
 
 
 @njit(cache=True)
-def _nearest_on_piece(c, target, limit, point):
-    """Return u and the squared distance of the place of a piece that is nearest to ``target``.
+def _bracketed(c, target, low, high, u, point):
+    """Return u and the squared distance of a nearest place between two samples, from ``u`` on.
 
-    Places farther than ``limit`` (squared) are found roughly.
+    Newton's step on the slope of the squared distance, where it stays within the bracket; else the
+    middle of it. The bracket shrinks to the side to which the distance falls, so that a place at
+    which the slope vanishes without being nearest (a piece that begins at rest) holds nothing up.
     """
-    best, at = np.inf, 0
-    for k in range(SAMPLES + 1):
-        gap = _gap(c, k / SAMPLES, target, point)
-        if gap < best:
-            best, at = gap, k
-    # No place between two samples is nearer than the samples by more than the way between them.
-    way = 0.0
-    for j in range(c.shape[1]):
-        rate = 0.0
-        for k in range(1, c.shape[0]):
-            rate += k * abs(c[k, j])
-        way += rate * rate
-    if np.sqrt(best) - np.sqrt(way) / SAMPLES > np.sqrt(limit):
-        return at / SAMPLES, best
-    low, high = max(at - 1, 0) / SAMPLES, min(at + 1, SAMPLES) / SAMPLES
-    u, where = at / SAMPLES, at / SAMPLES
-    for _ in range(NEWTON):
+    best, where = _gap(c, u, target, point), u
+    for _ in range(NEAREST):
         slope, bend = 0.0, 0.0
         for j in range(c.shape[1]):
             value, first, second = 0.0, 0.0, 0.0
@@ -87,10 +75,52 @@ def _nearest_on_piece(c, target, limit, point):
                 value = value * u + c[k, j]
             slope += (value - target[j]) * first
             bend += first * first + 2.0 * (value - target[j]) * second
-        if not bend > 0.0:
+        if slope > 0.0 or u >= high:
+            high = u
+        else:
+            low = u
+        ahead = 0.5 * (low + high)
+        if bend > 0.0:
+            newton = u - slope / bend
+            if low < newton < high:
+                ahead = newton
+        if abs(ahead - u) < CLOSE:
             break
-        u = min(max(u - slope / bend, low), high)
+        u = ahead
         gap = _gap(c, u, target, point)
+        if gap < best:
+            best, where = gap, u
+    return where, best
+
+
+@njit(cache=True)
+def _nearest_on_piece(c, target, limit, point):
+    """Return u and the squared distance of the place of a piece that is nearest to ``target``.
+
+    Places farther than ``limit`` (squared) are found roughly.
+    """
+    gaps = np.empty(SAMPLES + 1)
+    best, where = np.inf, 0.0
+    for k in range(SAMPLES + 1):
+        gaps[k] = _gap(c, k / SAMPLES, target, point)
+        if gaps[k] < best:
+            best, where = gaps[k], k / SAMPLES
+    # No place between two samples is nearer than the samples by more than the way between them.
+    way = 0.0
+    for j in range(c.shape[1]):
+        rate = 0.0
+        for k in range(1, c.shape[0]):
+            rate += k * abs(c[k, j])
+        way += rate * rate
+    way = np.sqrt(way) / SAMPLES
+    for k in range(SAMPLES + 1):
+        # Every sample that is nearer than its neighbours has a nearest place about it.
+        if (k > 0 and gaps[k] > gaps[k - 1]) or (k < SAMPLES and gaps[k] > gaps[k + 1]):
+            continue
+        if np.sqrt(gaps[k]) - way > np.sqrt(min(best, limit)):
+            continue
+        low, high = max(k - 1, 0) / SAMPLES, min(k + 1, SAMPLES) / SAMPLES
+        u, gap = _bracketed(c, target, low, high, k / SAMPLES, point)
         if gap < best:
             best, where = gap, u
     return where, best

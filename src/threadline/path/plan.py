@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,6 @@ from threadline.machine import Machine
 from threadline.path import bspline, linear
 from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
-from threadline.path.on_time import on_time_pieces
 from threadline.path.polynomial import polynomial_pieces
 from threadline.path.pulled import PULLS, Pull
 from threadline.path.smoothing import smoothing_for, smoothing_share
@@ -23,7 +22,13 @@ from threadline.wording import nearest
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
-KEEPING_TOLERANCE = ("auto", "parabolic")
+_NEAR_SHARE = 0.01  # of the tolerance: vertices nearer to each other are one to ``optimal``
+_ROUNDING = 1e-9
+CHORDS = "chords"
+"""The programmed chords as they stand; no interpolation of its own."""
+BY_LAW = "law:"
+"""Begins the name of the interpolations that follow each chord by a motion law."""
+KEEPING_TOLERANCE = ("auto", "optimal", "parabolic")
 """Interpolations that stay within the tolerance everywhere; the others report what they do."""
 
 
@@ -71,7 +76,7 @@ def plan_path(
     if interpolation not in _PLANNERS:
         raise OptionError(
             f"unknown interpolation {interpolation!r}",
-            remedy=nearest(interpolation, _PLANNERS, "There are"),
+            remedy=nearest(interpolation, [*_PLANNERS, f"{BY_LAW}NAME"], "There are"),
         )
     if not 0 < tolerance_m < float("inf"):
         raise OptionError(
@@ -86,12 +91,30 @@ def plan_path(
     return _PLANNERS[interpolation](programmed, machine, options)
 
 
-def on_time_path(programmed: ProgrammedPath, machine: Machine) -> PlannedPath:
-    """Return chords at exactly their programmed times, rapid moves from rest to rest.
+def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> PlannedPath:
+    """Return the chords of the program themselves, for motions that need no rounded corners.
 
-    Velocities step at the vertices: the motion is passable once it is smoothed in time.
+    They are passable at programmed times, smoothed afterwards (``Pace.PROGRAMMED``), or from rest
+    to rest (``Pace.LAW``).
+
+    Parameters
+    ----------
+    interpolation
+        What it is called.
     """
-    return _historical("on-time", programmed, lambda: on_time_pieces(programmed, machine), {})
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=interpolation,
+        timing=Timing.GEOMETRIC,
+        historical=False,
+        blocks=Stream(linear.chords, programmed),
+    )
+
+
+def on_chords(interpolation: str) -> bool:
+    """Say whether an interpolation follows the programmed chords themselves."""
+    return interpolation == CHORDS or interpolation.startswith(BY_LAW)
 
 
 def interpolation_names() -> tuple[str, ...]:
@@ -102,7 +125,7 @@ def interpolation_names() -> tuple[str, ...]:
 def _historical(
     name: str,
     programmed: ProgrammedPath,
-    blocks: Callable[[], Iterator[PieceBlock]],
+    blocks: Stream[PieceBlock],
     summary: Mapping[str, float],
 ) -> PlannedPath:
     return PlannedPath(
@@ -111,14 +134,14 @@ def _historical(
         interpolation=name,
         timing=Timing.TIME,
         historical=True,
-        blocks=Stream(blocks),
+        blocks=blocks,
         summary=summary,
     )
 
 
 def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     del options
-    return _historical("linear", programmed, lambda: linear.linear_pieces(programmed, machine), {})
+    return _historical("linear", programmed, Stream(linear.linear_pieces, programmed, machine), {})
 
 
 def _point_to_point(
@@ -128,7 +151,7 @@ def _point_to_point(
     return _historical(
         "point-to-point",
         programmed,
-        lambda: linear.point_to_point_pieces(programmed, machine),
+        Stream(linear.point_to_point_pieces, programmed, machine),
         {},
     )
 
@@ -149,7 +172,7 @@ def _spline(
     return _historical(
         name,
         programmed,
-        lambda: bspline.bspline_pieces(programmed, machine, refine, interval_s),
+        Stream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
         {"interval_s": interval_s},
     )
 
@@ -165,10 +188,27 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
         interpolation="auto",
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=Stream(lambda: auto_pieces(programmed, cut_m)),
+        blocks=Stream(auto_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
-    return replace(path, summary=LazySummary(lambda: auto_summary(programmed, path, cut_m)))
+    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
+
+
+def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    # Jerk is a limit of the timing, so that the shape has all of the tolerance but what vertices
+    # lose that stand for their neighbours: nothing can be timed on moves of a nanometre.
+    del machine
+    near_m = _NEAR_SHARE * options.tolerance_m
+    cut_m = options.tolerance_m * (1.0 - _NEAR_SHARE - _ROUNDING)
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="optimal",
+        timing=Timing.FASTEST,
+        historical=False,
+        blocks=Stream(auto_pieces, programmed, cut_m, near_m),
+    )
+    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
 
 
 def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
@@ -184,10 +224,10 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
         interpolation="parabolic",
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=Stream(lambda: blended_pieces(programmed, cut_m)),
+        blocks=Stream(blended_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
-    return replace(path, summary=LazySummary(lambda: deviation_summary(programmed, path)))
+    return replace(path, summary=LazySummary(deviation_summary, programmed, path))
 
 
 def _polynomial(name: str) -> Planner:
@@ -212,16 +252,17 @@ def _polynomial(name: str) -> Planner:
             interpolation=name,
             timing=Timing.TIME,
             historical=False,
-            blocks=Stream(lambda: polynomial_pieces(programmed, bounds, quintic=quintic)),
+            blocks=Stream(polynomial_pieces, programmed, bounds, quintic=quintic),
             smoothing_m=0.0 if quintic else options.tolerance_m,
         )
-        return replace(path, summary=LazySummary(lambda: deviation_summary(programmed, path)))
+        return replace(path, summary=LazySummary(deviation_summary, programmed, path))
 
     return planner
 
 
 _PLANNERS: dict[str, Planner] = {
     "auto": _auto,
+    "optimal": _optimal,
     "point-to-point": _point_to_point,
     "linear": _linear,
     "parabolic": _parabolic,

@@ -9,9 +9,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LimitError, Place, PlanError
+from threadline.jobs.feed_times import check_feed, nominal_time_s, wanted_feed
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
-from threadline.path.feeds import check_feed, nominal_time_s, wanted_feed
 from threadline.path.types import ProgrammedPath, VertexBlock
 from threadline.signals import Stream
 
@@ -54,7 +54,7 @@ def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> Pro
     return ProgrammedPath(
         axes=job.axes,
         radius_m=machine.radius_m[column],
-        blocks=Stream(lambda: _blocks(job, machine, feed)),
+        blocks=Stream(_blocks, job, machine, feed),
     )
 
 

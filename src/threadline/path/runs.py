@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.path.types import ProgrammedPath
@@ -47,6 +48,18 @@ def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
     )
 
 
+@njit(cache=True)
+def _away(places, near_m):  # type: ignore[no-untyped-def]
+    """Return which of (n + 1, axes) places but the first are away from the last that counted."""
+    away = np.zeros(len(places) - 1, dtype=np.bool_)
+    last = 0
+    for k in range(1, len(places)):
+        if np.abs(places[k] - places[last]).max() > near_m:
+            away[k - 1] = True
+            last = k
+    return away
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chunk:
     """More vertices of the run under way (none is possible).
@@ -59,11 +72,16 @@ class Chunk:
     dwell_s: float
 
 
-def runs(programmed: ProgrammedPath) -> Iterator[Chunk]:
+def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[Chunk]:
     """Yield every run in chunks: a run begins where the one before it ended.
 
     Moves of no length are left out; the rest and the pause that follow them count for the
     vertex at which they happen. The start is a run of one vertex.
+
+    Parameters
+    ----------
+    near_m
+        A vertex no farther at the tool from the one before it that counts is the same vertex.
     """
     radius = programmed.radius_m
     last: Vertices | None = None
@@ -75,8 +93,7 @@ def runs(programmed: ProgrammedPath) -> Iterator[Chunk]:
             line=block.line,
         )
         before = block.positions[:1] if last is None else last.positions
-        moved = np.abs(np.diff(block.positions, axis=0, prepend=before)) * radius
-        new = moved.max(axis=1) > COINCIDENT_M
+        new = _away(np.concatenate([before, block.positions]) * radius, near_m)
         if last is None:
             new[0] = True
         # Which distinct vertex each row stands at; -1 is the last one of the block before.

@@ -4,21 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from typing import ParamSpec
 
 from threadline.path.auto import points_added
 from threadline.path.deviation import path_deviation
 from threadline.path.types import PlannedPath, ProgrammedPath
 
+P = ParamSpec("P")
+
 
 class LazySummary(Mapping[str, float]):
-    """A mapping that reads its paths at the first look at it, and once only."""
+    """A mapping that reads its paths at the first look at it, and once only.
 
-    def __init__(self, work: Callable[[], Mapping[str, float]]) -> None:
-        self._work = work
+    Parameters
+    ----------
+    work
+        A function that its module names, and what it is called with: like a stream, a summary
+        can be sent to another process.
+    """
+
+    def __init__(
+        self, work: Callable[P, Mapping[str, float]], *arguments: P.args, **keywords: P.kwargs
+    ) -> None:
+        self._work, self._arguments, self._keywords = work, arguments, keywords
 
     @cached_property
     def _found(self) -> Mapping[str, float]:
-        return self._work()
+        return self._work(*self._arguments, **self._keywords)
 
     def __getitem__(self, key: str) -> float:
         return self._found[key]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from threadline.arrays import FloatArray, IntArray, read_only, read_only_int
+from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.signals import Stream
 
 
@@ -15,10 +15,11 @@ class Timing(StrEnum):
 
     TIME = "time"  # the piece lasts nominal_s and its parameter runs evenly in time
     GEOMETRIC = "geometric"  # only the shape is settled; the trajectory finds the timing
+    FASTEST = "fastest"  # the same, and the timing is the fastest within all limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VertexBlock:
+class VertexBlock(Locked):
     """A run of programmed vertices; the chord into a vertex belongs to the vertex.
 
     Parameters
@@ -92,7 +93,7 @@ class ProgrammedPath:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PieceBlock:
+class PieceBlock(Locked):
     """A run of consecutive polynomial pieces.
 
     Parameters

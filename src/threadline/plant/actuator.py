@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.machine import Machine
+from threadline.plant.boundaries import swinging
+from threadline.plant.linear_model import linear_model
 from threadline.plant.loop import ComplexArray
-from threadline.plant.network import linear_model
-from threadline.plant.rigid import current_needed, rigid_motion
+from threadline.plant.rigid import current_needed, drive_rate, rigid_motion
 
 _SINGULAR = 1e-12
 
@@ -44,7 +45,7 @@ class Actuator:
 def actuator_of(machine: Machine, axis: str) -> Actuator:
     """Return the actuator of an axis."""
     name = machine.controller_of(axis).drive
-    drive = machine.drives[name]
+    drive = machine.motors[name]
     alone = dataclasses.replace(machine, links={})
     model = next(m for m in linear_model(alone) if f"drives.{name}" in m.inputs)
     rates = [model.states.index(f"{body}'") for body in drive.acts_on]
@@ -55,7 +56,7 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
     speed = np.array([q.si for q in drive.acts_on.values()] + [0.0] * len(coil))
     poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     settles = float(np.abs(poles).min()) > _SINGULAR * max(1.0, float(np.abs(poles).max()))
-    pair = poles[poles.imag > 0]
+    pair = swinging(A)
     return Actuator(
         dc_gain=float(-speed @ np.linalg.solve(A, b)) if settles else None,
         loaded_dc_gain=_loaded(machine, axis),
@@ -69,7 +70,7 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
 def _loaded(machine: Machine, axis: str) -> float | None:
     drive = machine.drive_of(axis)
     rates = rigid_motion(machine, axis)
-    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    turning = drive_rate(machine, axis, rates)
     viscous = current_needed(machine, axis, 1.0, 0.0) - current_needed(machine, axis, 0.0, 0.0)
     friction = sum(
         abs(rates[n]) * b.friction.si for n, b in machine.bodies.items() if b.friction is not None

@@ -11,6 +11,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.actuator import Actuator, actuator_of
+from threadline.plant.boundaries import off_the_circle
 from threadline.plant.delayed import closed_poles
 from threadline.plant.loop import ComplexArray, Loop, Model, axis_loop, axis_loops
 from threadline.plant.margins import Margins, bandwidth_rad_s, loop_grid, margins_of
@@ -24,9 +25,6 @@ from threadline.plant.zeros import chain_of, zeros_of
 HERTZ = 1.0 / (2.0 * np.pi)
 _SCALE_RAD_S = 100.0
 _LEAST_GAIN, _MOST_GAIN = 1e-100, 1e100  # V/count: their squares are still finite
-# Under a velocity loop the position is integrated, open: an eigenvalue 1, within rounding, that is
-# no instability.
-_ON_THE_CIRCLE = 1.0 + 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,8 +203,9 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
     response = loop.responder(model)
     poles: ComplexArray
     if model == "sampled":
-        z = loop.closed().eigenvalues()
-        unstable = int(np.count_nonzero(np.abs(z) > _ON_THE_CIRCLE))
+        closed_loop = loop.closed()
+        z = closed_loop.eigenvalues()
+        unstable = len(off_the_circle(closed_loop.A))
         # Poles within a tenth of the origin are gone in a tick; their logarithm says nothing.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
@@ -259,7 +258,7 @@ def unstable_loops(machine: Machine) -> list[str]:
     """
     found = []
     for axis, loop in axis_loops(machine).items():
-        if loop.closed().spectral_radius > _ON_THE_CIRCLE:
+        if len(off_the_circle(loop.closed().A)):
             _check_gain(machine, loop)
             found.append(_verdict(axis, loop_figures(loop, "sampled")))
     return found

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.machine import Machine
 from threadline.machine.controllers import (
     LeadFilter,
@@ -27,7 +27,7 @@ from threadline.plant.values import Values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DigitalFilter:
+class DigitalFilter(Locked):
     """A controller in volts per count, both forms.
 
     Parameters

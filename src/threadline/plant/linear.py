@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StateSpace:
+class StateSpace(Locked):
     """``x' = A x + B u(t - delay)``, ``y = C x + D u(t - delay)``, SI throughout.
 
     Parameters

@@ -19,7 +19,7 @@ from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.controllers import DigitalFilter, digital_filter
 from threadline.plant.linear import StateSpace
-from threadline.plant.network import linear_model
+from threadline.plant.linear_model import linear_model
 from threadline.plant.parts import connected_groups
 from threadline.plant.sampled import ClosedLoop, SampledPlant, close_loop, sample
 from threadline.plant.values import Values
@@ -134,7 +134,7 @@ def _filter(digital: DigitalFilter, omega: FloatArray, model: Model) -> ComplexA
 def axis_loops(
     machine: Machine, values: Values | None = None, *, hold: bool = True
 ) -> dict[str, Loop]:
-    """Return the loop of every axis of ``machine``, in its order.
+    """Return the loop of every axis of ``machine`` that has one, in its order.
 
     Parameters
     ----------
@@ -149,7 +149,8 @@ def axis_loops(
         If controllers on different clocks share a piece of the network.
     """
     loops: dict[str, Loop] = {}
-    for group, plant in zip(connected_groups(machine), linear_model(machine, values), strict=True):
+    groups = [group for group in connected_groups(machine) if not group.sources]
+    for group, plant in zip(groups, linear_model(machine, values), strict=True):
         if not group.axes:
             continue
         names = group.controllers
@@ -174,7 +175,7 @@ def axis_loops(
                 counts_per_unit=machine.axes[axis].counts.si,
                 hold=hold,
             )
-    return {axis: loops[axis] for axis in machine.axes}
+    return {axis: loops[axis] for axis in machine.axes if axis in loops}
 
 
 def axis_loop(machine: Machine, axis: str, values: Values | None = None) -> Loop:
@@ -190,4 +191,11 @@ def axis_loop(machine: Machine, axis: str, values: Values | None = None) -> Loop
             f"machine {machine.name!r} has no axis {axis!r}",
             remedy=f"It has: {', '.join(machine.axes)}.",
         )
-    return axis_loops(machine, values)[axis]
+    loops = axis_loops(machine, values)
+    if axis not in loops:
+        raise OptionError(
+            f"axis {axis} of {machine.name!r} has no loop: drives.{machine.axes[axis].drive} is "
+            "told positions",
+            remedy="Ask this of an axis with a controller.",
+        )
+    return loops[axis]

@@ -9,7 +9,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
 from threadline.plant.linear import StateSpace
-from threadline.plant.network import linear_model
+from threadline.plant.linear_model import linear_model
 from threadline.plant.parts import Group, connected_groups
 from threadline.plant.values import Values
 
@@ -37,7 +37,7 @@ def locked_modes(
 ) -> tuple[Oscillation, ...]:
     """Return the modes of an axis' piece of the network with its driven bodies held still."""
     group, model = _piece(machine, axis, values)
-    held = {b for d in group.drives for b in machine.drives[d].acts_on}
+    held = {b for d in group.drives for b in machine.motors[d].acts_on}
     return _modes(model, [b for b in group.bodies if b not in held])
 
 
@@ -50,7 +50,8 @@ def free_modes(
 
 
 def _piece(machine: Machine, axis: str, values: Values | None) -> tuple[Group, StateSpace]:
-    for group, model in zip(connected_groups(machine), linear_model(machine, values), strict=True):
+    groups = [group for group in connected_groups(machine) if not group.sources]
+    for group, model in zip(groups, linear_model(machine, values), strict=True):
         if axis in group.axes:
             return group, model
     raise KeyError(axis)

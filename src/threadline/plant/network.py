@@ -19,7 +19,6 @@ from threadline.machine.parts import Eccentric
 from threadline.machine.quantity import Quantity
 from threadline.plant import elements as el
 from threadline.plant.eccentric import Band, eccentric_play, pieces_needed
-from threadline.plant.linear import StateSpace
 from threadline.plant.parts import Group, connected_groups
 from threadline.plant.values import Values
 
@@ -104,8 +103,8 @@ class _Builder:
         with_coil = [
             d
             for d in group.drives
-            if machine.drives[d].inductance is not None
-            and machine.drives[d].amplifier.mode == "voltage"
+            if machine.motors[d].inductance is not None
+            and machine.motors[d].amplifier.mode == "voltage"
         ]
         self.coil = {d: 2 * bodies + i for i, d in enumerate(with_coil)}
         self.n = 2 * bodies + len(with_coil)
@@ -260,7 +259,7 @@ class _Builder:
         )
 
     def _add_drive(self, name: str) -> tuple[FloatArray, FloatArray]:
-        drive, path = self.machine.drives[name], f"drives.{name}"
+        drive, path = self.machine.motors[name], f"drives.{name}"
         amplifier = drive.amplifier
         torque = self._value(f"{path}.torque_constant", drive.torque_constant)
         emf = self._value(f"{path}.back_emf", drive.back_emf)
@@ -333,9 +332,11 @@ class _Builder:
             if switch.cuts != drive:
                 continue
             row = self._load_row(switch.axis)
-            at = switch.at.si - self.start[switch.axis]
-            low, high = (at, np.inf) if switch.beyond == "below" else (-np.inf, at)
-            guards.append(el.Guard(row=row, low=low, high=high, switch=index))
+            at = self._value(f"inputs.{name}.at", switch.at) - self.start[switch.axis]
+            if switch.beyond == "below":
+                guards.append(el.Guard(row=row, low=at, switch=index))
+            else:
+                guards.append(el.Guard(row=row, high=at, switch=index))
         return tuple(guards)
 
     def _sensor_row(self, name: str) -> FloatArray:
@@ -346,49 +347,11 @@ class _Builder:
         axis = self.machine.axes[axis_name]
         if axis.load is not None:
             return self._weights(dict(axis.load), self.position)
+        source = self.machine.source_of(axis_name)
+        if source is not None:
+            row = np.zeros((self.count, self.size))
+            row[:, self.position[source.body]] = source.counts / axis.counts.si
+            return row
         sensor = self.machine.controller_of(axis_name).sensor
-        return self._sensor_row(sensor) / axis.counts.si
-
-
-def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
-    """Return the linear model of every connected piece, one for each group of the network.
-
-    Limits, friction and play are left out and a preloaded belt is tight, as in small motions
-    about a working point. Inputs are the drives, ``"drives.x"``, in volts of the controller;
-    outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"`` and
-    ``"X.frame"`` in m or rad. The dead time of each drive is in ``delay_s``.
-
-    Raises
-    ------
-    MachineError
-        If a combination of parts has no equations here.
-    """
-    return tuple(_linear(machine, piece) for piece in piecewise_linear(machine, values))
-
-
-def _linear(machine: Machine, piece: PiecewiseLinear) -> StateSpace:
-    group, n = piece.group, len(piece.states)
-    full = el.working_rates(piece.base, piece.elements)[0]
-    rows, names = [], []
-    for index, sensor in enumerate(group.sensors):
-        rows.append(piece.sensor_rows[0, index, :n])
-        names.append(f"sensors.{sensor}")
-    for index, axis in enumerate(group.axes):
-        sensor = machine.controller_of(axis).sensor
-        counts = piece.sensor_rows[0, group.sensors.index(sensor), :n]
-        rows += [counts / machine.axes[axis].counts.si, piece.load_rows[0, index, :n]]
-        names += [f"{axis}.measured", f"{axis}.load"]
-        if piece.has_frame[index]:
-            rows.append(piece.frame_rows[0, index, :n])
-            names.append(f"{axis}.frame")
-    delays = [machine.drives[d].delay for d in group.drives]
-    return StateSpace(
-        A=full[:, :n],
-        B=full[:, n : n + len(group.drives)] * piece.input_gain[0],
-        C=np.array(rows),
-        D=np.zeros((len(rows), len(group.drives))),
-        delay_s=np.array([0.0 if d is None else d.si for d in delays]),
-        states=piece.states,
-        inputs=tuple(f"drives.{d}" for d in group.drives),
-        outputs=tuple(names),
-    )
+        counts = self._value(f"axes.{axis_name}.counts", axis.counts)
+        return self._sensor_row(sensor) / counts[:, None]

@@ -20,6 +20,7 @@ class Group:
     controllers: tuple[str, ...]
     axes: tuple[str, ...]
     inputs: tuple[str, ...]
+    sources: tuple[str, ...] = ()
 
 
 def connected_groups(machine: Machine) -> tuple[Group, ...]:
@@ -49,14 +50,16 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
 
     for name, link in machine.links.items():
         join(f"l.{name}", (f"b.{b}" for b in link.stretch))
-    for name, drive in machine.drives.items():
+    for name, drive in machine.motors.items():
         join(f"d.{name}", (f"b.{b}" for b in drive.acts_on))
+    for name, source in machine.position_sources.items():
+        join(f"d.{name}", (f"b.{source.body}",))
     for name, sensor in machine.sensors.items():
         join(f"s.{name}", (f"b.{b}" for b in sensor.reads))
     for name, controller in machine.controllers.items():
         join(f"c.{name}", (f"s.{controller.sensor}", f"d.{controller.drive}"))
     for name, axis in machine.axes.items():
-        join(f"a.{name}", (f"c.{axis.controller}",))
+        join(f"a.{name}", (f"d.{axis.drive}" if axis.drive else f"c.{axis.controller}",))
         join(f"a.{name}", (f"b.{b}" for b in (*(axis.load or {}), *(axis.frame or {}))))
     for name, switch in machine.inputs.items():
         join(f"i.{name}", (f"a.{switch.axis}", f"d.{switch.cuts}"))
@@ -71,11 +74,12 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
             Group(
                 bodies=mine("b", machine.bodies),
                 links=mine("l", machine.links),
-                drives=mine("d", machine.drives),
+                drives=mine("d", machine.motors),
                 sensors=mine("s", machine.sensors),
                 controllers=mine("c", machine.controllers),
                 axes=mine("a", machine.axes),
                 inputs=mine("i", machine.inputs),
+                sources=mine("d", machine.position_sources),
             )
         )
     return tuple(groups)
@@ -83,7 +87,9 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
 
 def _check_shared(machine: Machine) -> None:
     for what, users, owner in (
-        ("controller", {n: a.controller for n, a in machine.axes.items()}, "axes"),
+        ("controller", {n: a.controller for n, a in machine.axes.items() if a.controller}, "axes"),
+        ("drive", {n: a.drive for n, a in machine.axes.items() if a.drive}, "axes"),
+        ("body", {n: s.body for n, s in machine.position_sources.items()}, "drives"),
         ("drive", {n: c.drive for n, c in machine.controllers.items()}, "controllers"),
     ):
         seen: dict[str, str] = {}

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.errors import MachineError
 from threadline.machine import Machine
+from threadline.machine.quantity import LEAST_SI
 
 
 def current_needed(
@@ -20,7 +22,14 @@ def current_needed(
     """
     rates = rigid_motion(machine, axis)
     drive = machine.drive_of(axis)
-    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    turning = drive_rate(machine, axis, rates)
+    force = rigid_force(machine, axis, velocity_si, acceleration_si)
+    return float(force / (turning * drive.torque_constant.si))
+
+
+def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si: float) -> float:
+    """Return the force, N (N m), that an axis needs along its own way, all links rigid."""
+    rates = rigid_motion(machine, axis)
     force = 0.0
     for name, body in machine.bodies.items():
         rate = rates[name]
@@ -28,7 +37,28 @@ def current_needed(
         friction = 0.0 if body.friction is None else body.friction.si
         force += rate * rate * (body.inertia.si * acceleration_si + damping * velocity_si)
         force += abs(rate) * friction * np.sign(velocity_si)
-    return float(force / (turning * drive.torque_constant.si))
+    return float(force)
+
+
+def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
+    """Return how far an axis's drive turns for 1 m or rad of the axis, from the rates of bodies.
+
+    Raises
+    ------
+    MachineError
+        If it does not turn, or so little that a force of it is no number.
+    """
+    source = machine.source_of(axis)
+    if source is not None:
+        turning = rates[source.body]
+    else:
+        turning = sum(q.si * rates[b] for b, q in machine.drive_of(axis).acts_on.items())
+    if abs(turning) < LEAST_SI:
+        raise MachineError(
+            f"axes.{axis}: its load moves, and its drive does not turn with it",
+            remedy="Look at the links between them, and at what the drive acts on.",
+        )
+    return turning
 
 
 def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
@@ -44,6 +74,8 @@ def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
     part = machine.axes[axis]
     if part.load is not None:
         rows.append(_row(bodies, {b: q.si for b, q in part.load.items()}))
+    elif source := machine.source_of(axis):
+        rows.append(_row(bodies, {source.body: source.counts / part.counts.si}))
     else:
         sensor = machine.sensors[machine.controller_of(axis).sensor]
         rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))

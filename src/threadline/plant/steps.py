@@ -72,6 +72,8 @@ def step_response(
     row = closed.outputs.index(f"{loop.axis}.{output}")
     value = np.ascontiguousarray(closed.respond(reference)[:, row])
     final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
+    if final == 0.0:
+        return None  # nothing of it follows: there is no share of the end to tell
     time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
     return read_step(time_s, value, final)
 

@@ -7,7 +7,7 @@ import numpy as np
 from threadline.machine import Machine
 from threadline.machine.parts import Axis
 from threadline.plant.controllers import difference_equation
-from threadline.plant.rigid import current_needed, rigid_motion
+from threadline.plant.rigid import current_needed, drive_rate, rigid_force, rigid_motion
 from threadline.plant.values import Values
 
 _VISCOUS_SHARE = 0.5
@@ -27,8 +27,11 @@ def suspicions(machine: Machine) -> list[str]:
     that need more current than there is, and a filter whose word is too coarse to see a small
     error.
     """
-    found = [text for name in machine.drives for text in _constants(machine, name)]
+    found = [text for name in machine.motors for text in _constants(machine, name)]
     for name in machine.axes:
+        if machine.source_of(name) is not None:
+            found += _beyond_torque(machine, name)
+            continue
         found += _scale(machine, name)
         found += _viscous(machine, name)
         found += _beyond_current(machine, name)
@@ -37,7 +40,7 @@ def suspicions(machine: Machine) -> list[str]:
 
 
 def _constants(machine: Machine, name: str) -> list[str]:
-    drive = machine.drives[name]
+    drive = machine.motors[name]
     torque, emf = drive.torque_constant, drive.back_emf
     if emf.si <= 0 and drive.amplifier.mode == "current":
         return []  # such an amplifier makes the current whatever the motor gives back
@@ -64,23 +67,27 @@ def _scale(machine: Machine, name: str) -> list[str]:
     allowed = _SCALES_APART + sum(q.tolerance_si / abs(q.si) for q in numbers if q.si)
     if abs(given / axis.counts.si - 1.0) <= allowed:
         return []
+    goes = (
+        f"would go {axis.counts.si / given:.4g} times as far as it is told"
+        if given
+        else "is not moved at all"
+    )
     return [
         f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but over belt and gear "
-        f"sensors.{sensor_name} gives {given:.6g}: the load would go {axis.counts.si / given:.4g} "
-        f"times as far as it is told"
+        f"sensors.{sensor_name} gives {given:.6g}: the load {goes}"
     ]
 
 
 def _viscous(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
     drive_name = machine.controllers[axis.controller].drive
-    drive = machine.drives[drive_name]
+    drive = machine.motors[drive_name]
     limit = drive.amplifier.current_limit
     if limit is None or axis.working_velocity is None:
         return []
     speed = axis.working_velocity.si
     rates = rigid_motion(machine, name)
-    turning = sum(q.si * rates[b] for b, q in drive.acts_on.items())
+    turning = drive_rate(machine, name, rates)
     driven = [b for b in drive.acts_on if machine.bodies[b].damping is not None]
     own = 0.0
     for body in driven:
@@ -101,7 +108,7 @@ def _viscous(machine: Machine, name: str) -> list[str]:
 def _beyond_current(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
     drive_name = machine.controllers[axis.controller].drive
-    limit = machine.drives[drive_name].amplifier.current_limit
+    limit = machine.motors[drive_name].amplifier.current_limit
     if limit is None or axis.working_velocity is None:
         return []
     speed, acceleration = axis.working_velocity.si, axis.acceleration.si
@@ -117,6 +124,38 @@ def _beyond_current(machine: Machine, name: str) -> list[str]:
         f"{acceleration:.4g} {unit} needs {needed:.1f} A, more than the {limit.si:g} A of "
         f"drives.{drive_name}; at that speed {left} are left"
     ]
+
+
+def _beyond_torque(machine: Machine, name: str) -> list[str]:
+    """Say so when an axis allows more than its drive has torque for, links rigid."""
+    axis, source = machine.axes[name], machine.source_of(name)
+    assert source is not None
+    drive = axis.drive
+    rates = rigid_motion(machine, name)
+    given = rates[source.body] * source.counts / axis.counts.si
+    found = []
+    allowed = _SCALES_APART + sum(
+        q.tolerance_si / abs(q.si)
+        for q in [axis.counts, *(q for p in machine.links.values() for q in p.stretch.values())]
+        if q.si
+    )
+    if axis.load is not None and abs(given - 1.0) > allowed:
+        found.append(
+            f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but drives.{drive} gives "
+            f"{source.counts * rates[source.body]:.6g} over belt and gear"
+        )
+    speed = axis.velocity.si
+    force = rigid_force(machine, name, speed, axis.acceleration.si)
+    turns = abs(drive_rate(machine, name, rates))
+    needed = force / turns
+    there = float(source.most_torque(np.array([speed * turns]))[0])
+    if needed > there * _SPARE:
+        unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
+        found.append(
+            f"axes.{name}: at {_speed(axis, speed)} and {axis.acceleration.si:.4g} {unit}, which "
+            f"it allows, drives.{drive} is asked for {needed:.4g} N m and has {there:.4g}"
+        )
+    return found
 
 
 def _dead_band(machine: Machine, name: str) -> list[str]:

@@ -8,17 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, IntArray, Locked, read_only
 from threadline.errors import OptionError
 from threadline.machine import Machine
+from threadline.machine.numbers import with_numbers
 from threadline.machine.quantity import Quantity
 from threadline.wording import nearest
 
-_TABLES = ("bodies", "links", "drives", "sensors", "controllers")
+_TABLES = (
+    "bodies", "links", "drives", "sensors", "controllers", "inputs", "cylinders", "contacts",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Values:
+class Values(Locked):
     """The numbers of ``machine``, with some of them replaced in each of ``count`` variants.
 
     Parameters
@@ -62,6 +65,27 @@ class Values:
             return self.replaced[path]
         return 0.0 if quantity is None else quantity.si
 
+    def by_delay(self) -> list[tuple[Values, IntArray]]:
+        """Return the variants by their dead times, each with its (k,) places among all.
+
+        A dead time decides when things happen, so that variants of one batch share it: in what is
+        returned it is a number of the machine.
+        """
+        late = [path for path in self.replaced if path.endswith(".delay")]
+        if not late:
+            return [(self, np.arange(self.count))]
+        rows, which = np.unique(
+            np.stack([self.replaced[path] for path in late], axis=1), axis=0, return_inverse=True
+        )
+        kept = {path: v for path, v in self.replaced.items() if path not in late}
+        found = []
+        for index, row in enumerate(rows):
+            places = np.flatnonzero(which.ravel() == index)
+            machine = with_numbers(self.machine, dict(zip(late, row.tolist(), strict=True)))
+            part = {path: values[places] for path, values in kept.items()}
+            found.append((Values(machine, part, len(places)), places))
+        return found
+
     def slice(self, start: int, stop: int) -> Values:
         """Return the variants from ``start`` up to ``stop``."""
         part = {k: v[start:stop] for k, v in self.replaced.items()}
@@ -72,6 +96,8 @@ def _paths(machine: Machine) -> Iterator[str]:
     for table in _TABLES:
         for name, part in getattr(machine, table).items():
             yield from _numbers(part, f"{table}.{name}")
+    # Where no load is given, it is what the sensor counts: other counts put it elsewhere.
+    yield from (f"axes.{name}.counts" for name, axis in machine.axes.items() if axis.load is None)
 
 
 def _numbers(part: Any, path: str) -> Iterator[str]:

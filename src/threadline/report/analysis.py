@@ -12,6 +12,7 @@ from threadline.machine import Machine
 from threadline.plant.analysis import HERTZ, AxisAnalysis
 from threadline.plant.locus import root_locus
 from threadline.plant.measured import MeasuredResponse, speed_response
+from threadline.plant.without_loop import Analysis, CylinderAnalysis, ToldAnalysis
 from threadline.report.document import Document, Table, origin_facts, write_document
 from threadline.report.experiments import NOTHING_TRIED, experiment_figure, experiment_table
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
@@ -27,7 +28,7 @@ _SHOWN_RADIUS = 3.0
 
 def write_analysis(
     machine: Machine,
-    analyses: Mapping[str, AxisAnalysis],
+    analyses: Mapping[str, Analysis],
     warnings: list[str],
     folder: Path,
     measured: MeasuredResponse | None = None,
@@ -51,6 +52,8 @@ def write_analysis(
         figures: dict[str, Figure] = {}
         captions: dict[str, str] = {}
         for axis, analysis in analyses.items():
+            if not isinstance(analysis, AxisAnalysis):
+                continue  # without a loop there is nothing to draw
             for name, (figure, caption) in _figures(analysis, measured).items():
                 figures[f"{name}-{axis}"] = figure
                 captions[f"{name}-{axis}"] = f"Axis {axis}. {caption}"
@@ -71,8 +74,67 @@ def write_analysis(
         return write_document(document, folder, "analysis")
 
 
-def analysis_tables(analyses: Mapping[str, AxisAnalysis]) -> list[Table]:
-    """Return the tables of an analysis: loops, network, steps."""
+def analysis_tables(analyses: Mapping[str, Analysis]) -> list[Table]:
+    """Return the tables of an analysis: loops, network, steps; of what has no loop, its modes."""
+    axes = {name: a for name, a in analyses.items() if isinstance(a, AxisAnalysis)}
+    others = {name: a for name, a in analyses.items() if isinstance(a, CylinderAnalysis)}
+    told = {name: a for name, a in analyses.items() if isinstance(a, ToldAnalysis)}
+    return [
+        *(_axis_tables(axes) if axes else ()),
+        *(_told_tables(told) if told else ()),
+        *(_cylinder_tables(others) if others else ()),
+    ]
+
+
+def _told_tables(analyses: Mapping[str, ToldAnalysis]) -> list[Table]:
+    rows = [
+        [
+            axis,
+            a.drive,
+            " ".join(f"{m.frequency_hz:.4g} ({m.damping:.4f})" for m in a.locked) or "-",
+            _text(a.resonance_hz, ".4g"),
+            f"{a.torque_n_m:.4g}",
+            f"{a.torque_at_speed_n_m:.4g}",
+            f"{a.needed_n_m:.4g}",
+        ]
+        for axis, a in analyses.items()
+    ]
+    return [
+        Table(
+            title="Drives that are told positions",
+            header=("axis", "drive", "load Hz", "step Hz", "N m at 0", "at speed", "asked"),
+            rows=rows,
+            note="Modes (damping ratio) of the load against the motor where it is told to stand; "
+            "at what frequency a stepper without load swings about its step, which full steps at "
+            "that rate excite; torque at standstill, at the speed limit of the axis, and what the "
+            "axis asks for at its limits of speed and acceleration, links rigid.",
+        )
+    ]
+
+
+def _cylinder_tables(analyses: Mapping[str, CylinderAnalysis]) -> list[Table]:
+    rows = [
+        [
+            axis,
+            " ".join(f"{m.frequency_hz:.4g} ({m.damping:.4f})" for m in a.standing) or "-",
+            " ".join(f"{m.frequency_hz:.4g} ({m.damping:.4f})" for m in a.sliding) or "-",
+            f"{a.shaped.frequency_hz:.4g} ({a.shaped.damping:.4f})",
+            f"{a.speed_m_s:.4g}",
+        ]
+        for axis, a in analyses.items()
+    ]
+    return [
+        Table(
+            title="Cylinders",
+            header=("axis", "standing Hz", "sliding Hz", "shaped Hz", "m/s at level 1"),
+            rows=rows,
+            note="Modes (damping ratio) while the piston stands in its housing and while it slides "
+            "on its air; the one that its valves excite, for which shapers are made.",
+        )
+    ]
+
+
+def _axis_tables(analyses: Mapping[str, AxisAnalysis]) -> list[Table]:
     loops, network, steps = [], [], []
     for axis, a in analyses.items():
         for figures in (a.sampled, a.continuous):

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from threadline.pipeline import Proof
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Printed, Table, write_document
 from threadline.report.figures import moves, path_figure, profile_figure
+from threadline.report.motion import shared_facts, summary_facts
 from threadline.report.overlay import Case, overlays
-from threadline.report.proof import shared_facts, summary_facts
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
 from threadline.search import Comparison
@@ -18,9 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def write_comparison(
-    found: Comparison, folder: Path, tables: list[tuple[str, list[str], list[list[str]]]]
-) -> Path:
+def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
     """Write the report of a comparison; ``tables`` as they were printed: title, header, rows."""
     first = found.proofs[0]
     with figure_style():
@@ -29,7 +28,7 @@ def write_comparison(
         cases: list[Case] = []
         for proof in found.proofs:
             traces = collect(proof)
-            label = f"{proof.plan.path.interpolation}, feed {proof.plan.options['feed']}"
+            label = f"{proof.plan.motion.path.interpolation}, feed {proof.plan.options['feed']}"
             stem = label.replace(", feed ", "-").replace(" ", "").replace("/", "-per-")
             for name, figure in _figures(proof, traces).items():
                 figure.axes[0].set_title(f"{label}: {figure.axes[0].get_title(loc='left')}")

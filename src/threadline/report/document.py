@@ -5,21 +5,20 @@ from __future__ import annotations
 import io
 import platform
 import re
-import shutil
-import tempfile
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from threadline import __version__
+from threadline.escaping import plain
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.opening import naming
+from threadline.writing import remove_with, staging_folder, together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +34,10 @@ _CAPTION_SIZE = (
 )
 _LETTER_IN, _MARGIN_IN = 0.068, 0.15
 _GAP = 0.012  # between a column on the right and one on the left beside it
+
+
+Printed: TypeAlias = tuple[str, list[str], list[list[str]]]
+"""A table as it is printed: title, header, rows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,35 +114,91 @@ def options_facts(
 def write_document(document: Document, folder: Path, stem: str) -> Path:
     """Write the document into ``folder`` and return the path of its HTML page.
 
-    Everything is made in a temporary folder beside ``folder`` first and moved file by file once
-    it is complete, so that a failure leaves nothing half-written, and no new folder either.
+    All files appear together once they are complete, so that a failure leaves nothing half-written,
+    and no new folder either. Figures of the page that was there go with it.
 
     Raises
     ------
-    OSError
+    OptionError, OSError
         If the folder cannot be written.
     """
-    beside = next(parent for parent in folder.absolute().parents if parent.exists())
-    with (
-        tempfile.TemporaryDirectory(dir=beside, prefix=f".{folder.name[:80]}.") as made,
-        naming(folder, Path(made)),
-    ):
-        temporary = Path(made)
-        svgs = {}
-        for name, figure in document.figures.items():
-            svg = _svg(figure)
-            (temporary / f"{stem}-{name}.svg").write_text(svg, encoding="utf-8")
-            figure.savefig(
-                temporary / f"{stem}-{name}.png", dpi=_PNG_DPI, metadata={"Software": None}
-            )
-            svgs[name] = svg
-        page = temporary / f"{stem}.html"
-        page.write_text(_html(document, svgs), encoding="utf-8")
-        _pdf(document, temporary / f"{stem}.pdf")
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in sorted(temporary.iterdir()):
-            shutil.move(file, folder / file.name)
+    document = _shown(document)
+    with together():
+        old = _figure_files(folder, stem)
+        with staging_folder(folder) as temporary:
+            svgs = {}
+            for name, figure in document.figures.items():
+                svg = _svg(figure)
+                (temporary / f"{stem}-{name}.svg").write_text(svg, encoding="utf-8")
+                figure.savefig(
+                    temporary / f"{stem}-{name}.png", dpi=_PNG_DPI, metadata={"Software": None}
+                )
+                svgs[name] = svg
+            page = temporary / f"{stem}.html"
+            page.write_text(_html(document, svgs), encoding="utf-8")
+            _pdf(document, temporary / f"{stem}.pdf")
+            made = {file.name for file in temporary.iterdir()}
+        for name in old - made:
+            remove_with(folder / name)
     return folder / f"{stem}.html"
+
+
+def _figure_files(folder: Path, stem: str) -> set[str]:
+    """Return the figures that the page in ``folder`` names as its own and that are files there."""
+    try:
+        page = (folder / f"{stem}.html").read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return set()
+    names = re.findall(r'<figure id="([A-Za-z0-9_-]+)">', page)
+    files = {f"{stem}-{name}.{ending}" for name in names for ending in ("svg", "png")}
+    return {name for name in files if (folder / name).is_file()}
+
+
+def _shown(document: Document) -> Document:
+    """Return the document with every text as it is shown; its figures are changed in place.
+
+    Nothing of a user's text may drive what reads a page, nor be taken by matplotlib for a formula:
+    it would refuse "$x^$". The numbers of logarithmic axes are formulas, and stay.
+    """
+    for figure in document.figures.values():
+        _without_formulas(figure)
+    return replace(
+        document,
+        title=plain(document.title),
+        subtitle=plain(document.subtitle),
+        verdicts=[(plain(text), good) for text, good in document.verdicts],
+        tables=[_shown_table(table) for table in document.tables],
+        captions={name: plain(text) for name, text in document.captions.items()},
+        facts=[(plain(name), plain(value)) for name, value in document.facts],
+        warnings=[plain(text) for text in document.warnings],
+    )
+
+
+def _shown_table(table: Table) -> Table:
+    return replace(
+        table,
+        title=plain(table.title),
+        header=[plain(cell) for cell in table.header],
+        rows=[[plain(cell) for cell in row] for row in table.rows],
+        note=plain(table.note),
+    )
+
+
+def _without_formulas(figure: Figure) -> None:
+    from matplotlib.text import Text
+    from matplotlib.ticker import LogFormatter, ScalarFormatter
+
+    numbers = {
+        text
+        for panel in figure.axes
+        for axis in (panel.xaxis, panel.yaxis)
+        if isinstance(axis.get_major_formatter(), LogFormatter | ScalarFormatter)
+        for text in axis.get_ticklabels(which="both")
+    }
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and text not in numbers:
+            text.set_parse_math(False)
+            text.set_text("\n".join(map(plain, text.get_text().split("\n"))))
 
 
 def _svg(figure: Figure) -> str:
@@ -177,6 +236,7 @@ def _pdf(document: Document, file: Path) -> None:
 
     with PdfPages(file, metadata={"Title": document.title, "CreationDate": None}) as pages:
         for page in _pages(document):
+            _without_formulas(page)
             pages.savefig(page)
         for name, figure in document.figures.items():
             pages.savefig(figure, bbox_inches=_with_caption(figure, document.captions.get(name)))
@@ -192,7 +252,13 @@ def _with_caption(figure: Figure, caption: str | None) -> Bbox:
     _hold_legends(figure)
     lines = textwrap.wrap(caption, max(int((width - 2 * _MARGIN_IN) / _LETTER_IN), 20))
     text = figure.text(
-        _MARGIN_IN / width, 0.0, "\n".join(lines), fontsize=_CAPTION_SIZE, va="top", color="0.2"
+        _MARGIN_IN / width,
+        0.0,
+        "\n".join(lines),
+        fontsize=_CAPTION_SIZE,
+        va="top",
+        color="0.2",
+        parse_math=False,
     )
     text.set_in_layout(False)  # the figure itself stays as it is on the page of the browser
     room = len(lines) * _CAPTION_SIZE * 1.25 / 72.0 + _MARGIN_IN

@@ -30,7 +30,7 @@ def display(proof: Proof, axis: str) -> tuple[float, str]:
 
 def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
     """Return every figure that this job has a shape for, by file name."""
-    axes = [axis for axis in proof.plan.trajectory.axes if axis in traces.actual]
+    axes = [axis for axis in proof.plan.motion.trajectory.axes if axis in traces.actual]
     linear = [a for a in axes if proof.plan.machine.axes[a].kind == "linear" and moves(traces, a)]
     rotary = [a for a in axes if proof.plan.machine.axes[a].kind == "rotary" and moves(traces, a)]
     figures: dict[str, Figure] = {}
@@ -97,7 +97,7 @@ def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure
 
 def _draw_path(proof: Proof, traces: Traces, panel: Axes, pair: tuple[str, str]) -> None:
     first, second = pair
-    columns = [proof.plan.trajectory.axes.index(axis) for axis in pair]
+    columns = [proof.plan.motion.trajectory.axes.index(axis) for axis in pair]
     (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
     panel.plot(
         traces.planned[first][:, 0] * fx,
@@ -182,7 +182,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     contour, tracking, bars = figure.subplots(3, 1, height_ratios=[2.0, 2.0, height])
     _contour_along(proof, traces, contour)
     radius = proof.plan.machine.radius_m
-    for index, axis in enumerate(proof.plan.trajectory.axes):
+    for index, axis in enumerate(proof.plan.motion.trajectory.axes):
         if axis not in traces.commanded or not moves(traces, axis):
             continue
         row = proof.plan.machine.axis_names.index(axis)

@@ -1,4 +1,4 @@
-"""The picture of how needle speeds in spec fall over the tolerances of a machine."""
+"""The picture of how speeds in spec fall over the tolerances of a machine."""
 
 from __future__ import annotations
 
@@ -9,12 +9,23 @@ from matplotlib.figure import Figure
 
 from threadline.report.style import AXES, figure_style
 from threadline.search import Mismatch
+from threadline.writing import staging_folder
 
 _NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
 
 
-def draw_mismatch(cells: Sequence[Mismatch], title: str) -> Figure:
-    """Return a figure: the highest needle speed in spec over stiffness, a line per mass."""
+def draw_mismatch(
+    cells: Sequence[Mismatch], title: str, unit: str = "stitch/s", per_unit: float = 1.0
+) -> Figure:
+    """Return a figure: the highest speed in spec over stiffness, a line per mass.
+
+    Parameters
+    ----------
+    unit
+        In which speeds are drawn.
+    per_unit
+        How many of it make one of what was searched.
+    """
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
         axes = figure.add_subplot()
@@ -22,38 +33,42 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str) -> Figure:
             row = sorted((c for c in cells if c.mass == mass), key=lambda cell: cell.stiffness)
             axes.plot(
                 [cell.stiffness for cell in row],
-                [cell.found.best or 0.0 for cell in row],
+                [per_unit * (cell.found.best or 0.0) for cell in row],
                 marker="o",
                 label=f"loads: {_NAMES[mass]}",
                 **style,
             )
         axes.set_xticks(list(_NAMES), [f"links: {name}" for name in _NAMES.values()])
         axes.set_ylim(bottom=0.0)
-        axes.set_ylabel("fastest in spec, stitch/s")
+        axes.set_ylabel(f"fastest in spec, {unit}")
         axes.set_title(title)
         if any(cell.found.best for cell in cells):
             axes.legend(loc="lower center")
         else:
             axes.set_ylim(0.0, 1.0)
             axes.set_yticks([0.0])
-            axes.text(0.5, 0.5, _nothing(cells), transform=axes.transAxes, ha="center", va="center")
+            said = _nothing(cells, "needle speed" if unit == "stitch/s" else "feed")
+            axes.text(0.5, 0.5, said, transform=axes.transAxes, ha="center", va="center")
     return figure
 
 
-def _nothing(cells: Sequence[Mismatch]) -> str:
+def _nothing(cells: Sequence[Mismatch], what: str) -> str:
     """Say that no speed is in spec on any of the machines, and what fails."""
     limits = dict.fromkeys(cell.found.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
-    return (
-        f"no needle speed is in spec on any of the {len(cells)} machines:\n{failing} fails at all"
-    )
+    return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"
 
 
-def write_mismatch(cells: Sequence[Mismatch], title: str, folder: Path) -> Path:
+def write_mismatch(
+    cells: Sequence[Mismatch],
+    title: str,
+    folder: Path,
+    unit: str = "stitch/s",
+    per_unit: float = 1.0,
+) -> Path:
     """Write the figure into ``folder`` as PNG and SVG; return the path of the PNG."""
-    folder.mkdir(parents=True, exist_ok=True)
-    figure = draw_mismatch(cells, title)
-    path = folder / "tolerances.png"
-    figure.savefig(path)
-    figure.savefig(folder / "tolerances.svg", metadata={"Date": None})
-    return path
+    figure = draw_mismatch(cells, title, unit, per_unit)
+    with staging_folder(folder) as temporary:
+        figure.savefig(temporary / "tolerances.png")
+        figure.savefig(temporary / "tolerances.svg", metadata={"Date": None})
+    return folder / "tolerances.png"

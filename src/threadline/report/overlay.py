@@ -66,7 +66,7 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
             panel.plot(
                 traces.time_s[near] - traces.time_s[at],
                 way_mm[near],
-                label=proof.plan.path.interpolation,
+                label=proof.plan.motion.path.interpolation,
                 **AXES[number % len(AXES)],
             )
         limit_m = _limit_m(here[0][1], axis)
@@ -86,7 +86,7 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
 def _outermost(cases: list[Case], axis: str) -> tuple[float, float]:
     """Return the end of the programmed travel that is missed by more, and its direction."""
     _, proof, traces = cases[0]
-    programmed = traces.vertices[:, proof.plan.programmed.axes.index(axis)]
+    programmed = traces.vertices[:, proof.plan.motion.programmed.axes.index(axis)]
     ends = [(float(programmed.max()), 1.0), (float(programmed.min()), -1.0)]
 
     def missed(end: tuple[float, float]) -> float:
@@ -119,11 +119,11 @@ def paths_figure(cases: list[Case], first: str, second: str) -> Figure:
             panel.plot(
                 traces.actual[first] * 1e3,
                 traces.actual[second] * 1e3,
-                label=proof.plan.path.interpolation,
+                label=proof.plan.motion.path.interpolation,
                 **AXES[number % len(AXES)],
             )
         _, proof, traces = here[0]
-        columns = [proof.plan.trajectory.axes.index(axis) for axis in (first, second)]
+        columns = [proof.plan.motion.trajectory.axes.index(axis) for axis in (first, second)]
         points = traces.vertices[:, columns] * 1e3
         panel.plot(points[:, 0], points[:, 1], label="programmed", **PROGRAMMED)
         panel.set_aspect("equal", adjustable="datalim")

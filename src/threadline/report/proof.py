@@ -1,25 +1,50 @@
-"""The report of one proof."""
+"""The report of a proof, whatever kind of work it is of."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.pipeline import Proof
-from threadline.report.document import (
-    Document,
-    Table,
-    options_facts,
-    origin_facts,
-    write_document,
+from threadline.plan import Motion, Scheduled
+from threadline.report.comparison import write_motion_comparison
+from threadline.report.document import Printed
+from threadline.report.motion import about_motion, write_motion
+from threadline.report.switching import (
+    about_switching,
+    write_switching,
+    write_switching_comparison,
 )
-from threadline.report.figures import all_figures
-from threadline.report.seam import seam_figure
-from threadline.report.style import figure_style
-from threadline.report.traces import collect
-from threadline.targets import calculate
-from threadline.units import without_noise
-from threadline.verdict import closing, motion_lines, verdict_rows
+from threadline.search import Comparison
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KindReport:
+    """How a kind of work is reported.
+
+    Parameters
+    ----------
+    write
+        Writes the report of a proof into a folder; returns the path of the HTML page.
+    about
+        The lines of text that stand below its verdict.
+    compare
+        Writes the report of a comparison, with its tables as they were printed.
+    """
+
+    write: Callable[[Proof, Path], Path]
+    about: Callable[[Proof], list[str]]
+    compare: Callable[[Comparison, Path, Sequence[Printed]], Path]
+
+
+REPORTS: Mapping[type, KindReport] = {
+    Motion: KindReport(write=write_motion, about=about_motion, compare=write_motion_comparison),
+    Scheduled: KindReport(
+        write=write_switching, about=about_switching, compare=write_switching_comparison
+    ),
+}
+"""By what is intended, one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""
 
 
 def write_report(proof: Proof, folder: Path) -> Path:
@@ -30,77 +55,20 @@ def write_report(proof: Proof, folder: Path) -> Path:
     OSError
         If the folder cannot be written.
     """
-    plan = proof.plan
-    with figure_style():
-        traces = collect(proof)
-        header, rows = verdict_rows(proof.verdict)
-        figures = all_figures(proof, traces)
-        seam = seam_figure(proof)
-        if seam is not None:
-            figures = {"seam": seam, **figures}
-        thinned = "" if traces.stride == 1 else f" One sample in {traces.stride} is drawn."
-        document = Document(
-            title=f"{plan.job.name} on {plan.machine.name}",
-            subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
-            f"feed {plan.options.get('feed', 'programmed')}",
-            verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=plan.job.warnings,
-            tables=[
-                Table(title="Criteria", header=header, rows=rows),
-                Table(
-                    title="The job",
-                    header=("", ""),
-                    rows=[
-                        [part.strip() for part in line.split(":", 1)]
-                        for line in [*motion_lines(plan), *calculate(plan).lines()]
-                    ],
-                ),
-            ],
-            figures=figures,
-            captions={
-                name: _caption(name) + ("" if name == "seam" else thinned) for name in figures
-            },
-            facts=facts(proof),
-        )
-        return write_document(document, folder, "report")
+    return REPORTS[type(proof.plan.intent)].write(proof, folder)
 
 
-def facts(proof: Proof) -> list[tuple[str, str]]:
-    """Return what is needed to make a proof again."""
-    return [*shared_facts(proof), *summary_facts(proof)]
+def about(proof: Proof) -> list[str]:
+    """Return what there is to say of a proof below its verdict, line by line."""
+    return REPORTS[type(proof.plan.intent)].about(proof)
 
 
-def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str, str]]:
-    """Return versions, files and options, but for options that are told elsewhere."""
-    plan = proof.plan
-    return [
-        *origin_facts(plan.machine, plan.job),
-        ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
-        *options_facts(plan.options, plan.machine, leave_out),
-    ]
+def write_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
+    """Write the report of a comparison; ``tables`` as they were printed: title, header, rows.
 
-
-def summary_facts(proof: Proof) -> list[tuple[str, str]]:
-    """Return what the planner says of its path."""
-    return [(key, f"{without_noise(value):g}") for key, value in proof.plan.path.summary.items()]
-
-
-def _caption(name: str) -> str:
-    if name == "seam":
-        return (
-            "Each mark is a needle-down, its shape and size by how much of its limits the stitch "
-            "uses: the length error, unless it is exempt, or the distance from the seam."
-        )
-    if name.startswith("path-"):
-        return "Programmed points, planned path, and where the driven mass went."
-    if name.startswith("profile-"):
-        return (
-            "Planned and actual displacement, velocity and acceleration; actual velocity and "
-            "acceleration are differences over one tick. Where the planned velocity steps, its "
-            "acceleration is infinite, and not drawn."
-        )
-    return (
-        "Contour and tracking error along the job with the worst place and its program line, and "
-        "each measured figure as a share of its limit. The contour error is the largest of each "
-        "two-thousandth of the job."
-    )
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    return REPORTS[type(found.proofs[0].plan.intent)].compare(found, folder, tables)

@@ -1,13 +1,16 @@
-"""The report of a proof on an on/off machine."""
+"""The report of a proof of switchings."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from threadline.options import OF_AXES, Options
-from threadline.pipeline import SwitchProof, plan_switching, prove_switch_plan
+from threadline.pipeline import Proof, plan_job, prove_plan
+from threadline.plan import Plan
 from threadline.report.document import (
     Document,
+    Printed,
     Table,
     options_facts,
     origin_facts,
@@ -15,8 +18,15 @@ from threadline.report.document import (
 )
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
 from threadline.report.style import figure_style
-from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
-from threadline.verdict import closing, shaping_rows, step_rows, verdict_rows
+from threadline.report.switching_figures import (
+    cycle_figure,
+    frame_figure,
+    residual_figure,
+    residuals_figure,
+)
+from threadline.search import Comparison
+from threadline.targets.schedule_moves import shaping_words
+from threadline.verdict import closing, step_rows, verdict_rows
 
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
@@ -33,7 +43,7 @@ _CAPTIONS = {
 }
 
 
-def write_switching(proof: SwitchProof, folder: Path) -> Path:
+def write_switching(proof: Proof, folder: Path) -> Path:
     """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
 
     Raises
@@ -45,7 +55,7 @@ def write_switching(proof: SwitchProof, folder: Path) -> Path:
     shaper = plan.options.get("shaper")
     unshaped = None
     if shaper is not None:
-        unshaped = prove_switch_plan(plan_switching(plan.job, plan.machine, Options()), proof.spec)
+        unshaped = prove_plan(plan_job(plan.job, plan.machine, Options()), proof.spec)
     header, rows = verdict_rows(proof.verdict, every_axis=False)
     steps = [_step_table(proof, f"shaper {shaper or 'none'}")]
     if unshaped is not None:
@@ -83,18 +93,61 @@ def write_switching(proof: SwitchProof, folder: Path) -> Path:
         return write_document(document, folder, "report")
 
 
-def _step_table(proof: SwitchProof, how: str) -> Table:
+def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
+    """Write the report of a comparison of shapers; ``tables`` as they were printed."""
+    first = found.proofs[0].plan
+    good = all(proof.verdict.passed for proof in found.proofs)
+    names = [proof.plan.options.get("shaper", "none") for proof in found.proofs]
+    with figure_style():
+        figures = {"residual": residuals_figure(found.proofs)}
+        captions = {
+            "residual": "What each step leaves ringing, shaper by shaper; dotted: the limit."
+        }
+        for name, proof in zip(names, found.proofs, strict=True):
+            stem = "cycle-" + name.replace(":", "-").replace("*", "-by-").replace(" ", "")
+            figures[stem] = cycle_figure(proof)
+            captions[stem] = f"Shaper {name}: pistons and outputs over the cycle."
+        document = Document(
+            title=f"{first.job.name} on {first.machine.name}: comparison",
+            subtitle=first.machine.title,
+            verdicts=[("every case in spec" if good else "not every case is in spec", good)],
+            warnings=tuple(f"{name} is refused: {why}" for name, why in found.refused),
+            tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
+            figures=figures,
+            captions=captions,
+            facts=[
+                *_facts(found.proofs[0]),
+                *((f"case {n}", f"shaper {name}") for n, name in enumerate(names, start=1)),
+            ],
+        )
+        return write_document(document, folder, "comparison")
+
+
+def about_switching(proof: Proof) -> list[str]:
+    """Return the lines that stand below the verdict: how each cylinder is shaped."""
+    return [f"Cylinder {axis}:".ljust(22) + words for axis, words in shaping_rows(proof.plan)]
+
+
+def shaping_rows(plan: Plan) -> list[list[str]]:
+    """Return every cylinder and how it is shaped: a bare kind was made for its own mode."""
+    if "shaper" not in plan.options:
+        return []
+    shaping = plan.scheduled.shaping
+    return [[axis, shaping_words(shaping.get(axis))] for axis in plan.machine.cylinders]
+
+
+def _step_table(proof: Proof, how: str) -> Table:
     header, rows = step_rows(proof.verdict)
     return Table(title=f"Step by step, {how}", header=header, rows=rows)
 
 
-def _facts(proof: SwitchProof) -> list[tuple[str, str]]:
+def _facts(proof: Proof) -> list[tuple[str, str]]:
     plan = proof.plan
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
         ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
-        ("schedule", f"{plan.duration_s:g} s, {len(plan.commands.ticks)} switchings"),
+        ("schedule", f"{plan.duration_s:g} s, {len(plan.scheduled.commands.ticks)} switchings"),
         *((f"cylinder {axis}", words) for axis, words in shaping_rows(plan)),
         *options_facts(plan.options, plan.machine, OF_AXES),
     ]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.pipeline import SwitchProof
-from threadline.report.style import ACTUAL, LIMIT, PLANNED
+from threadline.pipeline import Proof
+from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED
 from threadline.verdict.switch_run import SwitchRun
 
 if TYPE_CHECKING:
@@ -35,13 +37,13 @@ def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
             )
 
 
-def cycle_figure(proof: SwitchProof) -> Figure:
+def cycle_figure(proof: Proof) -> Figure:
     """Draw the pistons and every output over the cycle."""
     from matplotlib.figure import Figure
 
     run = SwitchRun(proof.recording, proof.plan)
     axes = proof.plan.job.axes
-    outputs = proof.plan.commands.outputs
+    outputs = proof.plan.scheduled.commands.outputs
     height = 1.3 * len(axes) + 0.19 * len(outputs) + 0.8
     figure = Figure(figsize=(9.0, height))
     panels = figure.subplots(
@@ -73,7 +75,7 @@ def cycle_figure(proof: SwitchProof) -> Figure:
     return figure
 
 
-def frame_figure(proof: SwitchProof, unshaped: SwitchProof | None) -> Figure:
+def frame_figure(proof: Proof, unshaped: Proof | None) -> Figure:
     """Draw the frame over the cycle, with and without shaping."""
     from matplotlib.figure import Figure
 
@@ -97,7 +99,7 @@ def frame_figure(proof: SwitchProof, unshaped: SwitchProof | None) -> Figure:
     return figure
 
 
-def residual_figure(proof: SwitchProof, unshaped: SwitchProof | None) -> Figure:
+def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
     """Draw what each step leaves ringing, with and without shaping, beside its limit."""
     from matplotlib.figure import Figure
 
@@ -128,4 +130,32 @@ def residual_figure(proof: SwitchProof, unshaped: SwitchProof | None) -> Figure:
         panel.set_ylabel(f"frame along {axis}, um")
         panel.set_xticks(range(len(names)), names)
     panels[0].legend(loc="upper left")
+    return figure
+
+
+def residuals_figure(proofs: Sequence[Proof]) -> Figure:
+    """Draw what each step leaves ringing under every shaper, beside the limit."""
+    from matplotlib.figure import Figure
+
+    axes = proofs[0].plan.job.axes
+    figure = Figure(figsize=(9.0, 2.1 * len(axes) + 0.6))
+    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    for panel, axis in zip(panels, axes, strict=True):
+        for proof, look, marker in zip(proofs, cycle(AXES), cycle("osvDX^"), strict=False):
+            rows = [
+                r
+                for r in proof.verdict.results
+                if r.name == "residual_vibration" and r.axis == axis and r.step
+            ]
+            sizes = [(r.measured or 0.0) * MICRO for r in rows]
+            label = proof.plan.options.get("shaper", "no shaper")
+            panel.plot(range(len(rows)), sizes, marker=marker, label=label, **look)
+            limits = [r.limit for r in rows]
+        for place, limit in enumerate(limits):
+            if limit is not None:
+                panel.plot([place - 0.45, place + 0.45], [limit * MICRO] * 2, **LIMIT)
+        panel.set_yscale("symlog", linthresh=_LEAST_UM)
+        panel.set_ylabel(f"frame along {axis}, um")
+        panel.set_xticks(range(len(rows)), [r.step for r in rows])
+    panels[0].legend(loc="upper left", ncols=3, fontsize=7)
     return figure

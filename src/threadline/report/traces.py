@@ -54,13 +54,13 @@ class Traces:
 def collect(proof: Proof) -> Traces:
     """Read recording, trajectory and programmed path once each and thin them."""
     plan, recording = proof.plan, as_intended(proof.recording, proof.plan)
-    ticks = int(plan.trajectory.duration_s / float(plan.machine.tick_clock.period_s)) + 1
+    ticks = int(plan.motion.trajectory.duration_s / float(plan.machine.tick_clock.period_s)) + 1
     stride = max(1, -(-ticks // MAX_SAMPLES))
     time_s, commanded, actual, velocity, acceleration = _recorded(recording, plan, stride)
-    values = [plan.trajectory(time_s, derivative) for derivative in range(3)]
+    values = [plan.motion.trajectory(time_s, derivative) for derivative in range(3)]
     planned = {
         axis: np.stack([v[:, column] for v in values], axis=1)
-        for column, axis in enumerate(plan.trajectory.axes)
+        for column, axis in enumerate(plan.motion.trajectory.axes)
     }
     return Traces(
         time_s=time_s,
@@ -84,7 +84,7 @@ def _recorded(
     dict[str, FloatArray],
     dict[str, FloatArray],
 ]:
-    axes = plan.trajectory.axes
+    axes = plan.motion.trajectory.axes
     shown = {
         axis: recording.find(ChannelKind.LOAD, axis) or recording.find(ChannelKind.MEASURED, axis)
         for axis in axes
@@ -129,7 +129,7 @@ def _recorded(
 def _vertices(plan: Plan) -> FloatArray:
     parts: list[FloatArray] = []
     count = 0
-    for block in plan.programmed:
+    for block in plan.motion.programmed:
         parts.append(block.positions)
         count += len(block)
         if count >= MAX_VERTICES:

@@ -4,7 +4,7 @@ from threadline.search.compare import PLACEMENT, Comparison, compare, placement_
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed, feed_range_m_s
 from threadline.search.gentle import FastestJob, Rung, fastest_job
-from threadline.search.mismatch import Mismatch, needle_over_tolerances
+from threadline.search.mismatch import Mismatch, feed_over_tolerances, needle_over_tolerances
 from threadline.search.needle import fastest_needle, needle_range_hz
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "fastest_feed",
     "fastest_job",
     "fastest_needle",
+    "feed_over_tolerances",
     "feed_range_m_s",
     "find_fastest",
     "needle_over_tolerances",

@@ -1,14 +1,15 @@
-"""The same job with several interpolations at several feeds, and the fastest of each."""
+"""The same job with several interpolations, feeds and shapers, and the fastest of each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from threadline.errors import PlanError
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, Proof, check_loops, plan_job, prove_plan
+from threadline.pipeline import Progress, Proof, check_machine, plan_job, prove_plan
 from threadline.search.gentle import FastestJob, fastest_job
 from threadline.verdict import Spec
 
@@ -22,14 +23,17 @@ class Comparison:
     Parameters
     ----------
     proofs
-        One per interpolation and feed, interpolations outermost.
+        One per interpolation, feed and shaper, interpolations outermost.
     fastest
         Per interpolation: the fastest job within the placement criteria alone, which is how the
         1994 experiment was judged; empty when it was not asked for.
+    refused
+        Shapers that the machine cannot follow, each with why.
     """
 
     proofs: tuple[Proof, ...]
     fastest: dict[str, FastestJob]
+    refused: tuple[tuple[str, str], ...] = ()
 
 
 def placement_spec(spec: Spec) -> Spec:
@@ -49,13 +53,25 @@ def compare(
     feeds: Sequence[Feed | None],
     options: Options,
     *,
+    shapers: Sequence[str | None] = (None,),
     with_fastest: bool = True,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Prove ``job`` with every interpolation at every feed, and find the fastest of each."""
-    check_loops(machine)
+    """Prove ``job`` with every interpolation, feed and shaper; find the fastest feed of each.
+
+    A job that is paced by switchings has no feed to search.
+
+    Raises
+    ------
+    PlanError
+        If nothing of it can be planned.
+    """
+    check_machine(machine)
+    with_fastest = with_fastest and job.paced_by != "switchings"
     proofs = []
-    steps = len(interpolations) * (len(feeds) + (1 if with_fastest else 0))
+    refused: list[tuple[str, str]] = []
+    why: PlanError | None = None
+    steps = len(interpolations) * (len(feeds) * len(shapers) + (1 if with_fastest else 0))
     done = 0
 
     def stepped(what: str) -> None:
@@ -66,13 +82,24 @@ def compare(
 
     for interpolation in interpolations:
         for feed in feeds:
-            stepped(interpolation)
-            chosen = replace(options, interpolation=interpolation, feed=feed)
-            proofs.append(prove_plan(plan_job(job, machine, chosen), spec))
+            for shaper in shapers:
+                stepped(shaper or interpolation)
+                chosen = replace(options, interpolation=interpolation, feed=feed, shaper=shaper)
+                try:
+                    plan = plan_job(job, machine, chosen)
+                except PlanError as error:
+                    if shaper is None:
+                        raise
+                    refused.append((shaper, error.message))
+                    why = error
+                    continue
+                proofs.append(prove_plan(plan, spec))
+    if not proofs and why is not None:
+        raise why
     fastest = {}
     if with_fastest:
         for interpolation in interpolations:
             stepped(f"fastest {interpolation}")
             chosen = replace(options, interpolation=interpolation)
             fastest[interpolation] = fastest_job(job, machine, placement_spec(spec), chosen)
-    return Comparison(proofs=tuple(proofs), fastest=fastest)
+    return Comparison(proofs=tuple(proofs), fastest=fastest, refused=tuple(refused))

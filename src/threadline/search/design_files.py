@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
+from threadline.escaping import ascii_only, toml_string
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at
@@ -14,6 +14,7 @@ from threadline.search.design import DesignResult, Found
 from threadline.signals.files.common import atomic_file
 from threadline.verdict import Spec
 from threadline.verdict.registry import MEASURES
+from threadline.writing import together
 
 _SPEC_SUFFIX = ".spec.toml"
 
@@ -40,9 +41,10 @@ def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
         file: machine_toml(result, found, file.parent),
         spec_file(file): spec_toml(found.spec, found.machine),
     }
-    for path, text in texts.items():
-        with atomic_file(path) as stream:
-            stream.write(text.encode())
+    with together():
+        for path, text in texts.items():
+            with atomic_file(path) as stream:
+                stream.write(text.encode())
     return list(texts)
 
 
@@ -53,14 +55,14 @@ def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
     for path, value in found.numbers.items():
         table, _, key = path.rpartition(".")
         text = quantity_text(number_at(machine, path), value)
-        tables.setdefault(table, []).append(f"{key} = {json.dumps(text)}")
+        tables.setdefault(table, []).append(f"{key} = {toml_string(text)}")
     over = " over the tolerances" if result.tolerances else ""
     lines = [
-        f"# Found by threadline design for {result.job.name}: in specification{over}.",
+        f"# Found by threadline design for {ascii_only(result.job.name)}: in specification{over}.",
         f"# Cost {found.candidate.cost:.4g}: the sum of weight x |ln factor|.",
-        f"base = {json.dumps(_base(machine, folder))}",
-        f"name = {json.dumps(machine.name.split('+')[0] + '-redesigned')}",
-        f"title = {json.dumps(machine.title + ', redesigned')}",
+        f"base = {toml_string(_base(machine, folder))}",
+        f"name = {toml_string(machine.name.split('+')[0] + '-redesigned')}",
+        f"title = {toml_string(machine.title + ', redesigned')}",
         'design = "none"',
     ]
     for table, rows in sorted(tables.items()):
@@ -88,19 +90,25 @@ def _base(machine: Machine, folder: Path) -> str:
 
 def spec_toml(spec: Spec, machine: Machine) -> str:
     """Return a specification as its file."""
-    lines = [f"name = {json.dumps(spec.name)}", f'lag = "{spec.lag_s!r} s"']
+    lines = [f"name = {toml_string(spec.name)}", f'lag = "{spec.lag_s!r} s"']
+    given = {(c.name, c.axis) for c in spec.criteria if not c.hard}
     for criterion in spec.criteria:
+        if criterion.hard and (criterion.name, criterion.axis) in given:
+            continue  # the machine's limit holds beside a wider one without being named
         kind = MEASURES[criterion.name]
-        lines += ["", "[[criteria]]", f"name = {json.dumps(criterion.name)}"]
+        lines += ["", "[[criteria]]", f"name = {toml_string(criterion.name)}"]
         if criterion.axis:
-            lines.append(f"axis = {json.dumps(criterion.axis)}")
+            lines.append(f"axis = {toml_string(criterion.axis)}")
         if criterion.hard:
             lines.append('limit = "machine"')
         elif criterion.limit is not None:
             unit = kind.unit(machine.axes[criterion.axis].kind if criterion.axis else "linear")
-            lines.append(f"limit = {json.dumps(f'{criterion.limit!r} {unit}'.strip())}")
+            limit = f"{criterion.limit!r} {unit}"
+            if not unit and criterion.limit > 1.0:  # more than the whole: only with its unit
+                limit = f"{100.0 * criterion.limit!r} %"
+            lines.append(f"limit = {toml_string(limit.strip())}")
         if criterion.required:
             lines.append("required = true")
         for key, value in criterion.options.items():
-            lines.append(f"{key} = {json.dumps(f'{value!r} {kind.options[key].unit}'.strip())}")
+            lines.append(f"{key} = {toml_string(f'{value!r} {kind.options[key].unit}'.strip())}")
     return "\n".join(lines) + "\n"

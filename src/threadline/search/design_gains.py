@@ -96,7 +96,7 @@ def sampled_response(
     count = len(rates)
     drive = piece.group.drives[0]
     delay = np.broadcast_to(
-        values.at(f"drives.{drive}.delay", machine.drives[drive].delay), (count,)
+        values.at(f"drives.{drive}.delay", machine.motors[drive].delay), (count,)
     )
     whole = np.floor(delay / period_s + _ROUNDING)
     part = np.maximum(delay - whole * period_s, 0.0)

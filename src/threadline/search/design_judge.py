@@ -19,13 +19,14 @@ from threadline.errors import MachineError, OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Stream, TickTable
+from threadline.signals import ChannelKind, Stream, tick_table
 from threadline.twin import simulate, simulate_batch
 from threadline.verdict import Criterion, Spec
 from threadline.verdict.blocks import judged_blocks, setting_of
-from threadline.verdict.measure import Block, Setting
+from threadline.verdict.measure import OfRun
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
-from threadline.verdict.registry import MEASURES, PLAN_DEMANDS
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 SETTLE_S = 0.25
@@ -36,6 +37,7 @@ HOPELESS = 1e3
 _CHUNK_BYTES = 2.5e8
 _AT_ONCE = 256
 _LENGTH = "stitch_length_error"
+_SEAM = "seam_error"
 _CHANNELS: Mapping[ChannelKind, tuple[tuple[str, str], ...]] = {
     ChannelKind.LOAD: (("actual", "load"),),
     ChannelKind.MEASURED: (("own", "measured"),),
@@ -146,16 +148,15 @@ class QuickJudge:
         )
 
     def _channels(self) -> tuple[str, ...]:
-        axes = self.plan.programmed.axes
+        axes = self.plan.motion.programmed.axes
         return tuple(f"{axis}.{name}" for _, name in self.columns for axis in axes)
 
     def _part(self, variants: Mapping[str, FloatArray], count: int) -> Ratios:
         names = tuple(f"{c.name} {c.axis}".strip() for c in self._others)
         delays = len(self.delays_s) if len(self._others) < len(self.criteria) else 0
         try:
-            assert isinstance(self.plan.commands, TickTable)
             found = simulate_batch(
-                self.plan.commands,
+                tick_table(self.plan.commands),
                 self.plan.machine,
                 variants,
                 settle_s=self.settle_s,
@@ -179,7 +180,7 @@ class QuickJudge:
                 if low.length is not None and high.length is not None
                 else None,
             )
-        axes = self.plan.programmed.axes
+        axes = self.plan.motion.programmed.axes
         data = {
             column: np.stack([found.samples[f"{axis}.{name}"] for axis in axes], axis=2)
             for column, name in self.columns
@@ -192,8 +193,9 @@ class QuickJudge:
         running = []
         for criterion in self._others:
             kind = MEASURES[criterion.name]
-            assert kind.start is not None
-            running.append(kind.start(self.setting, kind.with_defaults(criterion.options)))
+            measure = kind.start(self.setting, criterion.options)
+            assert measure is not None
+            running.append(measure)
         for block in self.blocks:
             own = slice(block.first, block.first + len(block))
             columns: dict[str, Any] = {k: v[own, variant] for k, v in data.items()}
@@ -216,8 +218,8 @@ class QuickJudge:
         (criterion,) = (c for c in self.criteria if c.name == _LENGTH)
         assert criterion.limit is not None
         worst = np.zeros((load.shape[1], len(self.delays_s)))
-        columns = [self.plan.programmed.axes.index(axis) for axis in self.plan.job.axes]
-        points = (load * self.plan.programmed.radius_m)[:, :, columns]
+        columns = [self.plan.motion.programmed.axes.index(axis) for axis in self.plan.job.axes]
+        points = (load * self.plan.motion.programmed.radius_m)[:, :, columns]
         for run in self.stitches:
             kept = ~run.exempt
             target = run.target_m[kept, None]
@@ -255,9 +257,7 @@ def quick_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) 
     OptionError
         If the job is too long to be simulated thousands of times.
     """
-    if not isinstance(plan.commands, TickTable):
-        raise OptionError(f"{plan.job.name}: only motion in ticks can be searched")
-    recording = simulate(plan.commands, machine, settle_s=SETTLE_S)
+    recording = simulate(tick_table(plan.commands), machine, settle_s=SETTLE_S)
     kept = []
     count = 0
     for block in recording:
@@ -270,20 +270,22 @@ def quick_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) 
                 remedy="Search on a short job that has the hard places of it, then prove the long.",
             )
     recording = replace(recording, blocks=Stream.of(kept))
+    trajectory = plan.motion.trajectory
+    steady_trajectory = replace(trajectory, blocks=Stream.of(trajectory.blocks))
     steady = replace(
         plan,
         machine=machine,
         job=_kept_job(plan.job),
-        trajectory=replace(plan.trajectory, blocks=Stream.of(plan.trajectory.blocks)),
+        intent=replace(plan.motion, trajectory=steady_trajectory),
     )
     setting = setting_of(steady, recording, spec.lag_s)
     blocks = tuple(
         replace(block, path=copy.copy(block.path))
         for block in judged_blocks(
-            recording, setting.axes, setting.lag_samples, PathWindow(plan.programmed)
+            recording, setting.axes, setting.lag_samples, PathWindow(plan.motion.programmed)
         )
     )
-    criteria = tuple(c for c in spec.criteria if _is_quick(c))
+    criteria = tuple(c for c in spec.criteria if _is_quick(c, setting))
     stitched = has_stitches(steady.job)
     length = [c for c in criteria if c.name == _LENGTH]
     if not stitched:
@@ -309,13 +311,12 @@ def quick_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) 
     )
 
 
-def _is_quick(criterion: Criterion) -> bool:
-    kind = MEASURES[criterion.name]
-    return (
-        criterion.limit is not None
-        and kind.start is not None
-        and criterion.name not in PLAN_DEMANDS
-    )
+def _is_quick(criterion: Criterion, setting: Setting) -> bool:
+    # What the drawing adds to the contour is the same for every machine: the proof asks for it.
+    if criterion.name == _SEAM:
+        return False
+    of_one_run = isinstance(MEASURES[criterion.name].of_run(setting), OfRun)
+    return criterion.limit is not None and of_one_run
 
 
 def _kept_job(job: Job) -> Job:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.errors import OptionError
 from threadline.pipeline import Progress
 from threadline.verdict import Status, Verdict
 
@@ -75,6 +76,7 @@ def find_fastest(
     edge_relative: float = EDGE_RELATIVE,
     near: int = 0,
     progress: Progress | None = None,
+    unit: str = "m/s",
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
 
@@ -92,14 +94,21 @@ def find_fastest(
         Edges are refined until pass and fail are this close, relative to the feed.
     near
         Feeds tried within each gap of the scan between pass and fail, and in the gaps beside it.
+    unit
+        Of the feeds, for an error.
 
     Raises
     ------
-    ValueError
-        If the range or the number of points is empty.
+    OptionError
+        If the range is empty.
     """
-    if not 0.0 < low < high or points < 2:
-        raise ValueError(f"nothing to scan between {low!r} and {high!r} with {points} points")
+    if points < 2:
+        raise ValueError(f"nothing to scan with {points} points, two are the least")
+    if not 0.0 < low < high < math.inf:
+        raise OptionError(
+            f"nothing to scan from {low:.6g} {unit} to {high:.6g} {unit}",
+            remedy="Give a --low below --high; each has a value of its own where it is not given.",
+        )
     seen: dict[float, Verdict] = {}
     expected = points + 2.0 * np.log2(np.log(high / low) / points / edge_relative + 1.0)
 
@@ -110,8 +119,7 @@ def find_fastest(
             progress("searching", min(len(seen) / float(expected), 1.0))
         return seen[feed]
 
-    feeds = [float(f) for f in np.geomspace(low, high, points)]
-    feeds[0], feeds[-1] = low, high
+    feeds = _spaced(low, high, points)
     passes = [verdict_at(feed).passed for feed in feeds]
     if near:
         feeds = _finer(feeds, passes, near)
@@ -158,14 +166,33 @@ def _finer(feeds: list[float], passes: list[bool], near: int) -> list[float]:
     for gap, feed in enumerate(feeds):
         finer.append(feed)
         if gap in gaps and gap < last:
-            finer += [float(f) for f in np.geomspace(feed, feeds[gap + 1], near + 2)[1:-1]]
+            finer += _spaced(feed, feeds[gap + 1], near + 2)[1:-1]
     return finer
+
+
+def _spaced(low: float, high: float, points: int) -> list[float]:
+    """Return feeds evenly spaced on a logarithmic scale, those between the ends short to type."""
+    share = (high / low) ** (1.0 / (points - 1)) - 1.0
+    inner = [_typed(float(f), share * float(f)) for f in np.geomspace(low, high, points)[1:-1]]
+    return [low, *inner, high]
+
+
+def _typed(feed: float, gap: float) -> float:
+    """Return ``feed`` with as few digits as move it by a hundredth of ``gap`` at the most.
+
+    It is that feed that is tried, so what is found can be typed back and means the same.
+    """
+    for digits in range(4, 16):
+        short = float(f"{feed:.{digits}g}")
+        if abs(short - feed) <= 0.01 * gap:
+            return short
+    return feed
 
 
 def _edge(verdict_at: Judged, passing: float, failing: float, edge_relative: float) -> float:
     """Return the passing end of the bisected gap between a passing and a failing feed."""
     while abs(failing - passing) > edge_relative * min(passing, failing):
-        middle = float(np.sqrt(passing * failing))
+        middle = _typed(math.sqrt(passing * failing), abs(failing - passing))
         if verdict_at(middle).passed:
             passing = middle
         else:

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Progress, plan_job, prove_plan
-from threadline.search.fastest import NEAR_POINTS, SCAN_POINTS, Fastest, find_fastest
+from threadline.plan import Following
+from threadline.search.fastest import (
+    EDGE_RELATIVE,
+    NEAR_POINTS,
+    SCAN_POINTS,
+    Fastest,
+    find_fastest,
+)
+from threadline.search.refused import beyond
 from threadline.verdict import Spec, Verdict
 
 
@@ -35,16 +44,33 @@ def fastest_feed(
     points: int = SCAN_POINTS,
     near: int = NEAR_POINTS,
     progress: Progress | None = None,
+    actual: Machine | None = None,
+    edge_relative: float = EDGE_RELATIVE,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
 
-    ``points`` and ``near`` are those of ``find_fastest``, whose steps are the resolution.
+    Where loads follow, a feed at which the smoothed motion breaks a limit of the machine is out of
+    spec.
+
+    Parameters
+    ----------
+    points, near, edge_relative
+        As ``find_fastest`` takes them; their steps are the resolution.
+    actual
+        The machine that does the job, where it isn't the one that plans are made for.
     """
     lowest, highest = feed_range_m_s(machine)
 
     def judged(feed_m_s: float) -> Verdict:
         feed = Feed(FeedMode.FASTEST_AXIS, feed_m_s)
-        return prove_plan(plan_job(job, machine, replace(options, feed=feed)), spec).verdict
+        try:
+            plan = plan_job(job, machine, replace(options, feed=feed))
+        except LimitError as error:
+            # What is programmed outside the travel is so at every feed.
+            if options.following is Following.MOTOR or error.quantity == "travel":
+                raise
+            return beyond(error, machine)
+        return prove_plan(plan, spec, actual=actual).verdict
 
     return find_fastest(
         judged,
@@ -52,5 +78,6 @@ def fastest_feed(
         highest if high is None else high,
         points=points,
         near=near,
+        edge_relative=edge_relative,
         progress=progress,
     )

@@ -15,6 +15,7 @@ from threadline.options import Options
 from threadline.pipeline import Progress, check_loops, plan_job
 from threadline.search.fastest import NEAR_POINTS, Fastest
 from threadline.search.feed import fastest_feed
+from threadline.trajectory import Pace
 from threadline.verdict import Spec
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
@@ -48,15 +49,24 @@ def fastest_job(
     low: float | None = None,
     high: float | None = None,
     progress: Progress | None = None,
+    actual: Machine | None = None,
 ) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 
-    Interpolations that ignore the limits (the 1994 controller's) are searched by feed alone.
+    Paths and timings that ignore the limits (the 1994 controller's, programmed times) are searched
+    by feed alone.
+
+    Parameters
+    ----------
+    low, high
+        Feeds to search between, m/s of the fastest axis.
+    actual
+        The machine that does the job, where it isn't the one that plans are made for.
     """
     check_loops(machine)
-    historical = plan_job(job, machine, options).path.historical
+    by_feed = ignores_limits(job, machine, options)
     rungs: dict[float, Rung] = {}
-    expected = 1 if historical else len(_LADDER) + 4
+    expected = 1 if by_feed else len(_LADDER) + 4
 
     def tried(share: float, points: int, near: int = 0) -> Rung:
         if share not in rungs or near:
@@ -64,14 +74,22 @@ def fastest_job(
                 progress(f"limits {share:.0%}", min(len(rungs) / expected, 1.0))
             chosen = replace(options, limit_share=share)
             found = fastest_feed(
-                job, machine, spec, chosen, low=low, high=high, points=points, near=near
+                job,
+                machine,
+                spec,
+                chosen,
+                low=low,
+                high=high,
+                points=points,
+                near=near,
+                actual=actual,
             )
             rungs[share] = Rung(
                 share=share, found=found, duration_s=_duration_s(job, machine, chosen, found)
             )
         return rungs[share]
 
-    if historical:
+    if by_feed:
         best = tried(1.0, 48, NEAR_POINTS)
         return FastestJob(best=best, rungs=(best,))
     best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
@@ -90,6 +108,14 @@ def fastest_job(
     return FastestJob(best=min(ordered, key=_order), rungs=ordered)
 
 
+def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
+    """Say whether a share of the limits makes no difference to a plan."""
+    if options.timing.pace is Pace.PROGRAMMED:
+        return True
+    # Smoothed for its loads, a path would say nothing of how it was timed.
+    return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical
+
+
 def _order(rung: Rung) -> float:
     return float("inf") if rung.duration_s is None else rung.duration_s
 
@@ -98,4 +124,4 @@ def _duration_s(job: Job, machine: Machine, options: Options, found: Fastest) ->
     if found.best is None:
         return None
     feed = Feed(FeedMode.FASTEST_AXIS, found.best)
-    return plan_job(job, machine, replace(options, feed=feed)).trajectory.duration_s
+    return plan_job(job, machine, replace(options, feed=feed)).duration_s

@@ -1,16 +1,19 @@
-"""How the fastest needle speed falls when the machine is not what the plan believes."""
+"""How the fastest speed falls when the machine is not what the plan believes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.errors import OptionError
+from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options
 from threadline.pipeline import Progress
 from threadline.search.fastest import Fastest
+from threadline.search.feed import fastest_feed
 from threadline.search.needle import fastest_needle
 from threadline.verdict import Spec
 
@@ -30,7 +33,7 @@ class Mismatch:
     mass, stiffness
         Of loads and links, in parts of their tolerances.
     found
-        Needle speeds in specification, with plans made for the machine as its file says.
+        Feeds or needle speeds in specification, with plans made for the machine as its file says.
     """
 
     mass: float
@@ -65,6 +68,68 @@ def needle_over_tolerances(
     OptionError
         If no number has a tolerance, or the range is empty.
     """
+
+    def search(actual: Machine) -> Fastest:
+        return fastest_needle(
+            seam,
+            machine,
+            spec,
+            options,
+            low=_SLOWEST * high if low is None else low,
+            high=high,
+            points=_POINTS,
+            near=0,
+            edge_relative=_EDGE,
+            actual=actual,
+        )
+
+    return _over_tolerances(search, machine, progress)
+
+
+def feed_over_tolerances(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float,
+    progress: Progress | None = None,
+) -> list[Mismatch]:
+    """Return the feeds in spec at the ends of the tolerances, as ``needle_over_tolerances`` does.
+
+    Parameters
+    ----------
+    low, high
+        Feeds to search between, m/s of the fastest axis; ``low`` is a quarter of ``high`` when
+        None.
+
+    Raises
+    ------
+    OptionError
+        If no number has a tolerance.
+    """
+
+    def search(actual: Machine) -> Fastest:
+        return fastest_feed(
+            job,
+            machine,
+            spec,
+            options,
+            low=_SLOWEST * high if low is None else low,
+            high=high,
+            points=_POINTS,
+            near=0,
+            edge_relative=_EDGE,
+            actual=actual,
+        )
+
+    return _over_tolerances(search, machine, progress)
+
+
+def _over_tolerances(
+    search: Callable[[Machine], Fastest], machine: Machine, progress: Progress | None
+) -> list[Mismatch]:
     if off_tolerance(machine, mass=1.0, stiffness=1.0) == machine:
         raise OptionError(
             f"loads and links of {machine.name} have no tolerances",
@@ -75,17 +140,6 @@ def needle_over_tolerances(
     for number, (mass, stiffness) in enumerate(cells):
         if progress is not None:
             progress("searching over tolerances", number / len(cells))
-        search = fastest_needle(
-            seam,
-            machine,
-            spec,
-            options,
-            low=_SLOWEST * high if low is None else low,
-            high=high,
-            points=_POINTS,
-            near=0,
-            edge_relative=_EDGE,
-            actual=off_tolerance(machine, mass=mass, stiffness=stiffness),
-        )
-        found.append(Mismatch(mass=mass, stiffness=stiffness, found=search))
+        actual = off_tolerance(machine, mass=mass, stiffness=stiffness)
+        found.append(Mismatch(mass=mass, stiffness=stiffness, found=search(actual)))
     return found

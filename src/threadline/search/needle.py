@@ -17,7 +17,8 @@ from threadline.search.fastest import (
     Fastest,
     find_fastest,
 )
-from threadline.verdict import Result, Spec, Status, Verdict
+from threadline.search.refused import beyond as _beyond
+from threadline.verdict import Spec, Verdict
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
 
@@ -93,23 +94,5 @@ def fastest_needle(
         near=near,
         edge_relative=edge_relative,
         progress=progress,
+        unit="stitch/s",
     )
-
-
-_PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
-
-
-def _beyond(error: LimitError, machine: Machine) -> Verdict:
-    """Return the verdict on a plan that was refused, as the criterion of its name has it."""
-    over = error.quantity == "travel"
-    base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
-    failed = Result(
-        name=error.quantity,
-        axis=error.axis,
-        measured=abs(error.value_si - error.limit_si) if over else abs(error.value_si),
-        limit=0.0 if over else error.limit_si,
-        unit=f"{base}{_PER[error.quantity]}",
-        status=Status.FAILED,
-        note="the plan is refused",
-    )
-    return Verdict(results=(failed,), simulated=False)

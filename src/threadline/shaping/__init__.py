@@ -13,12 +13,15 @@ from threadline.shaping.direct import Requirement, direct_shaper, specified_inse
 from threadline.shaping.direct_unit import direct_unit_magnitude
 from threadline.shaping.higher_modes import HigherModes, check_higher_modes
 from threadline.shaping.klipper import KlipperExport, klipper_export
+from threadline.shaping.law_residual import Ringing, residual_m, ringing
+from threadline.shaping.mode_law import Demand, MadeLaw, made_law, outside, usual_jerk_m_s3
 from threadline.shaping.robustness import (
     Insensitivity,
     SensitivityMap,
     insensitivity,
     sensitivity_map,
 )
+from threadline.shaping.shaped_law import ShapedWindow, shaped_law, shaped_windows
 from threadline.shaping.text import parse_mode_hz, parse_shaper
 from threadline.shaping.types import UNSHAPED, FlexibleMode, Shaper, ShaperError
 from threadline.shaping.vibration import (
@@ -30,13 +33,17 @@ from threadline.shaping.vibration import (
 __all__ = [
     "UNSHAPED",
     "ControllerLimits",
+    "Demand",
     "FlexibleMode",
     "HigherModes",
     "Insensitivity",
     "KlipperExport",
+    "MadeLaw",
     "Realised",
     "Requirement",
+    "Ringing",
     "SensitivityMap",
+    "ShapedWindow",
     "Shaper",
     "ShaperError",
     "ShaperKind",
@@ -49,15 +56,22 @@ __all__ = [
     "insensitivity",
     "klipper_export",
     "longest_delay_s",
+    "made_law",
     "on_tick_grid",
+    "outside",
     "parse_mode_hz",
     "parse_shaper",
     "realise",
+    "residual_m",
     "residual_vibration",
     "residual_vibration_batch",
+    "ringing",
     "sensitivity_map",
     "shape_trajectory",
+    "shaped_law",
+    "shaped_windows",
     "shaping_deviation",
     "specified_insensitivity",
+    "usual_jerk_m_s3",
     "vibration_of",
 ]

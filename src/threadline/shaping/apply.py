@@ -84,7 +84,7 @@ def shape_trajectory(
     shaped = Trajectory(
         axes=trajectory.axes,
         historical=trajectory.historical,
-        blocks=Stream(lambda: _convolved(trajectory, trains)),
+        blocks=Stream(_convolved, trajectory, trains),
     )
     if machine is not None:
         check_limits(shaped, machine)

@@ -35,8 +35,15 @@ def minimise(
     below: tuple[FloatArray, ArrayLike] | None = None,
     bounds: Bounds | Sequence[Bounds],
     what: str,
+    seconds: float | None = None,
 ) -> Solution:
     """Minimise ``cost`` @ x under rows @ x = values and rows @ x <= values.
+
+    Parameters
+    ----------
+    seconds
+        How long the solver may take. A degenerate program can keep the simplex method for minutes;
+        then the interior-point method gets as long.
 
     Raises
     ------
@@ -50,7 +57,11 @@ def minimise(
     problem: dict[str, Any] = {"A_eq": equal[0], "b_eq": equal[1], "bounds": bounds}
     if below is not None:
         problem["A_ub"], problem["b_ub"] = below
+    if seconds is not None:
+        problem["options"] = {"time_limit": seconds}
     solved = linprog(cost, **problem, method="highs")
+    if solved.status == 1 and seconds is not None:
+        solved = linprog(cost, **problem, method="highs-ipm")
     if solved.status == 2:
         raise InfeasibleError(f"{what}: no command meets the constraints")
     if solved.status != 0 or solved.x is None or solved.fun is None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
 from threadline.shaping.types import FlexibleMode, Shaper
 from threadline.shaping.vibration import residual_vibration, vibration_of
@@ -22,7 +22,7 @@ _SLACK = 1.0 + 1e-8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensitivityMap:
+class SensitivityMap(Locked):
     """V over frequency and damping.
 
     Parameters

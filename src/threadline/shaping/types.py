@@ -17,11 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError, PlanError
 
 MAX_DAMPING_RATIO = 0.3
 """Designs are for damping ratios in [0, 0.3): beyond it a shaper buys little."""
+
+MIN_HZ, MAX_HZ = 1e-6, 1e9
+"""Within these a frequency, its square and its period are numbers to calculate with."""
 
 
 class ShaperError(PlanError):
@@ -37,7 +40,7 @@ class FlexibleMode:
     Parameters
     ----------
     frequency_hz
-        Undamped natural frequency, Hz, positive.
+        Undamped natural frequency, Hz, from 1e-6 to 1e9.
     damping_ratio
         Dimensionless, in [0, 0.3).
 
@@ -56,6 +59,12 @@ class FlexibleMode:
                 f"mode: frequency_hz must be positive, got {self.frequency_hz!r}",
                 remedy="Give the undamped natural frequency in hertz.",
             )
+        if not MIN_HZ <= self.frequency_hz <= MAX_HZ:
+            raise OptionError(
+                f"mode: frequency_hz must be from {MIN_HZ:g} to {MAX_HZ:g}, got "
+                f"{self.frequency_hz!r}",
+                remedy="No machine rings as slowly or as fast.",
+            )
         if not 0.0 <= self.damping_ratio < MAX_DAMPING_RATIO:
             raise OptionError(
                 f"mode {self.frequency_hz:g} Hz: damping_ratio must be in "
@@ -71,7 +80,7 @@ class FlexibleMode:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shaper:
+class Shaper(Locked):
     """Impulse train that a command is convolved with; both arrays are read-only.
 
     Parameters

@@ -8,11 +8,17 @@ from typing import Literal
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray, read_only, read_only_int
+from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
+from threadline.errors import OptionError
 from threadline.signals.clock import Clock
+from threadline.signals.rows_hash import SWITCHES, TICKS, RowsHash
 from threadline.signals.stream import Stream
 
-EventKind = Literal["output", "wait", "stop", "dwell", "tool", "end"]
+EventKind = Literal[
+    "output", "wait", "stop", "dwell", "tool", "end",
+    "hold", "resume", "late", "completed", "stopped", "fault",
+]  # fmt: skip
+"""The first line is what commands ask for; the second is what recordings tell besides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +31,10 @@ class Event:
         When, counted from the start of the commands.
     kind
         ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
-        ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action.
+        ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
+        ``end`` is the end of the job. A recording tells of ``hold`` and ``resume`` of the rows, of
+        ``value`` ticks at which they came ``late``, and how it ended: ``completed``, ``stopped``
+        or ``fault``, with the reason as ``name``.
     operation
         Index of the operation of the job that asked for it.
     """
@@ -38,7 +47,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TickBlock:
+class TickBlock(Locked):
     """A run of consecutive rows of a tick table.
 
     Parameters
@@ -71,7 +80,7 @@ class TickBlock:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TickTable:
+class TickTable(Locked):
     """Counts per tick and axis: the commands of a machine whose controller closes the loops.
 
     Parameters
@@ -115,6 +124,23 @@ class TickTable:
         """Return the number of rows; reads the whole table."""
         return sum(len(block) for block in self)
 
+    def rows_hash(self) -> RowsHash:
+        """Return what is to take in the rows of this table, to hash them while they pass by."""
+        return RowsHash(
+            TICKS, self.clock.period_s, self.axes, self.counts_per_unit, self.start_counts
+        )
+
+    def rows_sha256(self) -> str:
+        """Return the hash of what the controller is told; reads the whole table.
+
+        Of the clock's period, axes, counts per unit, start, every row and every event, however
+        they are cut into blocks. ``docs/files.md`` defines it byte by byte.
+        """
+        digest = self.rows_hash()
+        for block in self:
+            digest.add((block.counts, block.operation), block.events)
+        return digest.hexdigest()
+
     def end_counts(self) -> IntArray:
         """Return the (axes,) commanded position after the last row; reads the whole table."""
         total = self.start_counts.copy()
@@ -124,7 +150,7 @@ class TickTable:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SwitchSchedule:
+class SwitchSchedule(Locked):
     """Outputs over time: the commands of an on/off machine.
 
     Parameters
@@ -174,5 +200,53 @@ class SwitchSchedule:
                 f"duration_ticks {self.duration_ticks} lies before the last row {self.ticks[-1]}"
             )
 
+    def rows_sha256(self) -> str:
+        """Return the hash of what the controller is told.
+
+        Of the clock's period, outputs, duration, every row and every event. ``docs/files.md``
+        defines it byte by byte.
+        """
+        digest = RowsHash(
+            SWITCHES, self.clock.period_s, self.outputs, np.array([self.duration_ticks])
+        )
+        digest.add((self.ticks, self.levels, self.operation), self.events)
+        return digest.hexdigest()
+
+    def tick_count(self) -> int | None:
+        """Return None: a schedule has instants, and no row for every tick."""
+        return None
+
 
 Commands = TickTable | SwitchSchedule
+
+
+def tick_table(commands: Commands) -> TickTable:
+    """Return ``commands``, which must be a table of ticks.
+
+    Raises
+    ------
+    OptionError
+        If they are of another kind.
+    """
+    if not isinstance(commands, TickTable):
+        raise OptionError(
+            "a table of counts is needed, which an on/off machine does not have",
+            remedy="Take a machine with axes.",
+        )
+    return commands
+
+
+def switch_schedule(commands: Commands) -> SwitchSchedule:
+    """Return ``commands``, which must be a schedule of switchings.
+
+    Raises
+    ------
+    OptionError
+        If they are of another kind.
+    """
+    if not isinstance(commands, SwitchSchedule):
+        raise OptionError(
+            "a schedule of switchings is needed, which a machine with axes does not have",
+            remedy="Take a machine with cylinders.",
+        )
+    return commands

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -12,7 +12,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import RecordingError
 from threadline.signals.clock import Clock
 from threadline.signals.commands import Event
-from threadline.signals.stream import Stream
+from threadline.signals.outcome import Outcome
 
 
 class ChannelKind(StrEnum):
@@ -25,6 +25,7 @@ class ChannelKind(StrEnum):
     TOOL = "tool"  # where the point that does the work was
     VOLTAGE = "voltage"  # at the amplifier's input
     CURRENT = "current"  # in the motor
+    TORQUE_SHARE = "torque_share"  # asked of a drive that is told positions, over what it has
     INPUT = "input"
     OUTPUT = "output"
     OPERATION = "operation"  # index of the operation of the job that was under way
@@ -87,7 +88,7 @@ class Recording:
     channels
         Every channel, by name.
     blocks
-        Re-iterable blocks of samples.
+        Blocks of samples, re-iterable; a stream wherever they are to be sent.
     job_sha256, machine_sha256
         What ran, and on which machine.
     simulated
@@ -98,7 +99,7 @@ class Recording:
     """
 
     channels: tuple[Channel, ...]
-    blocks: Stream[RecordingBlock]
+    blocks: Iterable[RecordingBlock]
     job_sha256: str
     machine_sha256: str
     simulated: bool
@@ -127,6 +128,13 @@ class Recording:
                 return channel
         known = ", ".join(c.name for c in self.channels)
         raise RecordingError(f"no channel {name!r}", remedy=f"It has {known}.")
+
+    def outcome(self) -> Outcome:
+        """Return how it ended and whether its rows came in time; reads all of it."""
+        known = Outcome()
+        for block in self:
+            known = known.after(block.events)
+        return known
 
     def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Return times in s and values of a whole channel, both (n,); for short recordings."""

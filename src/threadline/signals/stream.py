@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Generic, TypeVar
+from functools import partial
+from types import FunctionType, MethodType
+from typing import Generic, ParamSpec, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 
 class Stream(Generic[T]):
@@ -15,26 +18,69 @@ class Stream(Generic[T]):
     hand has to be in memory, and a second pass (for a scale, or for the judge) is just another
     ``for``.
 
-    >>> numbers = Stream(lambda: iter(range(3)))
+    A stream is a recipe, a function and what it is called with, and never a closure: it can be
+    pickled, and another process reads the same from it.
+
+    >>> numbers = Stream(reversed, (1, 2, 3))
     >>> list(numbers), list(numbers)
-    ([0, 1, 2], [0, 1, 2])
+    ([3, 2, 1], [3, 2, 1])
 
     Parameters
     ----------
-    start
-        Called once per reading; returns a fresh iterator.
+    function
+        Called once per reading with the arguments; returns a fresh iterator. A function or a
+        class that its module names.
+    arguments, keywords
+        What it is called with.
+
+    Raises
+    ------
+    TypeError
+        If the function or an argument is a lambda or nested in another function, so that another
+        process could not find it; or if an argument can be read once only.
     """
 
-    __slots__ = ("_start",)
+    __slots__ = ("_arguments", "_function", "_keywords")
 
-    def __init__(self, start: Callable[[], Iterator[T]]) -> None:
-        self._start = start
+    def __init__(
+        self, function: Callable[P, Iterator[T]], *arguments: P.args, **keywords: P.kwargs
+    ) -> None:
+        for what in (function, *arguments, *keywords.values()):
+            _check_travels(what)
+        self._function = function
+        self._arguments = arguments
+        self._keywords = keywords
 
     def __iter__(self) -> Iterator[T]:
-        return self._start()
+        return self._function(*self._arguments, **self._keywords)
 
     @classmethod
     def of(cls, items: Iterable[T]) -> Stream[T]:
         """Return a stream over ``items``, which are kept in memory."""
-        kept = tuple(items)
-        return cls(lambda: iter(kept))
+        return Stream(_kept, tuple(items))
+
+
+def _kept(items: tuple[T, ...]) -> Iterator[T]:
+    return iter(items)
+
+
+def _check_travels(what: object) -> None:
+    """Refuse what another process could not make again from its name."""
+    if isinstance(what, partial):
+        for part in (what.func, *what.args, *what.keywords.values()):
+            _check_travels(part)
+    if isinstance(what, MethodType):
+        _check_travels(what.__self__)
+        what = what.__func__
+    named = what if isinstance(what, FunctionType | type) else type(what)
+    if "<" in named.__qualname__:
+        raise TypeError(
+            f"a stream cannot be made of {named.__qualname__}: another process would not find it. "
+            "Put it into its module, and give what it needs from around it as arguments: "
+            "Stream(function, *arguments)."
+        )
+    if isinstance(what, Iterator):
+        raise TypeError(
+            f"a stream cannot be made of a {named.__qualname__}: it can be read once only. "
+            "Give what it is made from."
+        )

@@ -1,16 +1,16 @@
 """Trajectory -> commands, and one writer per controller."""
 
 from threadline.targets.calculate import Calculation, calculate
-from threadline.targets.feedforward import FeedForwardPlan, feed_forward_commands
+from threadline.targets.feedforward import followed_by_loads
+from threadline.targets.following import Followed, Following, followed_by_motors
 from threadline.targets.ticks import compile_ticks
-from threadline.targets.write import target_names, write
 
 __all__ = [
     "Calculation",
-    "FeedForwardPlan",
+    "Followed",
+    "Following",
     "calculate",
     "compile_ticks",
-    "feed_forward_commands",
-    "target_names",
-    "write",
+    "followed_by_loads",
+    "followed_by_motors",
 ]

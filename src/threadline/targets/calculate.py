@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.jobs.operations import Job, Source
 from threadline.machine import Machine
-from threadline.signals import Commands, TickTable
+from threadline.signals import Commands, TickTable, tick_table
 from threadline.signals.files.plt import LINES_1994
 
 
@@ -96,12 +96,10 @@ def calculate(plan: CompiledPlan) -> Calculation:
 
     Raises
     ------
-    TypeError
+    OptionError
         If the plan's commands are not a tick table.
     """
-    table = plan.commands
-    if not isinstance(table, TickTable):
-        raise TypeError(f"only tick tables have circuits, not {type(table).__name__}")
+    table = tick_table(plan.commands)
     ticks = 0
     lengths = _Lengths()
     for circuit, rows in _by_circuit(table, plan.job):

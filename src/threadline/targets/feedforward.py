@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.control import AxisPreview, Demand
+from threadline.control import AxisPreview
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.plant.values import Values
-from threadline.signals import Stream, TickTable
+from threadline.signals import Stream
+from threadline.targets.following import Followed, Following
 from threadline.targets.ticks import compile_ticks
 from threadline.trajectory import (
     Trajectory,
@@ -30,40 +31,13 @@ _ROWS = 2048  # references in hand at once
 _KEPT = 32  # blocks of so many
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FeedForwardPlan:
-    """A motion, and the commands with which the loads make it.
-
-    Parameters
-    ----------
-    timed
-        The motion before it was smoothed, with the rests that it needs; on the clock of the
-        recording.
-    trajectory
-        Where the loads are to be, on the same clock.
-    commands
-        What the controllers are told.
-    demands
-        Per axis, what the model needs.
-    rests_s
-        How long the loads rest before their motion, while the references begin, and after it,
-        while what swings in the inverses decays.
-    """
-
-    timed: Trajectory
-    trajectory: Trajectory
-    commands: TickTable
-    demands: tuple[Demand, ...]
-    rests_s: tuple[float, float]
-
-
-def feed_forward_commands(
+def followed_by_loads(
     planned: Trajectory,
     machine: Machine,
     job: Job,
     width_s: float,
     model: Values | None = None,
-) -> FeedForwardPlan:
+) -> Followed:
     """Return the commands with which the loads follow ``planned``, smoothed over ``width_s``.
 
     Parameters
@@ -103,7 +77,8 @@ def feed_forward_commands(
     references = reference_trajectory(trajectory, machine, model)
     if kept is not None:
         references = replace(references, blocks=Stream.of(kept))
-    return FeedForwardPlan(
+    return Followed(
+        following=Following.LOAD,
         timed=timed,
         trajectory=trajectory,
         commands=compile_ticks(references, machine, job),
@@ -136,8 +111,14 @@ def reference_trajectory(
     return Trajectory(
         axes=trajectory.axes,
         historical=True,
-        blocks=Stream(lambda: _References(trajectory, machine, model).blocks()),
+        blocks=Stream(_referred, trajectory, machine, model),
     )
+
+
+def _referred(
+    trajectory: Trajectory, machine: Machine, model: Values | None
+) -> Iterator[TrajectoryBlock]:
+    return _References(trajectory, machine, model).blocks()
 
 
 class _References:

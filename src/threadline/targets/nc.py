@@ -13,6 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from threadline.errors import PlanError
+from threadline.escaping import nc_comment
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
 from threadline.signals.files.common import atomic_file
@@ -170,4 +171,4 @@ class _Writer:
     def _numbered(self, *words: str, comment: str = "") -> str:
         self._number = self._number % _N_LIMIT + _N_STEP
         text = " ".join([self._words("N", self._number), *words])
-        return f"{text} ; {comment}" if comment else f"{text}{self._end}"
+        return f"{text} ; {nc_comment(comment)}" if comment else f"{text}{self._end}"

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from threadline.errors import PlanError
-from threadline.jobs.feeds import F_MODES
+from threadline.jobs.feed_times import feed_time_s
+from threadline.jobs.gcode.f_words import F_MODES
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Stop, ToolEvent
 from threadline.machine import Machine
 from threadline.path import programmed_path
-from threadline.path.feeds import feed_time_s
 from threadline.targets import nc_numbers as numbers
 
 

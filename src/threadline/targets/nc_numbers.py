@@ -7,7 +7,7 @@ from collections.abc import Callable
 from fractions import Fraction
 
 from threadline.errors import PlanError
-from threadline.jobs.words import MAX_DECIMALS, ONE, exact
+from threadline.jobs.gcode.words import MAX_DECIMALS, ONE, exact
 
 
 def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float]) -> int:

@@ -45,7 +45,7 @@ def planned_job(
     linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
     return replace(
         job,
-        operations=Stream(lambda: _operations(job, trajectory, radius, order, linear, tolerance_m)),
+        operations=Stream(_operations, job, trajectory, radius, order, linear, tolerance_m),
     )
 
 

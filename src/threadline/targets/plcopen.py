@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET  # written only, never parsed
 from pathlib import Path
 
 from threadline import __version__
+from threadline.escaping import plain
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
 from threadline.targets.schedule import Scheduled
@@ -44,7 +45,7 @@ def plcopen_xml(scheduled: Scheduled, created: str = EPOCH) -> bytes:
             "creationDateTime": created,
         },
     )
-    content = ET.SubElement(project, "contentHeader", {"name": scheduled.job.name})
+    content = ET.SubElement(project, "contentHeader", {"name": plain(scheduled.job.name)})
     coordinates = ET.SubElement(content, "coordinateInfo")
     for language in ("fbd", "ld", "sfc"):
         ET.SubElement(ET.SubElement(coordinates, language), "scaling", {"x": "1", "y": "1"})
@@ -67,7 +68,7 @@ def _pou(parent: ET.Element, pou: Pou) -> None:
     body = ET.SubElement(ET.SubElement(element, "body"), "ST")
     ET.SubElement(body, "xhtml:p").text = "\n".join(pou.body) + "\n"
     documentation = ET.SubElement(element, "documentation")
-    ET.SubElement(documentation, "xhtml:p").text = " ".join(pou.notes)
+    ET.SubElement(documentation, "xhtml:p").text = plain(" ".join(pou.notes))
 
 
 def _variables(parent: ET.Element, block: Block) -> None:
@@ -89,7 +90,7 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
         ET.SubElement(initial, "simpleValue", {"value": variable.initial})
     if variable.note:
         documentation = ET.SubElement(element, "documentation")
-        ET.SubElement(documentation, "xhtml:p").text = variable.note
+        ET.SubElement(documentation, "xhtml:p").text = plain(variable.note)
 
 
 def _instances(project: ET.Element, program: PlcProgram) -> None:

@@ -7,19 +7,29 @@ the input is there. What follows a wait therefore begins one tick later.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from threadline.arrays import IntArray
-from threadline.errors import BudgetError, Place, PlanError
+from threadline.errors import BudgetError, OptionError, Place, PlanError
 from threadline.jobs.moves import STEP_EVENT
 from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source, ToolEvent, WaitInput
 from threadline.machine import Machine
 from threadline.signals import Clock, Event, SwitchSchedule
-from threadline.targets.schedule_moves import AxisShaping, Levels, move_levels, open_flows
+from threadline.targets.schedule_moves import (
+    AxisShaping,
+    Levels,
+    move_levels,
+    open_flows,
+    written_levels,
+)
+from threadline.targets.schedule_options import shaping_of
 
+ON_OFF = "on-off"
+"""Stands where other plans have an interpolation."""
 REST_LAGS = 4.0
 """So many lags after the last switching a cylinder has come to rest within 2 %."""
 
@@ -74,6 +84,50 @@ class Scheduled:
     wait_timeouts_s: tuple[float, ...]
     warnings: tuple[str, ...] = ()
     shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the cylinders, in the order of all columns."""
+        return self.job.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Of the schedule, s; inputs that come late make a cycle longer."""
+        return self.commands.duration_ticks * float(self.commands.clock.period_s)
+
+    @property
+    def historical(self) -> bool:
+        """Never: its limits are those of its valves, and they hold always."""
+        return False
+
+    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return what stands where other plans have an interpolation."""
+        return ON_OFF
+
+    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return how it was planned, for people."""
+        return "switched"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return how each cylinder is shaped, where a shaper was asked for."""
+        if "shaper" not in options:
+            return {}
+        return {
+            "shaping": {
+                axis: {
+                    "shaper": shaping.shaper.name,
+                    "modes": [
+                        {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio}
+                        for m in shaping.modes
+                    ],
+                }
+                for axis, shaping in self.shaping.items()
+            }
+        }
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
+        """Return the line of each operation, 0 where it has none."""
+        return {i: o.source.line for i, o in enumerate(job) if i in operations}
 
 
 def compile_schedule(
@@ -152,21 +206,27 @@ class _Builder:
                 )
                 self.timeouts.append(timeout)
                 self.tick += 1
-            case Move(target=target, source=source):
-                self._move(index, target, source)
+            case Move(target=target, source=source, tags=tags):
+                self._move(index, target, source, tags)
             case _:
                 raise PlanError(
                     f"operation {index}: an on/off machine does no {type(operation).__name__}"
                 )
 
-    def _move(self, index: int, target: tuple[float, ...], source: Source) -> None:
+    def _move(
+        self,
+        index: int,
+        target: tuple[float, ...],
+        source: Source,
+        how: Mapping[str, float | str],
+    ) -> None:
         self._check_air(source)
         ends = [self.tick + 1]
         for axis, to in zip(self.job.axes, target, strict=True):
             distance = to - self.position[axis]
             self.position[axis] = to
             if abs(distance) > 1e-9:
-                ends.append(self._stroke(index, axis, distance, source))
+                ends.append(self._stroke(index, axis, distance, source, how))
         self.tick = max(ends)
 
     def _check_air(self, source: Source) -> None:
@@ -197,10 +257,17 @@ class _Builder:
                 remedy="Wait for another input, or move there first.",
             )
 
-    def _stroke(self, index: int, axis: str, distance: float, source: Source) -> int:
+    def _stroke(
+        self,
+        index: int,
+        axis: str,
+        distance: float,
+        source: Source,
+        how: Mapping[str, float | str],
+    ) -> int:
         cylinder = self.machine.cylinders[axis]
         way = cylinder.way(distance > 0)
-        levels = self._levels(axis, distance, source)
+        levels = self._levels(axis, distance, source, how)
         for tick, level in zip(levels.ticks, levels.levels, strict=True):
             chosen = open_flows(level, way, self.machine, source.place)
             state = {way.valve: 1} | {flow: int(flow in chosen) for flow in way.flows}
@@ -234,15 +301,28 @@ class _Builder:
         assert levels.speed_m_s > 0
         return levels.speed_m_s * levels.wanted_m / levels.commanded_m
 
-    def _levels(self, axis: str, distance: float, source: Source) -> Levels:
-        """Return levels whose valves can follow; impulses move apart only where they must."""
+    def _levels(
+        self, axis: str, distance: float, source: Source, how: Mapping[str, float | str]
+    ) -> Levels:
+        """Return levels whose valves can follow; impulses move apart only where they must.
+
+        What the move list says of the move itself comes before the shaping of its cylinder.
+        """
         cylinder = self.machine.cylinders[axis]
         assert self.machine.plc is not None
         tick_s, need = float(self.clock.period_s), self.machine.plc.dwell.si
         way, shaping = cylinder.way(distance > 0), self.shaping.get(axis)
+        if "shaper" in how:
+            shaping = _shaping_of(self.machine, str(how["shaper"]), source).get(axis)
         shortest: tuple[str, int] = ("", 0)
         for dwell_s in (0.0, need):
-            levels = move_levels(abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s)
+            if "levels" in how:
+                text = str(how["levels"])
+                levels = written_levels(
+                    text, abs(distance), cylinder.speed.si, tick_s, source.place
+                )
+            else:
+                levels = move_levels(abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s)
             chosen = [open_flows(v, way, self.machine, source.place) for v in levels.levels]
             shortest = min(
                 ((flow, _shortest(flow, chosen, levels.ticks)) for flow in way.flows),
@@ -297,6 +377,13 @@ class _Builder:
             warnings=tuple(self.warnings),
             shaping=self.shaping,
         )
+
+
+def _shaping_of(machine: Machine, text: str, source: Source) -> dict[str, AxisShaping]:
+    try:
+        return shaping_of(machine, text)
+    except OptionError as error:
+        raise PlanError(error.message, place=source.place, remedy=error.remedy) from error
 
 
 def _shortest(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, ...]) -> int:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from threadline.errors import Place, PlanError
+from threadline.errors import Place, PlanError, UnitError
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Way
 from threadline.shaping import (
@@ -17,6 +18,7 @@ from threadline.shaping import (
     Shaper,
     realise,
 )
+from threadline.units import parse_quantity
 
 _LEAST_TOLERANCE = 0.005
 """Levels closer than this are one: no flow control is set more exactly."""
@@ -118,6 +120,64 @@ def move_levels(
         commanded_m=on * tick_s * speed_m_s,
         speed_m_s=speed_m_s,
         realised=realised,
+    )
+
+
+def written_levels(
+    text: str, distance_m: float, speed_m_s: float, tick_s: float, place: Place
+) -> Levels:
+    """Return the levels that a move list writes out: ``"1 for 180 ms, 0 for 60 ms, ..."``.
+
+    Raises
+    ------
+    PlanError
+        If they cannot be read, are no whole scans, or cover another distance by a scan or more.
+    """
+    example = 'Write it like levels = "1 for 180 ms, 0 for 60 ms, 1 for 290 ms".'
+    ticks, levels, now = [], [], 0
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s+for\s+(.+?)\s*", part)
+        if match is None:
+            raise PlanError(
+                f"levels: {part.strip()[:40]!r} is no level for a time", place=place, remedy=example
+            )
+        try:
+            span_s = parse_quantity(match[2], "s")
+        except UnitError as error:
+            raise PlanError(f"levels: {error.message}", place=place, remedy=example) from error
+        scans = round(span_s / tick_s)
+        if scans < 1 or abs(span_s - scans * tick_s) > 1e-6 * tick_s:
+            raise PlanError(
+                f"levels: {match[2]} is no whole number of scans of {tick_s * 1e3:g} ms",
+                place=place,
+                remedy="The valves switch on the scan of the PLC.",
+            )
+        ticks.append(now)
+        levels.append(float(match[1]))
+        now += scans
+    commanded_m = float(np.dot(np.diff([*ticks, now]), levels)) * tick_s * speed_m_s
+    if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
+        raise PlanError(
+            f"levels cover {commanded_m * 1e3:.2f} mm of {distance_m * 1e3:.2f} mm",
+            place=place,
+            remedy="Level times duration must add up to distance over speed.",
+        )
+    return Levels(
+        ticks=(*ticks, now),
+        levels=(*levels, 0.0),
+        wanted_m=distance_m,
+        commanded_m=commanded_m,
+        speed_m_s=speed_m_s,
+        realised=None,
+    )
+
+
+def levels_text(levels: Levels, tick_s: float) -> str:
+    """Return levels as a move list writes them out."""
+    spans = np.diff(levels.ticks)
+    return ", ".join(
+        f"{level:.6g} for {span * tick_s * 1e3:.9g} ms"
+        for level, span in zip(levels.levels, spans.tolist(), strict=False)
     )
 
 

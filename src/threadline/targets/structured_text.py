@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.errors import PlanError
+from threadline.escaping import st_comment
 from threadline.machine import Machine
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.plc_names import Names
@@ -18,6 +19,7 @@ from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
 from threadline.targets.schedule import Scheduled
 from threadline.targets.schedule_moves import shaping_words
 from threadline.targets.structured_text_body import Words, body_lines
+from threadline.writing import together
 
 _INTERNAL = (
     "place", "origin", "elapsed", "late", "allowed", "start_before", "cycle_timer", "scan_timer",
@@ -154,7 +156,7 @@ def _main(machine: Machine, words: Words, block_name: str, name: str) -> Pou:
 
 def pou_text(pou: Pou) -> list[str]:
     """Return the lines of one program unit."""
-    lines = [f"{pou.kind} {pou.name}", *(f"(* {note} *)" for note in pou.notes)]
+    lines = [f"{pou.kind} {pou.name}", *(f"(* {st_comment(note)} *)" for note in pou.notes)]
     for block in pou.blocks:
         lines.append(block.kind)
         lines += [f"  {_declaration(variable)}" for variable in block.variables]
@@ -165,7 +167,7 @@ def pou_text(pou: Pou) -> list[str]:
 def _declaration(variable: Variable) -> str:
     at = f" AT {variable.address}" if variable.address else ""
     initial = f" := {variable.initial}" if variable.initial else ""
-    note = f" (* {variable.note} *)" if variable.note else ""
+    note = f" (* {st_comment(variable.note)} *)" if variable.note else ""
     return f"{variable.name}{at} : {variable.type}{initial};{note}"
 
 
@@ -206,7 +208,8 @@ def write_structured_text(scheduled: Scheduled, path: Path) -> list[Written]:
     """Write the units to ``path`` and the configuration beside it, ``NAME.configuration.st``."""
     text = structured_text(scheduled)
     beside = path.with_name(f"{path.stem}.configuration.st")
-    for file, content in ((path, text.units), (beside, text.configuration)):
-        with atomic_file(file) as stream:
-            stream.write(content.encode("ascii"))
-    return [written(path, scheduled.warnings), written(beside)]
+    with together():
+        for file, content in ((path, text.units), (beside, text.configuration)):
+            with atomic_file(file) as stream:
+                stream.write(content.encode("ascii"))
+        return [written(path, scheduled.warnings), written(beside)]

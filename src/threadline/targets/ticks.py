@@ -72,7 +72,7 @@ def compile_ticks(
         axes=machine.axis_names,
         counts_per_unit=machine.counts_per_unit,
         start_counts=_Scale.of(trajectory, machine).counts(_start(trajectory, job)[None])[0],
-        blocks=Stream(lambda: _blocks(trajectory, machine, job, rows)),
+        blocks=Stream(_blocks, trajectory, machine, job, rows),
         job_sha256="" if job is None else job.sha256,
         machine_sha256=machine.sha256,
     )

@@ -1,19 +1,24 @@
 """Planned path + limits -> time, and the dense check of every limit."""
 
 from threadline.trajectory.averaged import averaged_trajectory, held_trajectory
+from threadline.trajectory.budget import check_budget
 from threadline.trajectory.limits import Peak, check_limits, limit_peaks
-from threadline.trajectory.plan import plan_trajectory
+from threadline.trajectory.plan import Pace, plan_trajectory
 from threadline.trajectory.reading import TrajectoryReader
+from threadline.trajectory.retime import retime
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 __all__ = [
+    "Pace",
     "Peak",
     "Trajectory",
     "TrajectoryBlock",
     "TrajectoryReader",
     "averaged_trajectory",
+    "check_budget",
     "check_limits",
     "held_trajectory",
     "limit_peaks",
     "plan_trajectory",
+    "retime",
 ]

@@ -66,7 +66,7 @@ def held_trajectory(
     return Trajectory(
         axes=trajectory.axes,
         historical=trajectory.historical,
-        blocks=Stream(lambda: _held(trajectory, job, width_s, before_s, after_s)),
+        blocks=Stream(_held, trajectory, job, width_s, before_s, after_s),
     )
 
 
@@ -89,7 +89,7 @@ def averaged_trajectory(held: Trajectory, width_s: float) -> Trajectory:
     if held.duration_s / step_s <= _KEPT:
         # A short motion is worked out once and kept: it will be read many times.
         return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, step_s))))
-    return Trajectory(axes=held.axes, blocks=Stream(lambda: _averaged(held, step_s)))
+    return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, step_s))
 
 
 def _rests(job: Job) -> Iterator[int]:

@@ -4,40 +4,94 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
+from enum import StrEnum
 
-from threadline.errors import BudgetError
+import numpy as np
+
+from threadline.errors import BudgetError, OptionError
+from threadline.laws import Law
 from threadline.machine import Machine
+from threadline.path.plan import CHORDS, on_chords
 from threadline.path.types import PieceBlock, PlannedPath, Timing
 from threadline.signals import Stream
+from threadline.trajectory.as_programmed import as_programmed
+from threadline.trajectory.by_law import breaks_jerk, by_law
 from threadline.trajectory.follow import followed_blocks
+from threadline.trajectory.optimal.blocks import fastest_blocks
 from threadline.trajectory.timed import smoothed_blocks, timed_blocks
 from threadline.trajectory.types import Trajectory
 
 
-def plan_trajectory(path: PlannedPath, machine: Machine) -> Trajectory:
+class Pace(StrEnum):
+    """How the time along a path is chosen."""
+
+    LIMITED = "limited"  # as fast as the limits and the feed allow
+    PROGRAMMED = "programmed"  # every programmed time exactly, for a smoothing in time afterwards
+    LAW = "law"  # every chord from rest to rest by a motion law, as fast as limits and feed allow
+
+
+def plan_trajectory(
+    path: PlannedPath, machine: Machine, pace: Pace = Pace.LIMITED, law: Law | None = None
+) -> Trajectory:
     """Return the axis positions over time.
 
     A path whose pieces have their times keeps them, smoothed where the path leaves room for it
     (``smoothing_m``) because its acceleration steps; the shape of any other is followed as fast
-    as the limits of ``machine`` and the programmed feed allow.
+    as the limits of ``machine`` and the programmed feed allow, or at its programmed times.
+
+    Parameters
+    ----------
+    path
+        What is to be followed.
+    machine
+        Its limits.
+    pace
+        ``PROGRAMMED`` of chords keeps every programmed time; their velocity steps, so that the
+        trajectory is historical until it is smoothed. ``LAW`` makes every chord a move from rest
+        to rest; it is historical where its jerk is infinite and an axis limits it.
+    law
+        What ``LAW`` follows.
 
     Raises
     ------
+    OptionError
+        If a curved path is to keep programmed times or to follow a law, or the law goes back.
     BudgetError
         While the trajectory is read: if the programmed feeds and dwells alone take more ticks
         than the machine file allows. It comes before any sample of the pieces that are too long.
     """
-    path = replace(path, blocks=Stream(partial(_within_budget, path, machine)))
+    if pace is Pace.LAW:
+        if not on_chords(path.interpolation) or law is None:
+            raise OptionError(
+                f"a motion law is followed along chords, not along {path.interpolation}",
+                remedy="Take chord_path, and name the law.",
+            )
+        path = replace(
+            path,
+            blocks=Stream(by_law, path, machine, law),
+            timing=Timing.TIME,
+            historical=breaks_jerk(law, path.axes, machine),
+        )
+    if pace is Pace.PROGRAMMED and path.timing is Timing.GEOMETRIC:
+        if path.interpolation != CHORDS:
+            raise OptionError(
+                f"only chords keep their programmed times, not {path.interpolation}",
+                remedy="Take chord_path.",
+            )
+        timed = Stream(as_programmed, path, machine)
+        path = replace(path, blocks=timed, timing=Timing.TIME, historical=True)
+    path = replace(path, blocks=Stream(_within_budget, path, machine))
     if path.timing is Timing.TIME and path.smoothing_m > 0:
-        return Trajectory(axes=path.axes, blocks=Stream(lambda: smoothed_blocks(path, machine)))
+        return Trajectory(axes=path.axes, blocks=Stream(smoothed_blocks, path, machine))
     if path.timing is Timing.TIME:
         return Trajectory(
             axes=path.axes,
             historical=path.historical,
-            blocks=Stream(lambda: timed_blocks(path)),
+            blocks=Stream(timed_blocks, path),
         )
-    return Trajectory(axes=path.axes, blocks=Stream(lambda: followed_blocks(path, machine)))
+    if path.timing is Timing.FASTEST:
+        return Trajectory(axes=path.axes, blocks=Stream(fastest_blocks, path, machine))
+    return Trajectory(axes=path.axes, blocks=Stream(followed_blocks, path, machine))
 
 
 def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
@@ -45,12 +99,20 @@ def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
     period_s = float(machine.tick_clock.period_s)
     budget = machine.tick_budget.si
     least_s = 0.0
+    # A geometric piece takes as long as its slowest axis takes over the way between its ends.
+    fastest = np.array([machine.axes[axis].velocity.si for axis in path.axes])
+    bound = path.timing is not Timing.TIME
     for block in path:
-        least_s += float(block.nominal_s.sum() + block.dwell_s.sum())
+        moved_s = block.nominal_s
+        if bound:
+            way = np.abs(block.coefficients[:, 1:].sum(axis=1))
+            moved_s = np.maximum(moved_s, (way / fastest).max(axis=1))
+        least_s += float(moved_s.sum() + block.dwell_s.sum())
         if least_s / period_s > budget:
             raise BudgetError(
                 f"the job needs more than {least_s / period_s:.3g} ticks of {period_s * 1e3:g} ms "
-                f"at its feeds, the machine file allows {budget:.3g}",
-                remedy="Raise the feed, shorten the job, or raise tick_budget in the machine file.",
+                f"at its feeds and velocity limits, the machine file allows {budget:.3g}",
+                remedy="Raise the feed or the limits, shorten the job, or raise tick_budget in the "
+                "machine file.",
             )
         yield block

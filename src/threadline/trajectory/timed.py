@@ -48,11 +48,13 @@ def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
                 if smoother is None:
                     smoother = Smoother(smoothing, part.coefficients[0, 0], int(part.operation[0]))
                 count = max(0, int(np.ceil((block.end_s - phase) / smoothing.step_s)))
-                times = np.asarray(phase + np.arange(count) * smoothing.step_s, dtype=np.float64)
-                which = np.searchsorted(block.start_s, times, side="right") - 1
-                fresh = smoother.extend(block.evaluate(times), block.operation[which])
-                yield from _placed(fresh, now, done, smoothing.step_s)
-                done += len(fresh[0])
+                for begin in range(0, count, SAMPLES):  # a slow piece has millions of them
+                    some = np.arange(begin, min(begin + SAMPLES, count))
+                    times = np.asarray(phase + some * smoothing.step_s, dtype=np.float64)
+                    which = np.searchsorted(block.start_s, times, side="right") - 1
+                    fresh = smoother.extend(block.evaluate(times), block.operation[which])
+                    yield from _placed(fresh, now, done, smoothing.step_s)
+                    done += len(fresh[0])
                 phase += count * smoothing.step_s - block.end_s
             if not pieces.rest_after[stop - 1]:
                 continue

@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray, read_only, read_only_int
+from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.signals import Stream
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TrajectoryBlock:
+class TrajectoryBlock(Locked):
     """A run of consecutive polynomial pieces in time.
 
     Parameters

@@ -1,6 +1,7 @@
 """Tick-exact simulation: commands and machine in, recording out; batches of variants."""
 
 from threadline.twin.batch import BatchResult, simulate_batch
+from threadline.twin.session import Session
 from threadline.twin.simulate import simulate
 
-__all__ = ["BatchResult", "simulate", "simulate_batch"]
+__all__ = ["BatchResult", "Session", "simulate", "simulate_batch"]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from math import ceil
 from os import cpu_count
 
@@ -14,19 +12,12 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
-from threadline.plant.network import piecewise_linear
 from threadline.plant.values import Values
 from threadline.signals import TickTable
-from threadline.twin.lanes import EVENTS, SLOW
-from threadline.twin.prepare import Prepared, State, new_state, prepare
-from threadline.twin.shape import AXIS_ROWS, Layout
-from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands, encoder_phases
+from threadline.twin.channels import encoder_phases
+from threadline.twin.kernel import NEVER, Engine, Reading, Run, Signal
+from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands
 
-_CACHE_BYTES = 16_000
-"""What a block of variants may take: it should stay in the fastest memory."""
-_WIDTH = 8
-_WORST, _LOWEST, _HIGHEST, _LAST, _ = range(len(AXIS_ROWS))
-_NEVER = 1 << 62
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 16
 _MOST_BYTES = 1 << 27
@@ -123,28 +114,25 @@ def simulate_batch(
     count, phases = _phases(machine, values, encoder_phase)
     if values.count != count:
         values = Values(machine, values.replaced, count)
-    batch = _Batch(
-        commands,
-        machine,
-        settle_s,
-        window_s,
-        channels,
-        record_every,
-        watch_current,
-        quantised,
-    )
-    with ThreadPoolExecutor(threads or cpu_count() or 1) as pool:
-        workers = threads or cpu_count() or 1
-        parts = [
-            batch.run(
-                values.slice(at, at + _AT_ONCE),
-                phases[at : at + _AT_ONCE],
-                pool,
-                workers,
-            )
-            for at in range(0, count, _AT_ONCE)
+    parts, order = [], []
+    for sharing, places in values.by_delay():
+        batch = _Batch(
+            commands,
+            sharing.machine,
+            settle_s,
+            window_s,
+            channels,
+            record_every,
+            watch_current,
+            quantised,
+            threads or cpu_count() or 1,
+        )
+        parts += [
+            batch.run(sharing.slice(at, at + _AT_ONCE), phases[places[at : at + _AT_ONCE]])
+            for at in range(0, sharing.count, _AT_ONCE)
         ]
-    return _joined(parts)
+        order.append(places)
+    return _joined(parts, np.argsort(np.concatenate(order)))
 
 
 def _phases(
@@ -177,88 +165,31 @@ class _Batch:
     every: int
     watch_current: bool
     quantised: bool
+    threads: int
 
-    def run(
-        self, values: Values, phases: FloatArray, pool: ThreadPoolExecutor, workers: int
-    ) -> BatchResult:
-        machine = self.machine
-        start_si = self.commands.start_counts / self.commands.counts_per_unit
-        pieces = tuple(
-            prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
-        )
-        wanted = self._columns(pieces)
-        owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
-        peak = self.watch_current or any(".current" in c for c in self.channels)
-        states = []
-        for piece in pieces:
-            at = [owner.get(c) for c in piece.piece.group.controllers]
-            phase = np.stack(
-                [np.full(values.count, 0.5) if i is None else phases[:, i] for i in at],
-                1,
-            )
-            states.append(
-                new_state(
-                    machine, piece, phase, *_lanes(piece, values.count, peak, self.quantised),
-                    peak=peak, quantised=self.quantised,
-                )
-            )  # fmt: skip
+    def run(self, values: Values, phases: FloatArray) -> BatchResult:
+        commands, machine = self.commands, self.machine
+        engine = Engine(machine, values, commands.start_counts / commands.counts_per_unit)
+        wanted = self._wanted(engine)
         tick_s = float(machine.tick_clock.period_s)
-        window = _NEVER if self.window_s is None else ceil(self.window_s / tick_s)
+        window = NEVER if self.window_s is None else ceil(self.window_s / tick_s)
         kept: dict[str, list[FloatArray]] = {name: [] for name in self.channels}
-        ticks = 0
-        for position in self._positions(self._rows_at_once(states, wanted)):
-            count = self._run_rows(states, position, ticks, window, pool, workers, wanted, kept)
-            ticks += count
-        return self._result(states, values.count, ticks, kept)
+        peak = self.watch_current or any(".current" in c for c in self.channels)
+        started = engine.start(
+            phases, watch_current=peak, quantised=self.quantised, threads=self.threads
+        )
+        with started as run:
+            readings = {reading for reading, _, _ in wanted.values()}
+            for travelled in self._positions(self._rows_at_once(run, readings)):
+                read = run.advance(travelled, readings, every=self.every, window=window)
+                for name, (reading, scale, offset) in wanted.items():
+                    kept[name].append(offset + scale * read[reading])
+        return self._result(run, kept)
 
-    def _run_rows(
-        self,
-        states: list[State],
-        position: IntArray,
-        tick: int,
-        window: int,
-        pool: ThreadPoolExecutor,
-        workers: int,
-        wanted: list[list[tuple[str, int, float, float]]],
-        kept: dict[str, list[FloatArray]],
-    ) -> int:
-        samples = -(-(tick + len(position)) // self.every) - -(-tick // self.every)
-        for state, columns in zip(states, wanted, strict=True):
-            prepared, blocks = state.prepared, len(state.clock)
-            references = np.zeros((len(position), len(state.shape.controllers)))
-            names = self.machine.axis_names
-            for axis, controller in zip(
-                prepared.piece.group.axes, prepared.axis_controller, strict=True
-            ):
-                references[:, controller] = position[:, names.index(axis)]
-            shape = (blocks, samples if columns else 0, prepared.columns, state.shape.lanes)
-            records = np.zeros(shape)
-            # More parts than cores: a core that others use too must not keep the rest waiting.
-            cuts = np.linspace(0, blocks, 8 * workers + 1).astype(int)
-            jobs = [
-                pool.submit(
-                    state.run, a, b, references, self.every * bool(columns), window, records
-                )
-                for a, b in pairwise(cuts)
-                if a < b
-            ]
-            for job in jobs:
-                job.result()
-            for name, column, scale, offset in columns:
-                part = records[:, :, column].transpose(1, 0, 2).reshape(samples, -1)
-                kept[name].append(offset + scale * part)
-        return len(position)
-
-    def _rows_at_once(
-        self, states: list[State], wanted: list[list[tuple[str, int, float, float]]]
-    ) -> int:
-        rows = _MOST_ROWS
-        for state, columns in zip(states, wanted, strict=True):
-            if columns:
-                lanes = len(state.clock) * state.shape.lanes
-                samples = max(1, _MOST_BYTES // (8 * state.prepared.columns * lanes))
-                rows = min(rows, samples * self.every)
-        return rows
+    def _rows_at_once(self, run: Run, readings: set[Reading]) -> int:
+        if not readings:
+            return _MOST_ROWS
+        return min(_MOST_ROWS, max(1, _MOST_BYTES // run.sample_bytes(readings)) * self.every)
 
     def _positions(self, most: int) -> Iterator[IntArray]:
         """Yield (n, axes) commanded counts from the start, n at most, at the ticks' instants."""
@@ -274,85 +205,61 @@ class _Batch:
             yield np.broadcast_to(position, (count, len(position)))
             left -= count
 
-    def _columns(self, pieces: tuple[Prepared, ...]) -> list[list[tuple[str, int, float, float]]]:
-        """Return, per piece, the channels asked for: name, column of the kernel, scale, offset."""
-        found, known = [], []
-        for piece in pieces:
-            group = piece.piece.group
-            loads = 2 * len(group.controllers)
-            currents = loads + 2 * len(group.axes)
-            offers = {}
-            for index, name in enumerate(group.axes):
-                scale = self.machine.axes[name].counts.si
-                start = self.commands.start_counts[self.machine.axis_names.index(name)] / scale
-                controller = int(piece.axis_controller[index])
-                drive = int(piece.control.drive[controller])
-                offers[f"{name}.measured"] = (2 * controller, 1.0 / scale, start)
-                offers[f"{name}.voltage"] = (2 * controller + 1, 1.0, 0.0)
-                offers[f"{name}.load"] = (loads + 2 * index, 1.0, start)
-                offers[f"{name}.current"] = (currents + 2 * drive, 1.0, 0.0)
-                offers[f"{name}.current_peak"] = (currents + 2 * drive + 1, 1.0, 0.0)
-            found.append([(c, *offers[c]) for c in self.channels if c in offers])
-            known += list(offers)
+    def _wanted(self, engine: Engine) -> dict[str, tuple[Reading, float, float]]:
+        """Return what to read for each channel asked for, its scale and offset."""
+        offers: dict[str, tuple[Reading, float, float]] = {}
+        known = set(engine.readings())
+        for at, (name, axis) in enumerate(self.machine.axes.items()):
+            scale = axis.counts.si
+            start = float(self.commands.start_counts[at] / scale)
+            for channel, signal, factor, offset in (
+                ("measured", Signal.READ, 1.0 / scale, start),
+                ("voltage", Signal.VOLTS, 1.0, 0.0),
+                ("load", Signal.LOAD, 1.0, start),
+                ("current", Signal.CURRENT, 1.0, 0.0),
+                ("current_peak", Signal.CURRENT_PEAK, 1.0, 0.0),
+            ):
+                if Reading(signal, name) in known:
+                    offers[f"{name}.{channel}"] = (Reading(signal, name), factor, offset)
         for channel in self.channels:
-            if channel not in known:
+            if channel not in offers:
                 raise OptionError(
-                    f"no channel {channel!r}", remedy=f"There are {', '.join(known)}."
+                    f"no channel {channel!r}", remedy=f"There are {', '.join(offers)}."
                 )
-        return found
+        return {channel: offers[channel] for channel in self.channels}
 
-    def _result(
-        self,
-        states: list[State],
-        count: int,
-        ticks: int,
-        kept: dict[str, list[FloatArray]],
-    ) -> BatchResult:
-        names = self.machine.axis_names
-        table = np.zeros((count, len(names), len(AXIS_ROWS)))
-        peak = np.zeros((count, len(names)))
-        for state in states:
-            group = state.prepared.piece.group
-            measures, peaks = state.measures()[:count], state.peaks()[:count]
-            if state.failure() or not np.isfinite(measures[:, :, _WORST]).all():
-                raise MachineError(
-                    f"axes {', '.join(group.axes)}: a variant has no answer: its motion grows "
-                    "without bound, or its modes change without end",
-                    remedy="Keep the variants nearer to the machine.",
-                )
-            for index, name in enumerate(group.axes):
-                at = names.index(name)
-                start = self.commands.start_counts[at] / self.commands.counts_per_unit[at]
-                table[:, at] = measures[:, index]
-                table[:, at, [_LOWEST, _HIGHEST, _LAST]] += start
-                drive = int(state.prepared.control.drive[state.prepared.axis_controller[index]])
-                peak[:, at] = peaks[:, drive]
+    def _result(self, run: Run, kept: dict[str, list[FloatArray]]) -> BatchResult:
+        names, commands = self.machine.axis_names, self.commands
+        measures, failure = run.measures(), run.failure()
+        answered = np.isfinite(measures.worst)
+        if failure is not None or not answered.all():
+            axes = failure[0] if failure else [names[i] for i in np.flatnonzero(~answered.all(0))]
+            raise MachineError(
+                f"axes {', '.join(axes)}: a variant has no answer: its motion grows "
+                "without bound, or its modes change without end",
+                remedy="Keep the variants nearer to the machine.",
+            )
+        start = commands.start_counts / commands.counts_per_unit
+        windowed, peak = self.window_s is not None, self.watch_current and not self.channels
         return BatchResult(
             axes=names,
-            worst_error=table[:, :, _WORST],
-            end=table[:, :, _LAST],
-            lowest=None if self.window_s is None else table[:, :, _LOWEST],
-            highest=None if self.window_s is None else table[:, :, _HIGHEST],
-            current_peak=peak if self.watch_current and not self.channels else None,
-            ticks=ticks,
-            slow_ticks=sum(int(s.counts[:, SLOW].sum()) for s in states),
-            events=sum(int(s.counts[:, EVENTS].sum()) for s in states),
-            samples={name: np.concatenate(parts)[:, :count] for name, parts in kept.items()},
+            worst_error=measures.worst,
+            end=measures.last + start,
+            lowest=measures.lowest + start if windowed else None,
+            highest=measures.highest + start if windowed else None,
+            current_peak=measures.current_peak if peak else None,
+            ticks=run.tick,
+            slow_ticks=run.slow_ticks,
+            events=run.events,
+            samples={name: np.concatenate(parts) for name, parts in kept.items()},
         )
 
 
-def _lanes(prepared: Prepared, variants: int, peak: bool, quantised: bool) -> tuple[int, int]:
-    """Return how many variants in a block, what fits the fastest memory, and in a vector."""
-    if variants < _WIDTH:
-        return 1, 1
-    rows = Layout(prepared.shape(1, 1, peak=peak, quantised=quantised)).rows
-    fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
-    return next(fitting, _WIDTH), _WIDTH
+def _joined(parts: list[BatchResult], order: IntArray) -> BatchResult:
+    """Return the parts as one, variant k of it being row ``order[k]`` of theirs."""
 
-
-def _joined(parts: list[BatchResult]) -> BatchResult:
     def rows(name: str) -> FloatArray:
-        return np.concatenate([getattr(part, name) for part in parts])
+        return np.concatenate([getattr(part, name) for part in parts])[order]
 
     def rows_if_kept(name: str) -> FloatArray | None:
         return None if getattr(parts[0], name) is None else rows(name)
@@ -368,7 +275,7 @@ def _joined(parts: list[BatchResult]) -> BatchResult:
         slow_ticks=sum(part.slow_ticks for part in parts),
         events=sum(part.events for part in parts),
         samples={
-            name: np.concatenate([part.samples[name] for part in parts], axis=1)
+            name: np.concatenate([part.samples[name] for part in parts], axis=1)[:, order]
             for name in parts[0].samples
         },
     )

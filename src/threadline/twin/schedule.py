@@ -12,7 +12,7 @@ from fractions import Fraction
 from itertools import groupby
 from math import gcd, lcm
 
-from threadline.arrays import IntArray, read_only_int
+from threadline.arrays import IntArray, Locked, read_only_int
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.parts import Group
@@ -26,7 +26,7 @@ _MAX_LENGTHS = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Schedule:
+class Schedule(Locked):
     """One hyperperiod as a list of steps: actions first, then the advance to the next instant.
 
     Parameters
@@ -79,7 +79,7 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
     for name in group.controllers:
         controller = machine.controllers[name]
         periods.append(machine.clock(controller.clock).period_s)
-        delay = machine.drives[controller.drive].delay
+        delay = machine.motors[controller.drive].delay
         exact = Fraction(0) if delay is None else delay.exact_s
         assert exact is not None
         delays.append(exact)

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
 from math import ceil
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.errors import MachineError, OptionError
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.plant.network import piecewise_linear
 from threadline.plant.values import Values
 from threadline.signals import (
-    Channel,
-    ChannelKind,
+    Ended,
     Event,
     Recording,
     RecordingBlock,
     Stream,
+    TickBlock,
     TickTable,
 )
-from threadline.twin.prepare import Prepared, State, new_state, prepare
+from threadline.twin.channels import encoder_phases, tick_channels
+from threadline.twin.kernel import Engine
+from threadline.twin.prescribed import simulate_prescribed
+from threadline.twin.session import Session
 
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
@@ -35,6 +39,7 @@ def simulate(
     record_every: int = 1,
     settle_s: float = DEFAULT_SETTLE_S,
     quantised: bool = True,
+    answers: Iterable[float] | None = None,
 ) -> Recording:
     """Simulate ``machine`` under ``commands``; nothing runs until the recording is read.
 
@@ -48,17 +53,25 @@ def simulate(
     ``X.current_peak``, the value of largest magnitude since the sample before. Then ``operation``
     and one channel for each input, 1 from the instant at which a switch has cut its drive.
 
+    A machine whose drives are told positions has other channels: see ``prescribed``.
+
     Parameters
     ----------
     encoder_phase
         (axes,) where between two counts each encoder stands at the start, in [0, 1); 0.5, the
-        middle, when None.
+        middle, when None. Of a stepper where in a full step.
     record_every
         Ticks from sample to sample.
     settle_s
         How long to go on after the last row.
     quantised
         False leaves out the rounding of encoders and DACs (not their limits): for comparisons.
+    answers
+        How long the operator, or what is waited for, keeps each stop and wait of the job, in
+        order: s, rounded up to ticks. The commands stand still so long and the plant goes on; the
+        recording tells of every stop, wait and resumption. When they run out the recording ends
+        at the next one, stopped, after ``settle_s``. None answers each at once: the machine rests
+        there as long as the plan has it.
 
     Raises
     ------
@@ -68,16 +81,26 @@ def simulate(
         If the commands are not for this machine, or an option is out of range.
     """
     check_commands(commands, machine, record_every, settle_s)
-    phases = encoder_phases(machine, encoder_phase)
-    values = Values.of(machine)
+    if machine.position_sources:
+        if answers is not None:
+            raise OptionError(
+                f"the drives of {machine.name} are told positions: how long the operator takes at "
+                "a stop is not simulated there"
+            )
+        phases = encoder_phases(machine, encoder_phase)
+        return simulate_prescribed(commands, machine, phases, record_every, settle_s)
     start_si = commands.start_counts / commands.counts_per_unit
-    pieces = tuple(
-        prepare(machine, piece, values) for piece in piecewise_linear(machine, values, start_si)
+    engine = Engine(machine, Values.of(machine), start_si)
+    options = _Options(
+        phases=encoder_phases(machine, encoder_phase),
+        record_every=record_every,
+        settle_s=settle_s,
+        quantised=quantised,
+        answers=answers,
     )
-    run = _Run(commands, machine, pieces, phases, record_every, settle_s, quantised)
     return Recording(
-        channels=run.channels(),
-        blocks=Stream(run.blocks),
+        channels=tick_channels(machine, record_every),
+        blocks=Stream(_blocks, engine, commands, options),
         job_sha256=commands.job_sha256,
         machine_sha256=machine.sha256,
         simulated=True,
@@ -107,159 +130,102 @@ def check_commands(
         raise OptionError(f"settle_s must lie in 0 ... 3600 s, got {settle_s}")
 
 
-class _Run:
-    """What the blocks of one recording share; every reading starts anew."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Options:
+    """How the machine is simulated."""
 
-    def __init__(
-        self,
-        commands: TickTable,
-        machine: Machine,
-        pieces: tuple[Prepared, ...],
-        phases: FloatArray,
-        every: int,
-        settle_s: float,
-        quantised: bool,
-    ) -> None:
-        self.commands, self.machine, self.pieces = commands, machine, pieces
-        self.phases = dict(zip(machine.axis_names, phases, strict=True))
-        self.every, self.quantised = every, quantised
-        self.settle_ticks = ceil(settle_s / float(machine.tick_clock.period_s))
-
-    def channels(self) -> tuple[Channel, ...]:
-        clock = self.machine.tick_clock
-        found = []
-
-        def add(name: str, kind: ChannelKind, unit: str, axis: str = "") -> None:
-            found.append(
-                Channel(
-                    name=name,
-                    kind=kind,
-                    unit=unit,
-                    clock=clock,
-                    axis=axis,
-                    stride=self.every,
-                )
-            )
-
-        for name, axis in self.machine.axes.items():
-            unit = "m" if axis.kind == "linear" else "rad"
-            add(f"{name}.commanded", ChannelKind.COMMANDED, unit, name)
-            add(f"{name}.measured", ChannelKind.MEASURED, unit, name)
-            add(f"{name}.load", ChannelKind.LOAD, unit, name)
-            if axis.frame is not None:
-                add(f"{name}.frame", ChannelKind.FRAME, unit, name)
-            add(f"{name}.voltage", ChannelKind.VOLTAGE, "V", name)
-            add(f"{name}.current", ChannelKind.CURRENT, "A", name)
-            add(f"{name}.current_peak", ChannelKind.CURRENT, "A", name)
-        add("operation", ChannelKind.OPERATION, "")
-        for name, switch in self.machine.inputs.items():
-            add(name, ChannelKind.INPUT, "", switch.axis)
-        return tuple(found)
-
-    def blocks(self) -> Iterator[RecordingBlock]:
-        states = [
-            new_state(self.machine, p, self._phases(p), 1, 1, quantised=self.quantised)
-            for p in self.pieces
-        ]
-        start = self.commands.start_counts
-        for tick, position, operation, events in self._rows():
-            columns = []
-            first = -(-tick // self.every)
-            count = -(-(tick + len(position)) // self.every) - first
-            for state in states:
-                columns.append(self._advance(state, position - start, count))
-            if not count:
-                continue
-            kept = slice(first * self.every - tick, None, self.every)
-            samples = self._samples(columns, position[kept])
-            samples["operation"] = operation[kept].astype(np.float64)
-            yield RecordingBlock(
-                first_tick={self.machine.tick_clock.name: first * self.every},
-                samples=samples,
-                events=events,
-            )
-
-    def _rows(self) -> Iterator[tuple[int, IntArray, IntArray, tuple[Event, ...]]]:
-        """Yield first tick, (n, axes) commanded counts at the ticks, operations and events."""
-        tick, last = 0, 0
-        position = self.commands.start_counts.copy()
-        for block in self.commands:
-            for at in range(0, len(block), _MOST_ROWS):
-                counts = block.counts[at : at + _MOST_ROWS]
-                operation = block.operation[at : at + _MOST_ROWS]
-                end = tick + len(counts)
-                after = position + np.cumsum(counts, axis=0)
-                rows = np.concatenate((position[None], after[:-1]))
-                events = tuple(e for e in block.events if tick <= e.tick < end)
-                yield tick, rows, operation, events
-                position, tick, last = after[-1], end, int(operation[-1])
-        # One more than the settling ticks: the instant at which the last of them ends.
-        left = self.settle_ticks + 1
-        while left:
-            count = min(left, _MOST_ROWS)
-            still = np.broadcast_to(position, (count, len(position)))
-            yield tick, still, np.full(count, last), ()
-            tick, left = tick + count, left - count
-
-    def _phases(self, piece: Prepared) -> FloatArray:
-        owner = {axis.controller: name for name, axis in self.machine.axes.items()}
-        names = [owner.get(c) for c in piece.piece.group.controllers]
-        return np.array([[0.5 if n is None else self.phases[n] for n in names]])
-
-    def _advance(self, state: State, travelled: IntArray, count: int) -> FloatArray:
-        group = state.prepared.piece.group
-        names = self.machine.axis_names
-        references = np.zeros((len(travelled), len(group.controllers)))
-        for axis, controller in zip(group.axes, state.prepared.axis_controller, strict=True):
-            references[:, controller] = travelled[:, names.index(axis)]
-        records = np.zeros((1, count, state.prepared.columns, 1))
-        state.run(0, 1, references, self.every, 0, records)
-        why = state.failure()
-        if why:
-            raise MachineError(
-                f"axes {', '.join(group.axes)}: the simulation has no answer, {why}",
-                remedy="Check stiffness, friction and gains in the machine file.",
-            )
-        return records[0, :, :, 0]
-
-    def _samples(self, columns: list[FloatArray], commanded: IntArray) -> dict[str, FloatArray]:
-        samples: dict[str, FloatArray] = {}
-        names = self.machine.axis_names
-        for piece, records in zip(self.pieces, columns, strict=True):
-            group = piece.piece.group
-            loads = 2 * len(group.controllers)
-            currents = loads + 2 * len(group.axes)
-            for index, name in enumerate(group.axes):
-                axis, at = self.machine.axes[name], names.index(name)
-                scale = axis.counts.si
-                start = int(self.commands.start_counts[at])
-                controller = int(piece.axis_controller[index])
-                drive = int(piece.control.drive[controller])
-                samples[f"{name}.commanded"] = commanded[:, at] / scale
-                samples[f"{name}.measured"] = (start + records[:, 2 * controller]) / scale
-                samples[f"{name}.load"] = start / scale + records[:, loads + 2 * index]
-                if axis.frame is not None:
-                    samples[f"{name}.frame"] = records[:, loads + 2 * index + 1]
-                samples[f"{name}.voltage"] = records[:, 2 * controller + 1]
-                samples[f"{name}.current"] = records[:, currents + 2 * drive]
-                samples[f"{name}.current_peak"] = records[:, currents + 2 * drive + 1]
-            for index, name in enumerate(group.inputs):
-                samples[name] = records[:, currents + 2 * len(group.drives) + index]
-        return samples
+    phases: FloatArray
+    record_every: int
+    settle_s: float
+    quantised: bool
+    answers: Iterable[float] | None
 
 
-def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
-    """Return the (axes,) encoder phases: where between two counts each encoder stands at rest.
+def _blocks(engine: Engine, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
+    """Run a session over the commands and its settling; every reading starts anew."""
+    machine = engine.machine
+    session = Session(
+        machine,
+        start_counts=commands.start_counts,
+        encoder_phase=options.phases,
+        record_every=options.record_every,
+        quantised=options.quantised,
+        engine=engine,
+    )
+    tick_s = float(machine.tick_clock.period_s)
+    owed: tuple[Event, ...] = ()
+    parts = _parts(session, commands, options.answers, tick_s)
+    # One more than the settling ticks: the instant at which the last of them ends.
+    settling = _pause(session, ceil(options.settle_s / tick_s) + 1)
+    for block in chain(parts, settling):
+        owed += block.events
+        if len(block.samples["operation"]):
+            yield replace(block, events=owed)
+            owed = ()
 
-    Raises
-    ------
-    OptionError
-        If a phase is outside [0, 1), or their number is not that of the axes.
-    """
-    count = len(machine.axes)
-    phases = np.full(count, 0.5) if phase is None else np.asarray(phase, dtype=np.float64)
-    if phases.shape != (count,):
-        raise OptionError(f"encoder_phase has shape {phases.shape}, expected {(count,)}")
-    if not ((phases >= 0.0) & (phases < 1.0)).all():
-        raise OptionError(f"encoder_phase must lie in [0, 1), got {phases.tolist()}")
-    return phases
+
+def _pause(session: Session, ticks: int) -> Iterator[RecordingBlock]:
+    """Let the plant go on while no rows are taken up."""
+    for at in range(0, ticks, _MOST_ROWS):
+        yield session.advance(ticks=min(_MOST_ROWS, ticks - at))
+
+
+def _parts(
+    session: Session, commands: TickTable, given: Iterable[float] | None, tick_s: float
+) -> Iterator[RecordingBlock]:
+    """Yield blocks of the commands, halted where they halt."""
+    answers = None if given is None else iter(given)
+    for block in _pieces(commands):
+        parts = [session.advance(block)]
+        while session.halted is not None:
+            delay_s = 0.0 if answers is None else next(answers, None)
+            if delay_s is None:
+                yield _joined(parts)
+                halted = f"{session.halted.kind} {session.halted.name}".strip()
+                session.finish(Ended.STOPPED, f"nobody answered the {halted}")
+                return
+            if not delay_s >= 0.0:
+                raise OptionError(f"answers must be delays of 0 s or more, got {delay_s}")
+            ticks = ceil(delay_s / tick_s)
+            if ticks:
+                yield _joined(parts)
+                yield from _pause(session, ticks)
+                parts = []
+            session.resume()
+            parts.append(session.advance())
+        yield _joined(parts)
+    session.finish()
+
+
+def _pieces(commands: TickTable) -> Iterator[TickBlock]:
+    """Yield the commands in blocks of a bounded size."""
+    for block in commands:
+        if len(block) <= _MOST_ROWS:
+            yield block
+            continue
+        for at in range(0, len(block), _MOST_ROWS):
+            rows = slice(at, at + _MOST_ROWS)
+            first, last = block.first_tick + at, rows.stop >= len(block)
+            yield TickBlock(
+                first_tick=first,
+                counts=block.counts[rows],
+                operation=block.operation[rows],
+                events=tuple(
+                    e for e in block.events
+                    if (not at or e.tick >= first) and (last or e.tick < first + _MOST_ROWS)
+                ),
+            )  # fmt: skip
+
+
+def _joined(parts: list[RecordingBlock]) -> RecordingBlock:
+    """Return one block of some that follow each other without a pause."""
+    if len(parts) == 1:
+        return parts[0]
+    return RecordingBlock(
+        first_tick=parts[0].first_tick,
+        samples={
+            name: np.concatenate([part.samples[name] for part in parts])
+            for name in parts[0].samples
+        },
+        events=tuple(event for part in parts for event in part.events),
+    )

@@ -8,10 +8,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError, RecordingError
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Cylinder
+from threadline.plant.values import Values
 from threadline.signals import (
     Channel,
     ChannelKind,
@@ -22,11 +23,27 @@ from threadline.signals import (
     Stream,
     SwitchSchedule,
 )
-from threadline.signals.clock import common_period_s
-from threadline.twin.switching_cylinder import CylinderTwin
+from threadline.twin.switching_cylinder import Cylinders, cylinders_of
+from threadline.twin.switching_run import (
+    CALMING,
+    NEVER,
+    PER_CYLINDER,
+    PHASE,
+    RUNNING,
+    STALLED,
+    WAIT,
+    Orders,
+    begin,
+    run,
+    units_of,
+)
 
 SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0
+_SAMPLES = 1 << 13
+"""In a block of a recording, unless a single scan has more."""
+_AT_ONCE = 128
+"""Variants whose tables are in memory together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +70,7 @@ class SwitchOptions:
 def simulate_switching(
     commands: SwitchSchedule, machine: Machine, options: SwitchOptions | None = None
 ) -> Recording:
-    """Return what happens when ``machine`` plays ``commands`` once.
+    """Return what happens when ``machine`` plays ``commands`` once; it runs as it is read.
 
     Channels, every millisecond: per cylinder the stroke (``X.load``), what the valves ask for
     (``X.commanded``), the level (``X.level``) and the frame (``X.frame``); every output and
@@ -61,8 +78,39 @@ def simulate_switching(
 
     Raises
     ------
+    MachineError
+        If a cylinder has no equations, or an instant no exact count.
     RecordingError
-        If an input does not come within a minute, or the schedule is not for this machine.
+        If the schedule is not for this machine; while it is read, if an input does not come
+        within a minute.
+    """
+    (recording,) = simulate_switchings(commands, machine, None, options)
+    return recording
+
+
+def simulate_switchings(
+    commands: SwitchSchedule,
+    machine: Machine,
+    variants: Mapping[str, FloatArray] | None,
+    options: SwitchOptions | None = None,
+) -> Iterator[Recording]:
+    """Yield what each variant of ``machine`` makes of ``commands``, in their order.
+
+    The tables of many variants are made together; each recording runs as it is read, and waits
+    for its own inputs. A variant does what a machine with its numbers does.
+
+    Parameters
+    ----------
+    variants
+        Path of a number of the machine file, such as ``"cylinders.X.delay"``, to its (V,) SI
+        values.
+
+    Raises
+    ------
+    OptionError
+        If a path does not exist, or lengths differ.
+    MachineError, RecordingError
+        As for one.
     """
     if commands.machine_sha256 != machine.sha256:
         raise RecordingError(
@@ -71,156 +119,172 @@ def simulate_switching(
     used = options or SwitchOptions()
     if used.after_s < 0.0:
         raise OptionError(f"after_s must not be negative, got {used.after_s!r}")
-    run = _Run(commands, machine, used)
-    block = run.block()
-    return Recording(
-        channels=run.channels,
-        blocks=Stream(lambda: _once(block)),
-        simulated=True,
-        machine_sha256=machine.sha256,
-        job_sha256=commands.job_sha256,
-    )
+    values = Values.of(machine, variants)
+    channels = tuple(_channels(commands, machine))
+    for first in range(0, values.count, _AT_ONCE):
+        part = values.slice(first, first + _AT_ONCE)
+        cylinders = cylinders_of(machine, tuple(machine.cylinders), part, float(SAMPLE_S))
+        for k in range(part.count):
+            orders = _orders(commands, machine, used, part.slice(k, k + 1))
+            yield Recording(
+                channels=channels,
+                blocks=Stream(_read, commands, channels, orders, cylinders, k, used),
+                simulated=True,
+                machine_sha256=machine.sha256,
+                job_sha256=commands.job_sha256,
+            )
 
 
-def _once(block: RecordingBlock) -> Iterator[RecordingBlock]:
-    yield block
+def _channels(commands: SwitchSchedule, machine: Machine) -> Iterator[Channel]:
+    clock = Clock("twin", SAMPLE_S)
+    for axis in machine.cylinders:
+        for name, kind, unit in (
+            ("load", ChannelKind.LOAD, "m"),
+            ("commanded", ChannelKind.COMMANDED, "m"),
+            ("level", ChannelKind.OUTPUT, ""),
+            ("frame", ChannelKind.FRAME, "m"),
+        ):
+            yield Channel(name=f"{axis}.{name}", kind=kind, unit=unit, clock=clock, axis=axis)
+    for contact in machine.contacts:
+        yield Channel(name=contact, kind=ChannelKind.INPUT, unit="", clock=clock)
+    for output in commands.outputs:
+        yield Channel(name=output, kind=ChannelKind.OUTPUT, unit="", clock=clock)
+    yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
 
 
-def _level(cylinder: Cylinder, on: Mapping[str, int]) -> float:
+def _level(cylinder: Cylinder, flows: Mapping[str, float], on: Mapping[str, int]) -> float:
     total = 0.0
     for way, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0)):
         if on[way.valve]:
-            total += sign * sum(flow.si for name, flow in way.flows.items() if on[name])
+            total += sign * sum(flows[name] for name in way.flows if on[name])
     return total
 
 
-class _Run:
-    """One run; lives only as long as ``simulate_switching`` runs."""
+def _orders(
+    commands: SwitchSchedule, machine: Machine, options: SwitchOptions, values: Values
+) -> Orders:
+    """Return what the PLC does with one variant."""
 
-    def __init__(self, commands: SwitchSchedule, machine: Machine, options: SwitchOptions) -> None:
-        self.commands, self.machine, self.options = commands, machine, options
-        delays = {n: c.delay.exact_s or Fraction(0) for n, c in machine.cylinders.items()}
-        period = commands.clock.period_s
-        step = common_period_s([period, SAMPLE_S, *(d for d in delays.values() if d)])
-        self.step_s, self.per_scan = float(step), int(period / step)
-        self.per_sample = int(SAMPLE_S / step)
-        self.delay_steps = {n: int(d / step) for n, d in delays.items()}
-        self.twins = {n: CylinderTwin(machine, n, float(step)) for n in machine.cylinders}
-        self.clock = Clock("twin", SAMPLE_S)
-        self.channels = tuple(self._channels())
-        self.rows: list[list[float]] = []
-        self.events: list[Event] = []
-        self.on = dict.fromkeys(commands.outputs, 0)
-        self.asked = dict.fromkeys(machine.cylinders, 0.0)
-        self.operation = 0
-        self.free = dict(options.inputs or {})
-        self.levels: dict[str, list[float]] = {n: [] for n in machine.cylinders}
+    def number(path: str, own: float) -> float:
+        return float(values.replaced[path][0]) if path in values.replaced else own
 
-    def _channels(self) -> Iterator[Channel]:
-        for axis in self.machine.cylinders:
-            for name, kind, unit in (
-                ("load", ChannelKind.LOAD, "m"),
-                ("commanded", ChannelKind.COMMANDED, "m"),
-                ("level", ChannelKind.OUTPUT, ""),
-                ("frame", ChannelKind.FRAME, "m"),
-            ):
-                yield Channel(
-                    name=f"{axis}.{name}", kind=kind, unit=unit, clock=self.clock, axis=axis
+    level = np.zeros((len(commands.ticks) + 1, len(machine.cylinders)))
+    known: dict[tuple[int, ...], list[float]] = {}
+    flows = [
+        {
+            name: number(f"cylinders.{axis}.{sense}.flows.{name}", flow.si)
+            for sense in ("forward", "back")
+            for name, flow in cylinder.way(sense == "forward").flows.items()
+        }
+        for axis, cylinder in machine.cylinders.items()
+    ]
+    for row, states in enumerate(map(tuple, commands.levels.tolist()), start=1):
+        if states not in known:
+            on = dict(zip(commands.outputs, states, strict=True))
+            known[states] = [
+                _level(cylinder, own, on)
+                for own, cylinder in zip(flows, machine.cylinders.values(), strict=True)
+            ]
+        level[row] = known[states]
+    waits = [event for event in commands.events if event.kind == "wait"]
+    names, axes = list(machine.contacts), list(machine.cylinders)
+    closes, at, above = [], [], []
+    for name, contact in machine.contacts.items():
+        inside = contact.cylinder is not None and contact.kind != "light-grid"
+        grid = -2 if contact.kind == "light-grid" else -1
+        closes.append(axes.index(str(contact.cylinder)) if inside else grid)
+        at.append(0.0 if contact.at is None else number(f"contacts.{name}.at", contact.at.si))
+        above.append(contact.beyond != "below")
+    given = options.inputs or {}
+    period_s = commands.clock.period_s
+    late = {axis: f"cylinders.{axis}.delay" for axis in axes}
+    delays = {axis: number(path, 0.0) for axis, path in late.items() if path in values.replaced}
+    units = units_of(machine, period_s, SAMPLE_S, delays)
+
+    def whole(numbers: list[int] | list[bool]) -> IntArray:
+        return np.array(numbers, dtype=np.int64).reshape(len(numbers))
+
+    return Orders(
+        ticks=np.array(commands.ticks, dtype=np.int64),
+        level=level,
+        wait_tick=whole([event.tick for event in waits]),
+        wait_contact=whole([names.index(event.name) for event in waits]),
+        wait_value=whole([bool(event.value) for event in waits]),
+        wait_given=whole([event.name in given for event in waits]),
+        contact_cylinder=whole(closes),
+        contact_at=np.array(at, dtype=np.float64),
+        contact_above=whole(above),
+        duration=commands.duration_ticks,
+        most_stalled=int(_MAX_STALL_S / float(period_s) + 1e-9),
+        after=max(1, round(options.after_s / float(period_s))),
+        break_s=NEVER if options.break_s is None else options.break_s,
+        period_s=float(period_s),
+        step_s=float(SAMPLE_S),
+        scan=units.scan,
+        sample=units.sample,
+        late=units.late,
+        share=units.share,
+    )
+
+
+def _read(
+    commands: SwitchSchedule,
+    channels: tuple[Channel, ...],
+    orders: Orders,
+    cylinders: Cylinders,
+    variant: int,
+    options: SwitchOptions,
+) -> Iterator[RecordingBlock]:
+    """Yield the blocks of one run."""
+    bank, motion, progress = cylinders.bank(variant), cylinders.at_rest(variant), begin(orders)
+    waits = [event for event in commands.events if event.kind == "wait"]
+    contacts = [c.name for c in channels if c.kind is ChannelKind.INPUT]
+    for name, value in (options.inputs or {}).items():
+        if name in contacts:
+            progress.free[contacts.index(name)] = value
+    room = max(_SAMPLES, orders.scan // orders.sample + 2)
+    columns = PER_CYLINDER * len(orders.late) + len(orders.contact_cylinder)
+    out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
+    over = np.empty((len(waits), 2), dtype=np.int64)
+    # Before the first row everything is off, and the operation is the first one.
+    states = np.vstack((np.zeros((1, len(commands.outputs))), commands.levels))
+    operation = np.concatenate(([0], commands.operation)).astype(np.float64)
+    first = 0
+    while progress.plc[PHASE] in {RUNNING, CALMING}:
+        count, ended = run(orders, progress, bank, motion, out, rows, over)
+        _came(commands, progress.plc)
+        measured = dict(zip((c.name for c in channels), out[:count].T.copy(), strict=False))
+        on = states[rows[:count, 0] + 1].T.copy()
+        yield RecordingBlock(
+            first_tick={channels[0].clock.name: first},
+            samples={
+                **measured,
+                **dict(zip(commands.outputs, on, strict=True)),
+                "operation": operation[rows[:count, 1] + 1],
+            },
+            events=tuple(
+                Event(
+                    tick=int(tick),
+                    kind="wait",
+                    operation=waits[index].operation,
+                    name=waits[index].name,
+                    value=waits[index].value,
                 )
-        for output in self.commands.outputs:
-            yield Channel(name=output, kind=ChannelKind.OUTPUT, unit="", clock=self.clock)
-        for contact in self.machine.contacts:
-            yield Channel(name=contact, kind=ChannelKind.INPUT, unit="", clock=self.clock)
-        yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=self.clock)
-
-    def _contact(self, name: str, time_s: float) -> bool:
-        contact = self.machine.contacts[name]
-        if contact.kind == "light-grid":
-            return self.options.break_s is None or time_s < self.options.break_s
-        if contact.cylinder is None:
-            return self.free.get(name, True)
-        assert contact.at is not None
-        place = self.twins[contact.cylinder].stroke_m
-        return place <= contact.at.si if contact.beyond == "below" else place >= contact.at.si
-
-    def block(self) -> RecordingBlock:
-        commands, period_s = self.commands, float(self.commands.clock.period_s)
-        waits = [e for e in commands.events if e.kind == "wait"]
-        rows = list(zip(commands.ticks.tolist(), commands.levels, commands.operation, strict=True))
-        tick = scan = stalled = 0
-        while tick < commands.duration_ticks:
-            now_s = scan * period_s
-            if not all(
-                self._contact(n, now_s)
-                for n, c in self.machine.contacts.items()
-                if c.kind == "light-grid"
-            ):
-                break
-            while rows and rows[0][0] <= tick:
-                _, values, operation = rows.pop(0)
-                self.on = dict(zip(commands.outputs, values.tolist(), strict=True))
-                self.operation = int(operation)
-            held = bool(waits) and waits[0].tick <= tick
-            if held and waits[0].name not in (self.options.inputs or {}):
-                # What no cylinder closes comes, or goes, when it is waited for.
-                self.free[waits[0].name] = bool(waits[0].value)
-            if held and self._contact(waits[0].name, now_s) == bool(waits[0].value):
-                done = waits.pop(0)
-                self.events.append(
-                    Event(
-                        tick=int(scan * self.per_scan / self.per_sample),
-                        kind="wait",
-                        operation=done.operation,
-                        name=done.name,
-                        value=done.value,
-                    )
-                )
-                held, stalled = False, 0
-            if held:
-                stalled += 1
-                if stalled * period_s > _MAX_STALL_S:
-                    raise RecordingError(
-                        f"the input {waits[0].name!r} did not become "
-                        f"{'on' if waits[0].value else 'off'} within {_MAX_STALL_S:g} s",
-                        remedy="Let an end switch close before the very end of the stroke.",
-                    )
-            else:
-                tick += 1
-            self._scan(now_s)
-            scan += 1
-        self.on = dict.fromkeys(commands.outputs, 0)
-        for extra in range(max(1, round(self.options.after_s / period_s))):
-            self._scan((scan + extra) * period_s)
-        columns = np.array(self.rows).T
-        samples = {c.name: columns[i] for i, c in enumerate(self.channels)}
-        return RecordingBlock(
-            first_tick={self.clock.name: 0}, samples=samples, events=tuple(self.events)
+                for index, tick in over[:ended]
+            ),
         )
+        first += count
 
-    def _scan(self, now_s: float) -> None:
-        """Advance by one scan with the outputs as they are."""
-        wanted = {n: _level(c, self.on) for n, c in self.machine.cylinders.items()}
-        for k in range(self.per_scan):
-            if (len(self.levels[next(iter(wanted))])) % self.per_sample == 0:
-                self._sample(now_s + k * self.step_s, wanted)
-            for name, twin in self.twins.items():
-                history = self.levels[name]
-                history.append(wanted[name])
-                at = len(history) - 1 - self.delay_steps[name]
-                self.asked[name] += wanted[name] * self.step_s * self._speed(name)
-                twin.advance(history[at] if at >= 0 else 0.0)
 
-    def _speed(self, name: str) -> float:
-        return self.machine.cylinders[name].speed.si
-
-    def _sample(self, time_s: float, wanted: Mapping[str, float]) -> None:
-        row: list[float] = []
-        for name, twin in self.twins.items():
-            row += [twin.stroke_m, self.asked[name], wanted[name], twin.frame_m]
-        row += [float(v) for v in self.on.values()]
-        row += [float(self._contact(n, time_s)) for n in self.machine.contacts]
-        row.append(float(self.operation))
-        self.rows.append(row)
+def _came(commands: SwitchSchedule, plc: IntArray) -> None:
+    if plc[PHASE] != STALLED:
+        return
+    wait = [event for event in commands.events if event.kind == "wait"][plc[WAIT]]
+    raise RecordingError(
+        f"the input {wait.name!r} did not become {'on' if wait.value else 'off'} within "
+        f"{_MAX_STALL_S:g} s",
+        remedy="Let an end switch close before the very end of the stroke.",
+    )
 
 
 def ringing_m(

@@ -1,216 +1,343 @@
-"""One cylinder of an on/off machine, step by step: exact between events, events located.
+"""Cylinders of an on/off machine: exact between events, events located; compiled.
 
-It slides, sticks, or stands at an end stop. In each state the equations are linear with constant
-input, so that a step is one product with a matrix exponential; the instant at which a piston stops
-is found by halving the step, and one that stands breaks away at the beginning of a step.
+A piston slides, sticks, or stands at an end stop. In each state the equations are linear with
+constant input, so that a step is one product with a matrix exponential; the instant at which a
+piston stops is found by halving the step, and one that stands breaks away at the beginning of a
+step. A step that an arriving command cuts goes in halves of a step, down to 2^-12 of it, and what
+is left by a Taylor series.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy.linalg import expm
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
-from threadline.plant.pneumatic import CylinderPlant, cylinder_plant
+from threadline.machine.quantity import Quantity
+from threadline.plant.cylinders import cylinder_equations
+from threadline.plant.values import Values
 
 SLIDES, STICKS, AT_START, AT_END = 0, 1, 2, 3
-_RAMP_STEPS = 8
-_HALVINGS = 12
+RAMP_STEPS = 8
+HALVINGS = 12
+PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
 _ADHESION_N = 1.0
 """A piston leaves its stop once more than this pulls at it; less would only make it flutter."""
+_TAYLOR = 8
+_STROKE, _RATE, _FRAME, _STOP, _STICK, ROWS = 0, 1, 2, 3, 4, 5
+_LENGTH, _RAMP, _CUSHION, _FRICTION, _BREAK, _SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
-@dataclass(slots=True)
-class CylinderTwin:
-    """A cylinder that is being simulated.
+class Bank(NamedTuple):
+    """The cylinders of one variant as the compiled code reads them; C cylinders, N states at most.
+
+    The last two states of each are the level and a constant 1.
 
     Parameters
     ----------
-    machine, axis
-        What it is.
-    step_s
-        Length of a step.
+    step
+        (C, K, HALVINGS + 1, N, N) what a step halved so often does to the state.
+    rate
+        (C, K, N, N) the generators of these, 1/s.
+    rows
+        (C, ROWS, N) stroke, its rate, the frame, and the forces that hold a standing piston.
+    numbers
+        (C, NUMBERS).
+    masses
+        (C, 2) indices of the velocities of piston and housing.
     """
 
-    machine: Machine
-    axis: str
-    step_s: float
-    plant: CylinderPlant = field(init=False)
-    state: FloatArray = field(init=False)
-    mode: int = SLIDES
-    sense: float = 0.0
-    start_m: float = 0.0
-    _steps: dict[tuple[object, ...], list[FloatArray]] = field(default_factory=dict)
+    step: FloatArray
+    rate: FloatArray
+    rows: FloatArray
+    numbers: FloatArray
+    masses: IntArray
 
-    def __post_init__(self) -> None:
-        self.plant = cylinder_plant(self.machine, self.axis)
-        self.state = np.zeros(len(self.plant.states) + 2)
-        # Behind the states: the level and a constant 1.
-        self.state[-1] = 1.0
-        if self._friction:
-            self.mode = STICKS
 
-    @property
-    def _friction(self) -> float:
-        part = self.machine.cylinders[self.axis].friction
-        return 0.0 if part is None else part.si
+class Motion(NamedTuple):
+    """Where the cylinders are; everything that changes.
 
-    @property
-    def _stiction(self) -> float:
-        part = self.machine.cylinders[self.axis].stiction
-        return self._friction if part is None else part.si
+    Parameters
+    ----------
+    state
+        (C, N).
+    mode
+        (C,).
+    sense, start
+        (C,) in which sense it slides against friction, and where it last stood, m.
+    """
 
-    @property
-    def stroke_m(self) -> float:
-        """Where the piston is."""
-        return float(self.plant.stroke @ self.state[:-2])
+    state: FloatArray
+    mode: IntArray
+    sense: FloatArray
+    start: FloatArray
 
-    @property
-    def frame_m(self) -> float:
-        """Where the frame is."""
-        return float(self.plant.frame @ self.state[:-2])
 
-    def advance(self, level: float) -> None:
-        """Go one step with ``level`` at the valves (delay already applied)."""
-        self.state[-2] = level
-        if self.mode != SLIDES and self._released(self.state[:-2]) != 0.0:
-            # A standing piston breaks away at the beginning of a step, to within one step.
-            self._change()
-        key = self._key()
-        ahead = self._transition(key, 0) @ self.state
-        if self.mode != SLIDES or not self._ended(ahead):
-            self.state = ahead
-            return
-        # Halves, quarters ... of the step that end before the event, and one last part more.
-        left = 1 << _HALVINGS
-        for halvings in range(1, _HALVINGS + 1):
-            ahead = self._transition(key, halvings) @ self.state
-            if not self._ended(ahead):
-                self.state = ahead
-                left -= 1 << (_HALVINGS - halvings)
-        self.state = self._transition(key, _HALVINGS) @ self.state
-        left -= 1
-        self._change()
-        # It stands for the rest of the step.
-        key = self._key()
-        for halvings in range(1, _HALVINGS + 1):
-            if left & (1 << (_HALVINGS - halvings)):
-                self.state = self._transition(key, halvings) @ self.state
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cylinders:
+    """The cylinders of a machine in every variant; see ``Bank``, with the variants first."""
 
-    def _key(self) -> tuple[object, ...]:
-        cylinder = self.machine.cylinders[self.axis]
-        rate = float(self.plant.stroke_rate @ self.state[:-2])
-        place = self.stroke_m
-        if abs(rate) < _STANDSTILL_M_S or self.mode != SLIDES:
-            self.start_m = place
-        ramp = _RAMP_STEPS
-        if cylinder.air_ramp is not None:
-            gone = abs(place - self.start_m) / cylinder.air_ramp.si
-            ramp = min(_RAMP_STEPS, 1 + int(gone * _RAMP_STEPS))
-        cushioned = cylinder.cushion is not None and (
-            (rate > 0 and place > cylinder.stroke.si - cylinder.cushion.length.si)
-            or (rate < 0 and place < cylinder.cushion.length.si)
-        )
-        return self.mode, ramp, cushioned, self.sense if self.mode == SLIDES else 0.0
+    step: FloatArray
+    rate: FloatArray
+    rows: FloatArray
+    numbers: FloatArray
+    masses: IntArray
 
-    def _air(self, ramp: int) -> FloatArray:
-        """Return the row of the force of the air."""
-        cylinder = self.machine.cylinders[self.axis]
-        return self.plant.air_force(
-            cylinder.air_stiffness.si, cylinder.air_damping.si * ramp / _RAMP_STEPS
-        )
+    def bank(self, variant: int = 0) -> Bank:
+        """Return the cylinders of one variant."""
+        return Bank(
+            self.step[variant], self.rate[variant], self.rows[variant], self.numbers[variant],
+            self.masses,
+        )  # fmt: skip
 
-    def _matrix(self, key: tuple[object, ...]) -> FloatArray:
-        mode, ramp, cushioned, sense = key
-        assert isinstance(ramp, int) and isinstance(sense, float)
-        n = len(self.plant.states)
-        full = np.zeros((n + 2, n + 2))
-        matrix = self.plant.matrix.copy()
-        if mode == SLIDES:
-            matrix += np.outer(self.plant.force, self._air(ramp))
-            full[:n, -1] = -sense * self._friction * self.plant.force
-        else:
-            piston, housing, share = self._locked()
-            together = share * matrix[piston] + (1.0 - share) * matrix[housing]
-            matrix[piston] = matrix[housing] = together
-        full[:n, :n] = matrix
-        cushion = self.machine.cylinders[self.axis].cushion
-        flow = cushion.flow.si if cushioned and cushion is not None else 1.0
-        full[:n, -2] = flow * self.plant.level
-        return full
+    def at_rest(self, variant: int = 0) -> Motion:
+        """Return the state at the start: pistons at 0, valves shut."""
+        count, size = self.rows.shape[1], self.rows.shape[3]
+        state = np.zeros((count, size))
+        state[:, -1] = 1.0
+        mode = np.where(self.numbers[variant, :, _FRICTION] > 0.0, STICKS, SLIDES)
+        return Motion(state, mode.astype(np.int64), np.zeros(count), np.zeros(count))
 
-    def _locked(self) -> tuple[int, int, float]:
-        cylinder = self.machine.cylinders[self.axis]
-        masses = [self.machine.bodies[b].inertia.si for b in (cylinder.pushes, cylinder.reacts_on)]
-        piston = self.plant.states.index(f"{cylinder.pushes}'")
-        housing = self.plant.states.index(f"{cylinder.reacts_on}'")
-        return piston, housing, masses[0] / sum(masses)
 
-    def _transition(self, key: tuple[object, ...], halvings: int) -> FloatArray:
-        """Return what a step that was halved so often does to the state."""
-        found = self._steps.get(key)
-        if found is None:
-            # The shortest part by series, the longer ones each the square of the one before.
-            found = [np.asarray(expm(self._matrix(key) * (self.step_s * 0.5**_HALVINGS)))]
-            for _ in range(_HALVINGS):
-                found.append(found[-1] @ found[-1])
-            found.reverse()
-            self._steps[key] = found
-        return found[halvings]
+def cylinders_of(
+    machine: Machine, names: Sequence[str], values: Values, step_s: float
+) -> Cylinders:
+    """Return the tables of some cylinders of ``machine`` for every variant.
 
-    def _ended(self, state: FloatArray) -> bool:
-        """Say whether a sliding piston has come to a stop or turned."""
-        x = state[:-2]
-        rate = float(self.plant.stroke_rate @ x)
-        place = float(self.plant.stroke @ x)
-        stroke = self.machine.cylinders[self.axis].stroke.si
-        at_stop = (place >= stroke and rate > 0) or (place <= 0.0 and rate < 0)
-        return at_stop or (self.sense != 0.0 and rate * self.sense < 0.0)
+    Raises
+    ------
+    MachineError
+        If a cylinder has no equations.
+    """
+    made = [_tables(machine, name, values) for name in names]
+    size = max(rate.shape[-1] for rate, *_ in made)
+    keys = max(rate.shape[1] for rate, *_ in made)
+    count = values.count
+    step = np.zeros((count, len(made), keys, HALVINGS + 1, size, size))
+    rates = np.zeros((count, len(made), keys, size, size))
+    all_rows = np.zeros((count, len(made), ROWS, size))
+    numbers = np.zeros((count, len(made), NUMBERS))
+    masses = np.zeros((len(made), 2), dtype=np.int64)
+    for c, (rate, rows, own, pair) in enumerate(made):
+        # The states stand in front, the level and the 1 at the very end.
+        n = rate.shape[-1] - 2
+        place = np.concatenate((np.arange(n), [size - 2, size - 1]))
+        k = rate.shape[1]
+        # The shortest part by series, the longer ones each the square of the one before.
+        part = expm(rate * (step_s * 0.5**HALVINGS))
+        for halvings in range(HALVINGS, -1, -1):
+            block = step[:, c, :k, halvings]
+            block[:, :, place[:, None], place] = part
+            part = part @ part
+        block = rates[:, c, :k]
+        block[:, :, place[:, None], place] = rate
+        all_rows[:, c][:, :, place] = rows
+        numbers[:, c], masses[c] = own, pair
+    return Cylinders(step=step, rate=rates, rows=all_rows, numbers=numbers, masses=masses)
 
-    def _holding_n(self, x: FloatArray) -> float:
-        """Return the force that would have to hold the piston still against the housing.
 
-        At an end stop only that of the air counts: what the beam rings with, at 1.6 kHz, would
-        lift the piston by less than a micrometre, a thousand times a second.
-        """
-        if self.mode in {AT_START, AT_END}:
-            return float(-self._air(_RAMP_STEPS) @ x)
-        piston, housing, share = self._locked()
-        cylinder = self.machine.cylinders[self.axis]
-        mass = self.machine.bodies[cylinder.pushes].inertia.si
-        matrix = self.plant.matrix
-        together = share * matrix[piston] + (1.0 - share) * matrix[housing]
-        return float((mass * (together - matrix[piston]) - self._air(1)) @ x)
+def _tables(
+    machine: Machine, name: str, values: Values
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, int]]:
+    """Return generators (V, K, n + 2, n + 2), rows (V, ROWS, n + 2), numbers (V, NUMBERS)."""
+    cylinder, plant = machine.cylinders[name], cylinder_equations(machine, name, values)
+    count, n, where = values.count, len(plant.states), f"cylinders.{name}"
 
-    def _released(self, x: FloatArray) -> float:
-        """Return the sense in which a standing piston breaks away, 0 if it stands."""
-        holding = self._holding_n(x)
-        least = self._stiction
-        if self.mode in {AT_START, AT_END}:
-            least = max(least, _ADHESION_N)
-        if holding < -least and self.mode != AT_END:
-            return 1.0
-        if holding > least and self.mode != AT_START:
-            return -1.0
-        return 0.0
+    def number(key: str, quantity: Quantity | None) -> FloatArray:
+        value = np.asarray(values.at(f"{where}.{key}", quantity), dtype=np.float64)
+        return np.broadcast_to(value, (count,))
 
-    def _change(self) -> None:
-        x = self.state[:-2]
-        if self.mode != SLIDES:
-            self.sense = self._released(x) if self._friction else 0.0
-            self.mode = SLIDES
-            return
-        piston, housing, share = self._locked()
-        # Standing: both go on with their common momentum.
-        self.state[[piston, housing]] = share * x[piston] + (1.0 - share) * x[housing]
-        place, stroke = self.stroke_m, self.machine.cylinders[self.axis].stroke.si
-        if place >= stroke - 1e-9:
-            self.mode = AT_END
-        elif place <= 1e-9:
-            self.mode = AT_START
-        else:
-            self.mode = STICKS
+    friction = number("friction", cylinder.friction)
+    stiction = friction if cylinder.stiction is None else number("stiction", cylinder.stiction)
+    cushion = cylinder.cushion
+    flows = [np.ones(count)]
+    if cushion is not None:
+        flows.append(number("cushion.flow", cushion.flow))
+    ramps = RAMP_STEPS if cylinder.air_ramp is not None else 1
+    senses = (-1.0, 1.0) if cylinder.friction is not None else (0.0,)
+    rates = [_full(plant.standing(), plant.level, np.zeros((count, n)))]
+    for sense in senses:
+        for flow in flows:
+            for ramp in range(1, ramps + 1):
+                push = -sense * friction[:, None] * plant.force
+                rates.append(_full(plant.sliding(ramp / ramps), flow[:, None] * plant.level, push))
+    rows = np.zeros((count, ROWS, n + 2))
+    rows[:, _STROKE, :n], rows[:, _RATE, :n] = plant.stroke, plant.stroke_rate
+    rows[:, _FRAME, :n] = plant.frame
+    # At an end stop only the force of the air counts: what the beam rings with, at 1.6 kHz, would
+    # lift the piston by less than a micrometre, a thousand times a second.
+    rows[:, _STOP, :n] = -plant.air_force()
+    rows[:, _STICK, :n] = plant.holding() - plant.air_force(1.0 / RAMP_STEPS)
+    numbers = np.zeros((count, NUMBERS))
+    numbers[:, _LENGTH] = number("stroke", cylinder.stroke)
+    numbers[:, _RAMP] = number("air_ramp", cylinder.air_ramp)
+    numbers[:, _CUSHION] = -1.0 if cushion is None else number("cushion.length", cushion.length)
+    numbers[:, _FRICTION] = friction
+    numbers[:, _BREAK] = stiction
+    numbers[:, _SHARE] = plant.piston_share
+    numbers[:, SPEED] = number("speed", cylinder.speed)
+    return np.stack(rates, axis=1), rows, numbers, (plant.piston, plant.housing)
+
+
+def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray:
+    """Return (V, n + 2, n + 2) rates with the level and a constant as two more states."""
+    count, n = level.shape
+    full = np.zeros((count, n + 2, n + 2))
+    full[:, :n, :n], full[:, :n, -2], full[:, :n, -1] = matrix, level, push
+    return full
+
+
+def _dot(row: FloatArray, x: FloatArray) -> float:
+    total = 0.0
+    for j in range(len(x)):
+        total += row[j] * x[j]
+    return total
+
+
+def _times(matrix: FloatArray, x: FloatArray) -> FloatArray:
+    ahead = np.empty_like(x)
+    for i in range(len(x)):
+        ahead[i] = dot(matrix[i], x)
+    return ahead
+
+
+def _put(x: FloatArray, values: FloatArray) -> None:
+    for i in range(len(x)):
+        x[i] = values[i]
+
+
+def _stroke_of(c: int, bank: Bank, motion: Motion) -> float:
+    return dot(bank.rows[c, _STROKE], motion.state[c])
+
+
+def _frame_of(c: int, bank: Bank, motion: Motion) -> float:
+    return dot(bank.rows[c, _FRAME], motion.state[c])
+
+
+def _key(c: int, bank: Bank, motion: Motion) -> int:
+    """Return which table is in force, and remember where the piston last stood."""
+    x, numbers = motion.state[c], bank.numbers[c]
+    rate, place = dot(bank.rows[c, _RATE], x), dot(bank.rows[c, _STROKE], x)
+    if abs(rate) < _STANDSTILL_M_S or motion.mode[c] != SLIDES:
+        motion.start[c] = place
+    if motion.mode[c] != SLIDES:
+        return 0
+    ramps, ramp = 1, 1
+    if numbers[_RAMP] > 0.0:
+        ramps = RAMP_STEPS
+        gone = abs(place - motion.start[c]) / numbers[_RAMP]
+        ramp = min(RAMP_STEPS, 1 + int(min(gone, 1.0) * RAMP_STEPS))
+    flows, flow = 1, 0
+    if numbers[_CUSHION] >= 0.0:
+        flows = 2
+        ending = rate > 0.0 and place > numbers[_LENGTH] - numbers[_CUSHION]
+        if ending or (rate < 0.0 and place < numbers[_CUSHION]):
+            flow = 1
+    sense = 1 if numbers[_FRICTION] > 0.0 and motion.sense[c] > 0.0 else 0
+    return 1 + (sense * flows + flow) * ramps + ramp - 1
+
+
+def _ended(c: int, bank: Bank, motion: Motion, x: FloatArray) -> bool:
+    """Say whether a sliding piston has come to a stop or turned."""
+    rate, place = dot(bank.rows[c, _RATE], x), dot(bank.rows[c, _STROKE], x)
+    stroke, sense = bank.numbers[c, _LENGTH], motion.sense[c]
+    at_stop = (place >= stroke and rate > 0.0) or (place <= 0.0 and rate < 0.0)
+    return at_stop or (sense != 0.0 and rate * sense < 0.0)
+
+
+def _released(c: int, bank: Bank, motion: Motion) -> float:
+    """Return the sense in which a standing piston breaks away, 0 if it stands."""
+    mode, least = motion.mode[c], bank.numbers[c, _BREAK]
+    row = _STICK
+    if mode in (AT_START, AT_END):
+        row, least = _STOP, max(least, _ADHESION_N)
+    holding = dot(bank.rows[c, row], motion.state[c])
+    if holding < -least and mode != AT_END:
+        return 1.0
+    if holding > least and mode != AT_START:
+        return -1.0
+    return 0.0
+
+
+def _change(c: int, bank: Bank, motion: Motion) -> None:
+    x, numbers = motion.state[c], bank.numbers[c]
+    if motion.mode[c] != SLIDES:
+        motion.sense[c] = released(c, bank, motion) if numbers[_FRICTION] > 0.0 else 0.0
+        motion.mode[c] = SLIDES
+        return
+    piston, housing = bank.masses[c, 0], bank.masses[c, 1]
+    # Standing: both go on with their common momentum.
+    together = numbers[_SHARE] * x[piston] + (1.0 - numbers[_SHARE]) * x[housing]
+    x[piston] = x[housing] = together
+    place = dot(bank.rows[c, _STROKE], x)
+    if place >= numbers[_LENGTH] - 1e-9:
+        motion.mode[c] = AT_END
+    elif place <= 1e-9:
+        motion.mode[c] = AT_START
+    else:
+        motion.mode[c] = STICKS
+
+
+def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
+    """Go on by a step that was halved so often."""
+    if motion.mode[c] != SLIDES and released(c, bank, motion) != 0.0:
+        # A standing piston breaks away at the beginning of a step, to within one step.
+        change(c, bank, motion)
+    key = key_of(c, bank, motion)
+    ahead = times(bank.step[c, key, halved], motion.state[c])
+    if motion.mode[c] != SLIDES or not ended(c, bank, motion, ahead):
+        put(motion.state[c], ahead)
+        return
+    # Halves, quarters ... of the step that end before the event, and one last part more.
+    left = 1 << (HALVINGS - halved)
+    for halvings in range(halved + 1, HALVINGS + 1):
+        ahead = times(bank.step[c, key, halvings], motion.state[c])
+        if not ended(c, bank, motion, ahead):
+            put(motion.state[c], ahead)
+            left -= 1 << (HALVINGS - halvings)
+    put(motion.state[c], times(bank.step[c, key, HALVINGS], motion.state[c]))
+    left -= 1
+    change(c, bank, motion)
+    # It stands for the rest of the step.
+    key = key_of(c, bank, motion)
+    for halvings in range(halved + 1, HALVINGS + 1):
+        if left & (1 << (HALVINGS - halvings)):
+            put(motion.state[c], times(bank.step[c, key, halvings], motion.state[c]))
+
+
+def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Motion) -> None:
+    """Go on by a share of a step, in (0, 1]."""
+    parts = int(share * PARTS)
+    for halvings in range(HALVINGS + 1):
+        if parts & (1 << (HALVINGS - halvings)):
+            advance(c, halvings, bank, motion)
+    rest_s = (share - parts / PARTS) * step_s
+    if rest_s > 0.0:
+        # Too short for an event to matter: 0.24 us of a step of 1 ms.
+        rate = bank.rate[c, key_of(c, bank, motion)]
+        term = motion.state[c]
+        for power in range(1, _TAYLOR + 1):
+            term = times(rate, term)
+            for i in range(len(term)):
+                term[i] *= rest_s / power
+                motion.state[c, i] += term[i]
+
+
+dot = njit(cache=True, nogil=True)(_dot)
+put = njit(cache=True, nogil=True)(_put)
+times = njit(cache=True, nogil=True)(_times)
+stroke_of = njit(cache=True, nogil=True)(_stroke_of)
+frame_of = njit(cache=True, nogil=True)(_frame_of)
+key_of = njit(cache=True, nogil=True)(_key)
+ended = njit(cache=True, nogil=True)(_ended)
+released = njit(cache=True, nogil=True)(_released)
+change = njit(cache=True, nogil=True)(_change)
+advance = njit(cache=True, nogil=True)(_advance)
+advance_share = njit(cache=True, nogil=True)(_advance_share)

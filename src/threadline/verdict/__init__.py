@@ -5,8 +5,6 @@ from threadline.verdict.judge import judge
 from threadline.verdict.present import (
     closing,
     criteria_json,
-    motion_lines,
-    shaping_rows,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -27,9 +25,7 @@ __all__ = [
     "criteria_json",
     "judge",
     "load_spec",
-    "motion_lines",
     "sewn_stitches",
-    "shaping_rows",
     "step_rows",
     "verdict_json",
     "verdict_rows",

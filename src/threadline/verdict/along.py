@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
 from threadline.verdict.intended import as_intended
-from threadline.verdict.nearest import squared_to_segment
+from threadline.verdict.nearest import squared_distances
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.window import PathWindow
 
@@ -35,21 +34,21 @@ def contour_along(
         None where the recording lacks a channel that the measure needs.
     """
     recording = as_intended(recording, plan)
-    axes = plan.programmed.axes
-    for alternatives in MEASURES["contour_error"].needs:
-        for axis in axes:
-            if not (
-                find_first(recording, alternatives, axis) or find_first(recording, alternatives, "")
-            ):
-                return None
+    axes = plan.axes
+    actual, operation = MEASURES["contour_error"].needs
+    if find_first(recording, operation, "") is None:
+        return None
+    if any(find_first(recording, actual, axis) is None for axis in axes):
+        return None
     setting = setting_of(plan, recording, lag_s)
-    width_s = max(plan.trajectory.duration_s + lag_s, setting.interval_s) / stretches
+    width_s = max(plan.motion.trajectory.duration_s + lag_s, setting.interval_s) / stretches
     worst = np.full(stretches + 1, -1.0)
     time_s = np.zeros(stretches + 1)
-    for block in judged_blocks(recording, axes, setting.lag_samples, PathWindow(plan.programmed)):
+    window = PathWindow(plan.motion.programmed)
+    for block in judged_blocks(recording, axes, setting.lag_samples, window):
         assert block.actual is not None
         path, begin, end = block.window()
-        points = np.ascontiguousarray(block.actual * plan.programmed.radius_m)
+        points = np.ascontiguousarray(block.actual * plan.motion.programmed.radius_m)
         squared = squared_distances(points, begin, end, path.vertices)
         stretch = np.minimum((block.time_s / width_s).astype(np.int64), stretches)
         # The largest of each stretch comes last, and what is assigned last stays.
@@ -58,20 +57,3 @@ def contour_along(
         worst[stretch[order]], time_s[stretch[order]] = squared[order], block.time_s[order]
     seen = worst >= 0.0
     return time_s[seen], np.sqrt(worst[seen])
-
-
-def _squared_distances(
-    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
-) -> FloatArray:
-    """Return the (n,) squared distance of each point to the chords ``begin[i]`` to ``end[i]``."""
-    found = np.empty(len(points))
-    for i in range(len(points)):
-        best = np.inf
-        for chord in range(begin[i], end[i] + 1):
-            squared, _ = squared_to_segment(points[i], vertices[chord - 1], vertices[chord])
-            best = min(best, squared)
-        found[i] = best
-    return found
-
-
-squared_distances = njit(cache=True, nogil=True)(_squared_distances)

@@ -11,8 +11,8 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
 from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.verdict.measure import Block, Setting
 from threadline.verdict.progress import chords_under_way
+from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)
@@ -22,7 +22,9 @@ _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
     "own": (ChannelKind.MEASURED,),
     "voltage": (ChannelKind.VOLTAGE,),
     "current": (ChannelKind.CURRENT,),
+    "torque_share": (ChannelKind.TORQUE_SHARE,),
 }
+_LARGEST = ("voltage", "current", "current_peak", "torque_share")
 # The value of largest magnitude since the sample before: a second channel of the same kind.
 _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: a sample beyond it is no measurement
@@ -36,6 +38,12 @@ def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) ->
         if channel is not None:
             return channel
     return None
+
+
+def peak_channels(recording: Recording, axes: Sequence[str]) -> list[Channel]:
+    """Return the channels of the largest current between samples that there are."""
+    names = {_PEAK_NAME.format(axis=axis) for axis in axes}
+    return [channel for channel in recording.channels if channel.name in names]
 
 
 def master_channel(recording: Recording, axes: Sequence[str]) -> Channel:
@@ -70,53 +78,64 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
     RecordingError
         If the recording holds no position of any axis of the plan.
     """
-    axes = plan.programmed.axes
+    axes = plan.motion.programmed.axes
     interval_s = sample_interval_s(master_channel(recording, axes))
     return Setting(
         plan=plan,
         recording=recording,
         axes=axes,
-        radius_m=plan.programmed.radius_m,
+        radius_m=plan.motion.programmed.radius_m,
         interval_s=interval_s,
         lag_samples=int(np.floor(lag_s / interval_s + 1e-9)),
     )
 
 
 class _Follower:
-    """One channel at the instants of another: its own samples, or the last one until the next."""
+    """One channel at the instants of another: its own samples, or the last one until the next.
 
-    def __init__(self, channel: Channel, master: Channel) -> None:
+    Of a finer channel that is ``largest`` it is the sample of largest magnitude since the instant
+    before: between two instants nothing of it is lost.
+    """
+
+    def __init__(self, channel: Channel, master: Channel, *, largest: bool = False) -> None:
         self._channel = channel
         same = channel.clock == master.clock and channel.stride == master.stride
         self._slack_s = None if same else _ROUNDING * sample_interval_s(master)
-        self._last: tuple[float, float] | None = None
+        self._largest, self._fresh = largest, 0
+        self._time_s: FloatArray = np.empty(0)  # of samples that may still be needed
+        self._values: FloatArray = np.empty(0)
 
     def at(self, block: RecordingBlock, time_s: FloatArray) -> FloatArray:
         values = block.samples[self._channel.name]
         if not np.isfinite(values).all():
+            when = "" if not len(time_s) else f" near {float(time_s[0]):.6g} s"
             raise RecordingError(
-                f"channel {self._channel.name!r} holds a value that is not finite "
-                f"near {float(time_s[0]):.6g} s",
+                f"channel {self._channel.name!r} holds a value that is not finite{when}",
                 remedy="Repair the trace, or leave the channel out.",
             )
         if self._slack_s is None:
-            if len(values) != len(time_s):
-                raise RecordingError(
-                    f"channel {self._channel.name!r} has {len(values)} samples near "
-                    f"{float(time_s[0]):.6g} s, others of its clock have {len(time_s)}",
-                    remedy="Record every channel of a clock at the same ticks.",
-                )
-            return values
+            # What is missing of it in this block is no number; whoever needs it is told so.
+            lacking = max(len(time_s) - len(values), 0)
+            return np.concatenate([values[: len(time_s)], np.full(lacking, np.nan)])
         first = block.first_tick[self._channel.clock.name]
         times = self._channel.clock.times_s(first, len(values), self._channel.stride)
-        if self._last is not None:
-            times = np.concatenate([[self._last[0]], times])
-            values = np.concatenate([[self._last[1]], values])
-        if not len(values):
+        times = np.concatenate([self._time_s, times])
+        values = np.concatenate([self._values, values])
+        self._time_s, self._values = times, values
+        if not len(times) or not len(time_s):
             return np.full(len(time_s), np.nan)
-        self._last = (float(times[-1]), float(values[-1]))
-        held = np.searchsorted(times, time_s + self._slack_s, side="right") - 1
-        return np.asarray(values[np.maximum(held, 0)])
+        held = np.maximum(np.searchsorted(times, time_s + self._slack_s, side="right") - 1, 0)
+        keep = int(held[-1])
+        self._time_s, self._values = times[keep:], values[keep:]
+        if not self._largest:
+            return np.asarray(values[held])
+        # The first of those kept was taken at the instant before.
+        begin = np.minimum(np.concatenate([[self._fresh], held[:-1] + 1]), held)
+        self._fresh = 1
+        # Of every pair of places the stretch between them; what lies between pairs is left out.
+        pairs = np.column_stack([begin, held + 1]).ravel()
+        sizes = np.append(np.abs(values[: keep + 1]), 0.0)
+        return np.asarray(np.maximum.reduceat(sizes, pairs)[::2])
 
 
 def sample_interval_s(channel: Channel) -> float:
@@ -159,7 +178,9 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
         for axis in axes
     ]
     followers = {
-        name: [None if c is None else _Follower(c, master) for c in channels]
+        name: [
+            None if c is None else _Follower(c, master, largest=name in _LARGEST) for c in channels
+        ]
         for name, channels in found.items()
         if any(c is not None for c in channels)
     }
@@ -168,9 +189,13 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
     reached = np.iinfo(np.int64).min
     for block in recording:
         count = len(block.samples[master.name])
-        if not count:
-            continue
         _refuse_absurd(block)
+        if not count:
+            for row in followers.values():
+                for follower in row:
+                    if follower is not None:
+                        follower.at(block, np.empty(0))
+            continue
         first = block.first_tick[master.clock.name]
         time_s = master.clock.times_s(first, count, master.stride)
         nothing = np.full(count, np.nan)
@@ -180,7 +205,9 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
         }
         whole = {}
         if operation_follower is not None:
-            operation = np.rint(operation_follower.at(block, time_s)).astype(np.int64)
+            # Where samples are missing it is unknown, as before the first.
+            numbers = np.nan_to_num(operation_follower.at(block, time_s), nan=-1.0)
+            operation = np.rint(numbers).astype(np.int64)
             # After its end a controller may say -1: the machine is still at its last operation.
             operation = np.maximum.accumulate(np.maximum(operation, reached))
             reached = int(operation[-1])
@@ -260,6 +287,7 @@ def _block(
         voltage=part.columns.get("voltage"),
         current=part.columns.get("current"),
         current_peak=part.columns.get("current_peak"),
+        torque_share=part.columns.get("torque_share"),
         operation=part.whole.get("operation"),
         chord=part.whole.get("low"),
         begin=chord_begin,

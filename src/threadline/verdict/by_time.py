@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from threadline.arrays import IntArray
 from threadline.errors import RecordingError
-from threadline.jobs.operations import MoveRun
+from threadline.jobs.operations import Job, MoveRun
 from threadline.plan import Plan
 from threadline.signals import (
     Channel,
@@ -18,6 +18,7 @@ from threadline.signals import (
     RecordingBlock,
     Stream,
     TickTable,
+    tick_table,
 )
 from threadline.verdict.blocks import master_channel
 
@@ -45,32 +46,34 @@ def checked_operations(recording: Recording, plan: Plan) -> Recording:
     if all((block.samples[name] < 0).all() for block in recording):
         kept = tuple(c for c in recording.channels if c is not channel)
         return replace(recording, channels=kept)
-
-    def blocks() -> Iterator[RecordingBlock]:
-        count = 0
-        for block in recording:
-            samples = block.samples[name]
-            if len(samples) and samples.max() >= count:
-                count = count or _count(plan)
-                at = int(np.argmax(samples >= count))
-                if samples[at] >= count:
-                    first = block.first_tick[channel.clock.name]
-                    time_s = channel.clock.times_s(first, len(samples), channel.stride)[at]
-                    raise RecordingError(
-                        f"the operation at {time_s:.6g} s is {samples[at]:.12g}, and "
-                        f"{plan.job.name} has {count}, from 0 to {count - 1}",
-                        remedy="Judge it against the job that was run, or leave the column out.",
-                    )
-            yield block
-
-    return replace(recording, blocks=Stream(blocks))
+    return replace(recording, blocks=Stream(_checked, recording.blocks, channel, plan.job))
 
 
-def _count(plan: Plan) -> int:
+def _checked(
+    blocks: Iterable[RecordingBlock], channel: Channel, job: Job
+) -> Iterator[RecordingBlock]:
+    """Yield ``blocks`` as long as their operations are those of the job."""
+    count = 0
+    for block in blocks:
+        samples = block.samples[channel.name]
+        if len(samples) and samples.max() >= count:
+            count = count or _count(job)
+            at = int(np.argmax(samples >= count))
+            if samples[at] >= count:
+                first = block.first_tick[channel.clock.name]
+                time_s = channel.clock.times_s(first, len(samples), channel.stride)[at]
+                raise RecordingError(
+                    f"the operation at {time_s:.6g} s is {samples[at]:.12g}, and "
+                    f"{job.name} has {count}, from 0 to {count - 1}",
+                    remedy="Judge it against the job that was run, or leave the column out.",
+                )
+        yield block
+
+
+def _count(job: Job) -> int:
     """Return how many operations the job has."""
     return sum(
-        times * (len(item) if isinstance(item, MoveRun) else 1)
-        for item, times, _ in plan.job.folded()
+        times * (len(item) if isinstance(item, MoveRun) else 1) for item, times, _ in job.folded()
     )
 
 
@@ -87,9 +90,9 @@ def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Rec
     RecordingError
         If the recording holds no position of any of ``axes``.
     """
-    commands = plan.commands
-    if recording.find(ChannelKind.OPERATION) is not None or not isinstance(commands, TickTable):
+    if recording.find(ChannelKind.OPERATION) is not None:
         return recording
+    commands = tick_table(plan.commands)
     master = master_channel(recording, axes)
     channel = Channel(
         name=ChannelKind.OPERATION.value,
@@ -98,19 +101,23 @@ def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Rec
         clock=master.clock,
         stride=master.stride,
     )
+    blocks = Stream(_labelled, recording.blocks, commands, master, channel.name)
+    return replace(recording, channels=(*recording.channels, channel), blocks=blocks)
+
+
+def _labelled(
+    blocks: Iterable[RecordingBlock], commands: TickTable, master: Channel, name: str
+) -> Iterator[RecordingBlock]:
+    """Yield ``blocks`` with the operations of the commands as the channel ``name``."""
     tick_s = float(commands.clock.period_s)
-
-    def blocks() -> Iterator[RecordingBlock]:
-        rows = _Rows(commands)
-        for block in recording:
-            count = len(block.samples[master.name])
-            first = block.first_tick.get(master.clock.name, 0)
-            time_s = master.clock.times_s(first, count, master.stride)
-            due = np.floor(time_s / tick_s + _ROUNDING).astype(np.int64)
-            operation = rows.operations(due).astype(np.float64)
-            yield replace(block, samples={**block.samples, channel.name: operation})
-
-    return replace(recording, channels=(*recording.channels, channel), blocks=Stream(blocks))
+    rows = _Rows(commands)
+    for block in blocks:
+        count = len(block.samples[master.name])
+        first = block.first_tick.get(master.clock.name, 0)
+        time_s = master.clock.times_s(first, count, master.stride)
+        due = np.floor(time_s / tick_s + _ROUNDING).astype(np.int64)
+        operation = rows.operations(due).astype(np.float64)
+        yield replace(block, samples={**block.samples, name: operation})
 
 
 class _Rows:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.measure import Block, Finding, Measure, Setting
+from threadline.verdict.measure import Finding, Measure
 from threadline.verdict.nearest import path_to_chords, vertices_to_path
+from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 _UNREACHED = "the recording ends before this point"
@@ -24,8 +26,8 @@ class Contour:
     and after it: a path may cross or retrace itself without hiding an error, and trailing along
     the path by less than the lag costs nothing. A machine that trails by more is charged for it.
 
-    The actual path is taken as straight between samples: an axis that accelerates by a bows out
-    of it by at most a T^2 / 8 in a sample interval T.
+    The actual path is taken as straight between samples, and measured there too: an axis that
+    accelerates by a bows out of it by at most a T^2 / 8 in a sample interval T.
     """
 
     def __init__(self, radius_m: FloatArray) -> None:
@@ -46,28 +48,33 @@ class Contour:
         assert block.actual is not None
         points = np.ascontiguousarray(block.actual * self._radius_m)
         path, begin, end = block.window()
-        squared, at, nearest = path_to_chords(points, begin, end, path.vertices)
-        self._offer(
-            Finding(
-                value=float(np.sqrt(squared)),
-                time_s=float(block.time_s[at]),
-                operation=block.operation_at(at),
-                job_line=int(path.line[nearest]),
-                position=block.position_at(at),
-            )
-        )
-        self._settle(path.first - self._first)
-        self._hold(path)
         last, last_s, chord = self._last or (
             points[0],
             float(block.time_s[0]),
             _from_rest(int(begin[0]), path) + path.first,
         )
+        begins = np.concatenate([[max(chord - path.first, 1)], begin])
+        ends = np.concatenate([end[:1], end])
+        way = np.concatenate([last[None], points])
+        times_s = np.concatenate([[last_s], block.time_s])
+        squared, at, part, nearest = path_to_chords(way, begins, ends, path.vertices)
+        sample = max(at - 1 + round(part), 0)
+        self._offer(
+            Finding(
+                value=float(np.sqrt(squared)),
+                time_s=float(np.interp(at + part, np.arange(len(times_s)), times_s)),
+                operation=block.operation_at(sample),
+                job_line=int(path.line[nearest]),
+                position=block.position_at(sample),
+            )
+        )
+        self._settle(path.first - self._first)
+        self._hold(path)
         vertices_to_path(
-            np.concatenate([last[None], points]),
-            np.concatenate([[last_s], block.time_s]),
-            np.concatenate([[max(chord - path.first, 1)], begin]),
-            np.concatenate([end[:1], end]),
+            way,
+            times_s,
+            begins,
+            ends,
             path.vertices,
             self._best,
             self._best_time_s,
@@ -75,7 +82,8 @@ class Contour:
         self._last = (points[-1], float(block.time_s[-1]), int(begin[-1]) + path.first)
 
     def finish(self) -> Sequence[Finding]:
-        """Return the worst of what was fed."""
+        """Return the worst of what was fed, and of the programmed points that it came to."""
+        seen = self._worst
         if self._path is not None and self._last is not None:
             point, time_s, _ = self._last
             unreached = int(np.isinf(self._best).argmax()) if np.isinf(self._best).any() else None
@@ -97,7 +105,7 @@ class Contour:
                         note=_UNREACHED,
                     )
                 )
-        return [self._worst]
+        return [replace(self._worst, seen=seen)]
 
     def _hold(self, path: PathWindow) -> None:
         """Take over the window; its new vertices have not been approached yet."""

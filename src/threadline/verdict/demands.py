@@ -26,7 +26,7 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
     infinite in theory; the controller sees the step spread over one tick of its clock, and so it
     is counted: a step of velocity is an acceleration for one tick, and that in turn a jerk.
     """
-    axes = plan.trajectory.axes
+    axes = plan.motion.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
     demands = {
         name: [_Demand(axis, order, tick_s) for axis in axes] for name, order in _ORDERS.items()
@@ -38,7 +38,7 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
         for column, (axis, row) in enumerate(zip(axes, rows, strict=True))
         if np.isfinite(limits[row]).all()
     }
-    for block in plan.trajectory:
+    for block in plan.motion.trajectory:
         for column in range(len(axes)) if len(block) else ():
             polys = derivatives(block, column, max(_ORDERS.values()))
             for row in demands.values():

@@ -11,7 +11,8 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
-from threadline.verdict.measure import Block, Finding
+from threadline.verdict.measure import Finding
+from threadline.verdict.samples import Block
 from threadline.verdict.window import PathWindow
 
 PER_PIECE = 16  # points on a curved piece: between them it bows out by 1/256 of its own bow at most
@@ -27,22 +28,22 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     This is the judge's own measure, made of its contour error: the planner measures its paths
     with another (``threadline.path.deviation``), and does not mark its own work.
     """
-    contour = Contour(plan.programmed.radius_m)
-    pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.path if len(b))
-    for block in _blocks(pieces, PathWindow(plan.programmed), 1):
+    contour = Contour(plan.motion.programmed.radius_m)
+    pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.motion.path if len(b))
+    for block in _blocks(pieces, PathWindow(plan.motion.programmed), 1):
         contour.feed(block)
     return [replace(finding, time_s=None) for finding in contour.finish()]
 
 
 def measure_shaping_deviation(plan: Plan) -> list[Finding]:
     """Return how far the shaper takes the motion from the planned path, at the tool."""
-    if plan.feed_forward:
+    if plan.motion.of_loads is not None:
         return _smoothing_deviation(plan)
-    planned, text = plan.unshaped, plan.options.get("shaper")
+    planned, text = plan.motion.timed, plan.options.get("shaper")
     if planned is None or text is None:
         return [Finding(value=0.0, note="the motion is not shaped")]
     longest = longest_delay_s(planned.axes, parse_shaper(text), centroid_shift=True)
-    found = shaping_deviation(planned, plan.trajectory, plan.machine, longest)
+    found = shaping_deviation(planned, plan.motion.trajectory, plan.machine, longest)
     return [
         Finding(
             value=found.at_tool_m,
@@ -55,9 +56,9 @@ def measure_shaping_deviation(plan: Plan) -> list[Finding]:
 
 def _smoothing_deviation(plan: Plan) -> list[Finding]:
     """Return how far the motion of the loads leaves the programmed path, as it is intended."""
-    contour = Contour(plan.programmed.radius_m)
-    pieces = (_points(b.coefficients, b.operation, 1) for b in plan.trajectory if len(b))
-    for block in _blocks(pieces, PathWindow(plan.programmed), _SMOOTHED):
+    contour = Contour(plan.motion.programmed.radius_m)
+    pieces = (_points(b.coefficients, b.operation, 1) for b in plan.motion.trajectory if len(b))
+    for block in _blocks(pieces, PathWindow(plan.motion.programmed), _SMOOTHED):
         contour.feed(block)
     return [replace(finding, time_s=None) for finding in contour.finish()]
 

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine.controllers import Dac
-from threadline.verdict.measure import Block, Finding, Measure, Setting, largest
+from threadline.verdict.measure import Finding, Measure, largest
+from threadline.verdict.samples import Block, Setting
 
 
 class _CurrentPeak:
     """Per axis: the largest absolute current of its motor, in A.
 
-    Between samples too where the recording has a channel ``AXIS.current_peak``.
+    Between samples too where the recording has a channel ``AXIS.current_peak``. The note says which
+    share of its drive's limit that is, and which axis uses the largest and so binds.
     """
 
     def __init__(self, setting: Setting) -> None:
         self._axes = setting.axes
+        self._machine = setting.plan.machine
         self._worst: dict[str, Finding] = {}
 
     def feed(self, block: Block) -> None:
-        source = block.current if block.current_peak is None else block.current_peak
-        assert source is not None
+        assert block.current is not None
+        sizes = np.abs(block.current)
+        if block.current_peak is not None:  # of some axes it may be recorded, of others not
+            sizes = np.fmax(sizes, np.abs(block.current_peak))
         for column, axis in enumerate(self._axes):
-            at, value = largest(np.abs(source[:, column]))
+            at, value = largest(sizes[:, column])
             known = self._worst.get(axis)
             if at >= 0 and (known is None or known.value is None or value > known.value):
                 self._worst[axis] = Finding(
@@ -37,7 +43,27 @@ class _CurrentPeak:
                 )
 
     def finish(self) -> Sequence[Finding]:
-        return list(self._worst.values())
+        limits = {
+            axis: self._machine.drive_of(axis).amplifier.current_limit for axis in self._worst
+        }
+        shares = {
+            axis: (finding.value or 0.0) / limit.si
+            for axis, finding in self._worst.items()
+            if (limit := limits[axis]) is not None
+        }
+        binds = max(shares, key=shares.__getitem__, default="")
+        found = []
+        for axis, finding in self._worst.items():
+            limit, note = limits[axis], ""
+            if limit is not None:
+                drive = self._machine.controller_of(axis).drive
+                note = f"{100.0 * shares[axis]:.3g} % of the {limit.si:g} A of drives.{drive}"
+            if axis == binds:
+                note += ", the axis that binds"
+            elif binds:
+                note = "; ".join(filter(None, (note, f"{binds} binds")))
+            found.append(replace(finding, note=note))
+        return found
 
 
 class _CurrentRms:

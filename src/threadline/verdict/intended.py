@@ -2,40 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording, RecordingBlock, Stream
-from threadline.trajectory import TrajectoryReader
+from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock, Stream
+from threadline.trajectory import Trajectory, TrajectoryReader
 
 
 def as_intended(recording: Recording, plan: Plan) -> Recording:
     """Return ``recording`` with the commanded position of each axis as the plan meant it.
 
-    With feed-forward the controllers are told what makes the loads follow the trajectory of the
-    plan: the motors run ahead of it. What was intended is the trajectory; errors are measured
-    from there. Without feed-forward the two are one, and the recording is returned as it is.
+    Where the loads follow the motion, the controllers are told what makes them do so: the motors
+    run ahead of it. What was intended is the motion; errors are measured from there. Where the
+    motors follow it the two are one, and the recording is returned as it is.
     """
-    if not plan.feed_forward:
+    intended = plan.motion.of_loads
+    if intended is None:
         return recording
     columns = {
-        channel.name: (channel, plan.trajectory.axes.index(channel.axis))
+        channel.name: (channel, intended.axes.index(channel.axis))
         for channel in recording.channels
-        if channel.kind is ChannelKind.COMMANDED and channel.axis in plan.trajectory.axes
+        if channel.kind is ChannelKind.COMMANDED and channel.axis in intended.axes
     }
+    return replace(recording, blocks=Stream(_blocks, recording.blocks, intended, columns))
 
-    def blocks() -> Iterator[RecordingBlock]:
-        readers = {name: TrajectoryReader(plan.trajectory) for name in columns}
-        for block in recording:
-            samples = dict(block.samples)
-            for name, (channel, column) in columns.items():
-                if name not in samples or not len(samples[name]):
-                    continue
-                first = block.first_tick[channel.clock.name]
-                time_s = channel.clock.times_s(first, len(samples[name]), channel.stride)
-                samples[name] = readers[name].ladder(time_s, 1)[:, 0, column]
-                readers[name].drop(float(time_s[-1]))
-            yield replace(block, samples=samples)
 
-    return replace(recording, blocks=Stream(blocks))
+def _blocks(
+    blocks: Iterable[RecordingBlock],
+    trajectory: Trajectory,
+    columns: Mapping[str, tuple[Channel, int]],
+) -> Iterator[RecordingBlock]:
+    """Yield ``blocks`` with the positions of the trajectory in their channels' columns of it."""
+    readers = {name: TrajectoryReader(trajectory) for name in columns}
+    for block in blocks:
+        samples = dict(block.samples)
+        for name, (channel, column) in columns.items():
+            if name not in samples or not len(samples[name]):
+                continue
+            first = block.first_tick[channel.clock.name]
+            time_s = channel.clock.times_s(first, len(samples[name]), channel.stride)
+            samples[name] = readers[name].ladder(time_s, 1)[:, 0, column]
+            readers[name].drop(float(time_s[-1]))
+        yield replace(block, samples=samples)

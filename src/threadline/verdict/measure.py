@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
-from threadline.verdict.switch_run import SwitchRun
-from threadline.verdict.types import Status
-from threadline.verdict.window import PathWindow
+from threadline.verdict.samples import Block
+from threadline.verdict.types import Status, is_measured
 
 Dimension = Literal["tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "ratio"]
 """Of a measured value: a length at the tool, the axis' own unit (m or rad) and its rates, ..."""
@@ -24,7 +24,9 @@ class Finding:
     """The worst value of one measure, of one axis or (``""``) of the tool.
 
     ``value`` is None where nothing could be measured; ``note`` then says why. ``step`` is the step
-    of a move list.
+    of a move list. ``seen`` is the worst of what the recording came to, where the value also counts
+    what it did not come to. ``unseen`` says what was not seen, where the value is only the worst of
+    the rest: it can fail a limit, and not pass one.
     """
 
     value: float | None
@@ -35,86 +37,45 @@ class Finding:
     position: tuple[float, ...] | None = None
     note: str = ""
     step: str = ""
+    seen: Finding | None = None
+    unseen: str = ""
+
+    def worse(self, other: Finding) -> Finding:
+        """Return the worse of the same finding of two recordings.
+
+        Where one of them was not measured, neither limit nor passing is known, but for a value of
+        the other that fails.
+        """
+        if self.value is None or other.value is None:
+            if self.value is None and other.value is None:
+                return self
+            blank, known = (self, other) if self.value is None else (other, self)
+            return replace(known, unseen=known.unseen or blank.note)
+        larger = other if other.value > self.value else self
+        return replace(larger, unseen=self.unseen or other.unseen)
+
+    def under(self, kind: MeasureKind, limit: float | None) -> Finding:
+        """Return what counts under a limit: of what was only partly seen, whether it fails."""
+        if not self.unseen:
+            return self
+        if kind.status(self.value, limit) is Status.FAILED:
+            note = "; ".join(filter(None, (self.note, self.unseen)))
+            return replace(self, note=note, unseen="")
+        return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
+
+    def in_unit(self, unit: str) -> Finding:
+        """Return the finding as it may stand in a verdict: what is no number is not measured."""
+        if self.value is None or is_measured(self.value, unit):
+            return self
+        note = "; ".join(filter(None, (self.note, "no number came of these samples")))
+        return replace(self, value=None, note=note)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
-    """What a measure knows before the first sample.
-
-    Parameters
-    ----------
-    plan, recording
-        What was intended, and what is judged.
-    axes, radius_m
-        Of the programmed path: names, and (axes,) lengths at the tool per unit of the axis.
-    interval_s
-        Time between two samples.
-    lag_samples
-        How many samples the machine may trail its command.
-    """
-
-    plan: Plan
-    recording: Recording
-    axes: tuple[str, ...]
-    radius_m: FloatArray
-    interval_s: float
-    lag_samples: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Block:
-    """Consecutive samples, n of them, with every channel on the same instants.
-
-    Parameters
-    ----------
-    first
-        Number of the first sample since the start.
-    time_s
-        (n,) instants.
-    commanded, actual, own, voltage, current, current_peak
-        (n, axes) or None where a channel is absent: the command; the tool or the load; the axis'
-        own encoder; the amplifier's input; the motor's current, and its largest since the sample
-        before. A column of NaN marks an axis that lacks the channel while another has it.
-    operation
-        (n,) operation under way, never decreasing, or None.
-    chord
-        (n,) chord that the command is on, counted from the start of the path, or None.
-    begin, end
-        (n,) first and last chord that it was or will be on within the lag of each sample.
-    path
-        The programmed path about these operations, or None without an operation channel.
-    """
-
-    first: int
-    time_s: FloatArray
-    commanded: FloatArray | None
-    actual: FloatArray | None
-    own: FloatArray | None
-    voltage: FloatArray | None
-    current: FloatArray | None
-    current_peak: FloatArray | None
-    operation: IntArray | None
-    chord: IntArray | None
-    begin: IntArray | None
-    end: IntArray | None
-    path: PathWindow | None
-
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def window(self) -> tuple[PathWindow, IntArray, IntArray]:
-        """Return the path, and ``begin`` and ``end`` counted within what it holds."""
-        assert self.path is not None and self.begin is not None and self.end is not None
-        begin = np.maximum(self.begin - self.path.first, 1)
-        return self.path, begin, np.maximum(self.end - self.path.first, begin)
-
-    def operation_at(self, index: int) -> int | None:
-        """Return the operation under way at a sample."""
-        return None if self.operation is None else int(self.operation[index])
-
-    def position_at(self, index: int) -> tuple[float, ...] | None:
-        """Return the commanded position at a sample."""
-        return None if self.commanded is None else tuple(self.commanded[index].tolist())
+def somewhere(finding: Finding) -> Finding:
+    """Return a finding without its place if it is zero: no place is worse than another then."""
+    if finding.value != 0.0:
+        return finding
+    return replace(finding, time_s=None, operation=None, job_line=None, position=None)
 
 
 class Measure(Protocol):
@@ -135,6 +96,132 @@ class Option:
     default: float
 
 
+Needs = tuple[tuple[ChannelKind, ...], ...]
+"""Kinds of channel, each a set of alternatives, without which nothing is measured."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Running:
+    """A measurement that has begun: of what kind, how it reads its run, and itself."""
+
+    kind: MeasureKind
+    reading: RunReading
+    measure: Measure
+
+
+class Run(Protocol):
+    """One recording beside its plan, as the measures of its kind of work read it.
+
+    ``of`` says in words what it is a run of. Where ``by_time``, the operations of the recording
+    are those of the plan at the same instant. ``absent`` is said of an axis of which nothing was
+    found.
+    """
+
+    of: ClassVar[str]
+    absent: ClassVar[str]
+
+    @property
+    def plan(self) -> Plan:
+        """What was intended."""
+
+    @property
+    def recording(self) -> Recording:
+        """What is judged."""
+
+    @property
+    def by_time(self) -> bool:
+        """Whether the operations are the plan's."""
+
+    def lacks(self, reading: RunReading, per_axis: bool) -> str:
+        """Say why the recording cannot tell what a measure asks for; empty where it can."""
+
+    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+        """Read the recording once; return what each measure found, as far as it was seen."""
+
+    def unseen(self, reading: RunReading) -> str:
+        """Say, once the recording was read, what a measure of many runs did not see of it."""
+
+
+RunT_contra = TypeVar("RunT_contra", contravariant=True)
+Options = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class _Whole:
+    """A measure that has its run whole, and needs no samples one after the other."""
+
+    finish: Callable[[], Sequence[Finding]]
+
+    def feed(self, block: Block) -> None:
+        """Take no notice: the run is there already."""
+
+
+def whole(
+    measure: Callable[[RunT_contra, Options], Sequence[Finding]],
+) -> Callable[[RunT_contra, Options], Measure]:
+    """Return what begins a measurement that a function makes of a whole run at once."""
+    return lambda run, options: _Whole(partial(measure, run, options))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfPlan:
+    """A measure that reads the plan alone.
+
+    Parameters
+    ----------
+    intent
+        The plans that it is measured on, by what they intend.
+    measure
+        Returns its findings, and those of other measures that fall out of the same pass, by name.
+    """
+
+    intent: type
+    measure: Callable[[Plan], Mapping[str, Sequence[Finding]]]
+    needs: Needs = ()
+    follows: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfRun(Generic[RunT_contra]):
+    """A measure that reads one run.
+
+    Parameters
+    ----------
+    run
+        The runs that it is measured on.
+    start
+        Begins a measurement of one.
+    needs
+        Without which nothing is measured.
+    follows
+        It follows the motion in time: samples farther apart than the lag tell nothing.
+    of_every_axis
+        The kind among the needs that a measure of single axes needs of all: the command has ended
+        when that of every axis has.
+    """
+
+    run: type[Any]
+    start: Callable[[RunT_contra, Options], Measure]
+    needs: Needs = ()
+    follows: bool = False
+    of_every_axis: ChannelKind | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfRuns(Generic[RunT_contra]):
+    """A measure that reads many runs of one job together; otherwise as ``OfRun``."""
+
+    run: type[Any]
+    measure: Callable[[Sequence[RunT_contra], Options], Sequence[Finding]]
+    needs: Needs = ()
+    follows: bool = False
+    of_every_axis: ChannelKind | None = None
+
+
+RunReading = OfRun[Any] | OfRuns[Any]
+Reading = OfPlan | RunReading
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureKind:
     """An entry of the registry of measures.
@@ -147,18 +234,13 @@ class MeasureKind:
         Of the value.
     per_axis
         One finding per axis; else one for the tool.
-    needs
-        Kinds of channel, each a set of alternatives, without which nothing is measured.
-    start
-        Begins a measurement of a recording; None for measures of the plan or of many recordings.
-    of_many
-        Measures all recordings together.
-    of_switching
-        Measures a run of an on/off machine; None where there is nothing to measure on one.
+    reads
+        The input that it reads (the plan alone, one run, many runs), and how: once for each form
+        that this input has. A plan or run of no such form has nothing to measure.
     options
         What a specification may set.
-    follows
-        It follows the motion in time: samples farther apart than the lag tell nothing.
+    of_worst
+        It is the worst of all samples: samples more can only make it larger.
     slack, allowance
         The limit is exceeded above ``slack * limit + allowance``.
     """
@@ -166,16 +248,45 @@ class MeasureKind:
     name: str
     dimension: Dimension
     per_axis: bool
-    needs: tuple[tuple[ChannelKind, ...], ...] = ()
-    start: Callable[[Setting, Mapping[str, float]], Measure] | None = None
-    of_many: (
-        Callable[[Sequence[Recording], Plan, Mapping[str, float]], Sequence[Finding]] | None
-    ) = None
-    of_switching: Callable[[SwitchRun, Mapping[str, float]], Sequence[Finding]] | None = None
+    reads: tuple[Reading, ...]
     options: Mapping[str, Option] = field(default_factory=dict)
-    follows: bool = False
+    of_worst: bool = False
     slack: float = 1.0
     allowance: float = 0.0
+
+    @property
+    def needs(self) -> Needs:
+        """Kinds of channel without which nothing is measured, for each form of its input."""
+        return tuple(alternatives for reading in self.reads for alternatives in reading.needs)
+
+    @property
+    def follows(self) -> bool:
+        """Whether it follows the motion in time."""
+        return any(reading.follows for reading in self.reads)
+
+    def of_run(self, run: object) -> RunReading | None:
+        """Return how it reads such a run, or None where it reads none."""
+        for reading in self.reads:
+            if not isinstance(reading, OfPlan) and isinstance(run, reading.run):
+                return reading
+        return None
+
+    def of_plan(self, plan: Plan) -> OfPlan | None:
+        """Return how it reads such a plan, or None where it reads none."""
+        for reading in self.reads:
+            if isinstance(reading, OfPlan) and isinstance(plan.intent, reading.intent):
+                return reading
+        return None
+
+    def start(self, run: object, options: Options) -> Measure | None:
+        """Begin to measure a run, with the defaults for ``options`` that are left out.
+
+        None where it is not a measure of one such run.
+        """
+        reading = self.of_run(run)
+        if not isinstance(reading, OfRun):
+            return None
+        return reading.start(run, self.with_defaults(options))
 
     def with_defaults(self, given: Mapping[str, float]) -> dict[str, float]:
         """Return every option of the measure: as ``given``, else its default."""

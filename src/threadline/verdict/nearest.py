@@ -7,6 +7,9 @@ from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 
+_FINEST = 1.0 / 4096  # of the way between two points: finer parts of it are not looked at
+_MOST_PARTS = 32  # of a way that wait: one more for each halving, down to the finest
+
 
 def _squared_to_segment(
     point: FloatArray, start: FloatArray, end: FloatArray
@@ -29,20 +32,63 @@ def _squared_to_segment(
 squared_to_segment = njit(cache=True, inline="always")(_squared_to_segment)
 
 
+def _nearest(point: FloatArray, low: int, high: int, vertices: FloatArray) -> tuple[float, int]:
+    """Return the squared distance of a point to the nearest of some chords, and which it is."""
+    best, best_chord = np.inf, -1
+    for chord in range(low, high + 1):
+        squared, _ = squared_to_segment(point, vertices[chord - 1], vertices[chord])
+        if squared < best:
+            best, best_chord = squared, chord
+    return best, best_chord
+
+
+_nearest_fast = njit(cache=True)(_nearest)
+
+
 def _path_to_chords(
     points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
-) -> tuple[float, int, int]:
-    """Return the largest squared distance of any point to its chords, its index and the chord."""
-    worst, worst_point, worst_chord = -1.0, -1, -1
+) -> tuple[float, int, float, int]:
+    """Return the largest squared distance of the way through the points to its chords, and where.
+
+    Point i is held against the chords ``begin[i]`` to ``end[i]``, and the straight way to it
+    against those of both its ends. Where: the index of the point before, the part of the way to
+    the next one (0..1), and the nearest chord.
+    """
+    worst, at, part, worst_chord = -1.0, -1, 0.0, -1
+    before = -1
+    lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
     for i in range(len(points)):
-        best, best_chord = np.inf, -1
-        for chord in range(begin[i], end[i] + 1):
-            squared, _ = squared_to_segment(points[i], vertices[chord - 1], vertices[chord])
-            if squared < best:
-                best, best_chord = squared, chord
+        best, chord = _nearest_fast(points[i], begin[i], end[i], vertices)
         if best > worst:
-            worst, worst_point, worst_chord = best, i, best_chord
-    return worst, worst_point, worst_chord
+            worst, at, part, worst_chord = best, i, 0.0, chord
+        # The distance to one chord is largest at an end of the way; to two it may not be.
+        if i and chord != before:
+            low, high = min(begin[i - 1], begin[i]), max(end[i - 1], end[i])
+            left = 1
+            lows[0], highs[0] = 0.0, 1.0
+            while left:
+                left -= 1
+                a, b = lows[left], highs[left]
+                start = points[i - 1] + a * (points[i] - points[i - 1])
+                stop = points[i - 1] + b * (points[i] - points[i - 1])
+                # No place of this part is farther than its ends from any one chord.
+                bound = np.inf
+                for c in range(low, high + 1):
+                    first, _ = squared_to_segment(start, vertices[c - 1], vertices[c])
+                    second, _ = squared_to_segment(stop, vertices[c - 1], vertices[c])
+                    bound = min(bound, max(first, second))
+                if bound <= worst or b - a < _FINEST:
+                    continue
+                middle = 0.5 * (a + b)
+                best, nearest = _nearest_fast(0.5 * (start + stop), low, high, vertices)
+                if best > worst:
+                    worst, at, part, worst_chord = best, i - 1, middle, nearest
+                if left + 2 <= _MOST_PARTS:
+                    lows[left], highs[left] = a, middle
+                    lows[left + 1], highs[left + 1] = middle, b
+                    left += 2
+        before = chord
+    return worst, at, part, worst_chord
 
 
 def _vertices_to_path(
@@ -67,5 +113,20 @@ def _vertices_to_path(
                 best_time_s[vertex] = time_s[i] + where * (time_s[i + 1] - time_s[i])
 
 
+def _squared_distances(
+    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
+) -> FloatArray:
+    """Return the (n,) squared distance of each point to the chords ``begin[i]`` to ``end[i]``."""
+    found = np.empty(len(points))
+    for i in range(len(points)):
+        best = np.inf
+        for chord in range(begin[i], end[i] + 1):
+            squared, _ = squared_to_segment(points[i], vertices[chord - 1], vertices[chord])
+            best = min(best, squared)
+        found[i] = best
+    return found
+
+
 path_to_chords = njit(cache=True, nogil=True)(_path_to_chords)
 vertices_to_path = njit(cache=True, nogil=True)(_vertices_to_path)
+squared_distances = njit(cache=True, nogil=True)(_squared_distances)

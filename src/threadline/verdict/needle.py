@@ -36,6 +36,8 @@ class Stitches:
         (n,) when it goes down, from the start of the trajectory.
     target_m, period_s
         (n,) wanted length, and programmed time of one turn of the needle.
+    from_m, to_m
+        (n,) the stretch of the drawn line that each covers; NaN where nothing is drawn.
     """
 
     operation: IntArray
@@ -49,6 +51,8 @@ class Stitches:
     down_s: FloatArray
     target_m: FloatArray
     period_s: FloatArray
+    from_m: FloatArray
+    to_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.operation)
@@ -74,11 +78,9 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
     to where the trajectory is nearest to the stitch's point. Where the loads follow the motion by
     feed-forward the needle keeps the times before smoothing, which are those of the job.
     """
-    motion = plan.trajectory
-    if plan.feed_forward and plan.unshaped is not None:
-        motion = plan.unshaped
-    axes = [plan.programmed.axes.index(axis) for axis in plan.job.axes]
-    radius = plan.programmed.radius_m[axes]
+    motion = plan.motion.of_needle
+    axes = [plan.motion.programmed.axes.index(axis) for axis in plan.job.axes]
+    radius = plan.motion.programmed.radius_m[axes]
     moves = ((i, o) for i, o in enumerate(plan.job) if isinstance(o, Move))
     start = np.asarray(plan.job.start, dtype=np.float64)
     before_s, contour = 0.0, -1.0
@@ -125,6 +127,8 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
             down_s=down[sewn],
             target_m=np.array([float(t["target_m"]) for t in tags]),
             period_s=np.array([_period_s(m) for m in taken if "stitch" in m.tags]),
+            from_m=np.array([float(t.get("from_m", np.nan)) for t in tags]),
+            to_m=np.array([float(t.get("to_m", np.nan)) for t in tags]),
         )
 
 

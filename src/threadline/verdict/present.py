@@ -8,9 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from threadline import __version__
-from threadline.plan import Plan, SwitchPlan
-from threadline.signals import TickTable
-from threadline.targets.schedule_moves import shaping_words
+from threadline.arrays import finite
+from threadline.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.types import Result, Status, Verdict
 
@@ -25,92 +24,35 @@ _SHOWN = {
 }
 
 
-ON_OFF = "on-off"
-"""Stands where other plans have an interpolation."""
-
-
-def verdict_json(verdict: Verdict, plan: Plan | SwitchPlan) -> dict[str, Any]:
+def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
     """Return what ``prove --json`` prints; SI units, ``None`` for what is not a finite number."""
-    commands = plan.commands
-    if isinstance(plan, SwitchPlan):
-        interpolation, duration_s = ON_OFF, plan.duration_s
-    else:
-        interpolation, duration_s = plan.interpolation, plan.trajectory.duration_s
     return {
         "job": plan.job.name,
         "machine": plan.machine.name,
-        "interpolation": interpolation,
+        "interpolation": plan.interpolation,
         "passed": verdict.passed,
-        "duration_s": duration_s,
-        "ticks": commands.tick_count() if isinstance(commands, TickTable) else None,
+        "duration_s": plan.duration_s,
+        "ticks": plan.commands.tick_count(),
         "criteria": criteria_json(verdict),
         "job_sha256": plan.job.sha256,
         "machine_sha256": plan.machine.sha256,
         "threadline": __version__,
         "simulated": verdict.simulated,
+        "level": verdict.level.value,
+        "runs": verdict.runs,
+        "tightest": _tightest_json(verdict.tightest),
+        "incomplete": verdict.incomplete,
+        "late_ticks": verdict.late_ticks,
         "options": dict(plan.options),
-        **_feed_forward_json(plan),
-        **_shaping_json(plan),
+        **plan.intent.told(plan.options),
     }
 
 
-def _feed_forward_json(plan: Plan | SwitchPlan) -> dict[str, Any]:
-    if isinstance(plan, SwitchPlan) or not plan.feed_forward:
-        return {}
-    begin_s, end_s = plan.motion_s
-    return {
-        "motion": {"begin_s": begin_s, "end_s": end_s, "duration_s": end_s - begin_s},
-        "feed_forward": [
-            {
-                "axis": demand.axis,
-                "current_a": demand.current_a,
-                "current_limit_a": _finite(demand.current_limit_a),
-                "current_at_s": demand.current_at_s,
-                "volts": demand.volts,
-                "volt_limit": demand.volt_limit,
-                "bound_by": demand.bound_by,
-                "share": demand.share,
-            }
-            for demand in plan.feed_forward
-        ],
-    }
-
-
-def motion_lines(plan: Plan) -> list[str]:
-    """Return the line that says how long the motion is, where the table is longer."""
-    if not plan.feed_forward:
-        return []
-    begin_s, end_s = plan.motion_s
-    return [
-        f"Motion:               {end_s - begin_s:.4g} s, from {begin_s:.3f} s to {end_s:.3f} s of "
-        f"a table of {plan.trajectory.duration_s:.4g} s: feed-forward begins before it and goes "
-        "on until what it set swinging has decayed"
-    ]
-
-
-def shaping_rows(plan: SwitchPlan) -> list[list[str]]:
-    """Return every cylinder and how it is shaped: a bare kind was made for its own mode."""
-    if "shaper" not in plan.options:
-        return []
-    shaping = plan.scheduled.shaping
-    return [[axis, shaping_words(shaping.get(axis))] for axis in plan.machine.cylinders]
-
-
-def _shaping_json(plan: Plan | SwitchPlan) -> dict[str, Any]:
-    if isinstance(plan, Plan) or "shaper" not in plan.options:
-        return {}
-    return {
-        "shaping": {
-            axis: {
-                "shaper": shaping.shaper.name,
-                "modes": [
-                    {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio}
-                    for m in shaping.modes
-                ],
-            }
-            for axis, shaping in plan.scheduled.shaping.items()
-        }
-    }
+def _tightest_json(result: Result | None) -> dict[str, Any] | None:
+    if result is None or result.measured is None or not result.limit:
+        return None
+    share = finite(result.measured / result.limit)
+    return {"name": result.name, "axis": result.axis, "share_of_limit": share}
 
 
 def criteria_json(verdict: Verdict) -> list[dict[str, Any]]:
@@ -123,8 +65,8 @@ def _criterion(result: Result) -> dict[str, Any]:
         "name": result.name,
         "axis": result.axis,
         **({"step": result.step} if result.step else {}),
-        "measured": _finite(result.measured),
-        "limit": _finite(result.limit),
+        "measured": finite(result.measured),
+        "limit": finite(result.limit),
         "unit": result.unit,
         "status": result.status.value,
         "time_s": result.time_s,
@@ -137,26 +79,39 @@ def _criterion(result: Result) -> dict[str, Any]:
     }
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
 def closing(verdict: Verdict) -> str:
-    """Return the line under a verdict for people.
+    """Return the line under a verdict for people: what, at which level, and how narrowly.
 
     A verdict that fails only because something required was not measured says so: nothing was
     found out of specification, and nothing proved.
     """
+    level = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
     missing = dict.fromkeys(r.name for r in verdict.results if r.status is Status.NOT_MEASURED)
     if verdict.passed:
-        count = len(missing)
-        plural = "criterion" if count == 1 else "criteria"
-        return "IN SPEC" + (f" ({count} {plural} not measured)" if count else "")
+        about = [level]
+        if verdict.tightest is not None:
+            about.append(_used(verdict.tightest))
+        if missing:
+            plural = "criterion" if len(missing) == 1 else "criteria"
+            about.append(f"{len(missing)} {plural} not measured")
+        if verdict.late_ticks:
+            about.append(f"{verdict.late_ticks} ticks late")
+        return f"IN SPEC ({'; '.join(about)})"
     if any(r.status is Status.FAILED for r in verdict.results):
-        return "OUT OF SPEC"
+        return f"OUT OF SPEC ({level})"
+    if verdict.incomplete:
+        return f"NOT PROVEN: {verdict.incomplete}"
     lacking = dict.fromkeys(r.name.replace("_", " ") for r in verdict.results if _lacking(r))
     were = "was" if len(lacking) == 1 else "were"
     return f"NOT PROVEN: {' and '.join(lacking)} {were} not measured"
+
+
+def _used(result: Result) -> str:
+    """Return how much of its limit a result uses, rounded up: 100 % is never less."""
+    assert result.measured is not None and result.limit
+    percent = math.ceil(100.0 * max(result.measured, 0.0) / result.limit - 1e-9)
+    name = " ".join(filter(None, (result.name, result.axis, result.step)))
+    return f"{percent} % of {name} used"
 
 
 def verdict_rows(
@@ -169,7 +124,8 @@ def verdict_rows(
     verdict
         Its results keep their order.
     every_axis
-        One row per axis; else one per criterion, that of the worst axis and step. Where some were
+        One row per axis; else one per criterion, that of the worst axis and step, without the
+        zeros of axes that never move (each has its result all the same). Where some were
         not measured it is the worst of the others, with a note; if they had to be, with a row of
         theirs.
     """
@@ -177,13 +133,26 @@ def verdict_rows(
     if every_axis:
         results: Sequence[Result] = verdict.results
     else:
-        names = dict.fromkeys((r.name, r.unit) for r in verdict.results)
+        moving = _of_moving_axes(verdict.results)
+        names = dict.fromkeys((r.name, r.unit) for r in moving)
         results = [
-            row
-            for key in names
-            for row in _worst([r for r in verdict.results if (r.name, r.unit) == key])
+            row for key in names for row in _worst([r for r in moving if (r.name, r.unit) == key])
         ]
     return header, [_row(result) for result in results]
+
+
+def _of_moving_axes(results: Sequence[Result]) -> list[Result]:
+    """Return the results but the zeros of axes that stand still while another moves."""
+    speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
+    still = {axis for axis, speed in speeds.items() if speed == 0.0}
+    if len(still) == len(speeds):
+        return list(results)
+    of_no_interest = (Status.PASSED, Status.REPORTED)
+    return [
+        r
+        for r in results
+        if r.axis not in still or r.measured != 0.0 or r.status not in of_no_interest
+    ]
 
 
 def _worst(results: Sequence[Result]) -> list[Result]:

@@ -2,175 +2,249 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+
+from threadline.plan import Motion, Plan
 from threadline.signals import ChannelKind
 from threadline.verdict import (
     demands,
     electrical,
     repeat,
     ripple,
+    seam,
     settling,
+    steps,
     stitches,
     switch_measures,
     turning,
 )
+from threadline.verdict.advance import start_progress
 from threadline.verdict.contour import start_contour
-from threadline.verdict.measure import MeasureKind
+from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
+from threadline.verdict.measure import Finding, Measure, MeasureKind, OfPlan, OfRun, OfRuns, whole
+from threadline.verdict.samples import Setting
+from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.tracking import start_tracking
 
 _ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
 _OPERATION = (ChannelKind.OPERATION,)
 _COMMANDED = (ChannelKind.COMMANDED,)
 
-PLAN_DEMANDS = ("travel", "velocity", "acceleration", "jerk")
+
+def _path_deviation(plan: Plan) -> dict[str, list[Finding]]:
+    return {"path_deviation": measure_path_deviation(plan)}
+
+
+def _shaping_deviation(plan: Plan) -> dict[str, list[Finding]]:
+    return {"shaping_deviation": measure_shaping_deviation(plan)}
+
+
+def _moved(
+    start: Callable[[Setting, Mapping[str, float]], Measure],
+    *needs: tuple[ChannelKind, ...],
+    follows: bool = True,
+    of_every_axis: ChannelKind | None = None,
+) -> OfRun[Setting]:
+    """Return a measure of a run of axes with a path."""
+    return OfRun(
+        run=Setting, start=start, needs=needs, follows=follows, of_every_axis=of_every_axis
+    )
+
+
+def _switched(
+    measure: Callable[[SwitchRun, Mapping[str, float]], Sequence[Finding]],
+) -> OfRun[SwitchRun]:
+    """Return a measure of a run of an on/off machine."""
+    return OfRun(run=SwitchRun, start=whole(measure))
+
+
+_DEMANDS = OfPlan(intent=Motion, measure=demands.measure_demands)
 
 _KINDS = (
     MeasureKind(
         name="contour_error",
         dimension="tool",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL, _OPERATION),
-        start=start_contour,
+        of_worst=True,
+        reads=(_moved(start_contour, _ACTUAL, _OPERATION),),
+    ),
+    MeasureKind(
+        name="progress_error",
+        dimension="tool",
+        per_axis=False,
+        of_worst=True,
+        reads=(_moved(start_progress, _ACTUAL, _OPERATION),),
     ),
     MeasureKind(
         name="turning_point_error",
         dimension="tool",
         per_axis=True,
-        follows=True,
-        needs=(_ACTUAL, _OPERATION),
-        start=turning.start_turning,
+        reads=(_moved(turning.start_turning, _ACTUAL, _OPERATION),),
         options=turning.OPTIONS,
     ),
     MeasureKind(
         name="repeatability",
         dimension="tool",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL, _OPERATION),
-        of_many=repeat.measure_repeatability,
+        reads=(
+            OfRuns(
+                run=Setting,
+                measure=repeat.measure_repeatability,
+                needs=(_ACTUAL, _OPERATION),
+                follows=True,
+            ),
+            OfRuns(run=SwitchRun, measure=switch_measures.repeatability),
+        ),
         options=repeat.OPTIONS,
     ),
-    # A sum of increments may end a rounding beyond the travel.
+    # A path tells beforehand how far it goes, a schedule does not: the one measure whose input
+    # differs. A sum of increments may end a rounding beyond the travel.
     MeasureKind(
         name="travel",
         dimension="axis",
         per_axis=True,
         allowance=1e-9,
-        of_switching=switch_measures.travel,
+        reads=(_DEMANDS, _switched(switch_measures.travel)),
     ),
-    MeasureKind(name="velocity", dimension="axis/s", per_axis=True, slack=demands.SLACK),
-    MeasureKind(name="acceleration", dimension="axis/s^2", per_axis=True, slack=demands.SLACK),
-    MeasureKind(name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK),
-    MeasureKind(name="path_deviation", dimension="tool", per_axis=False),
-    MeasureKind(name="shaping_deviation", dimension="tool", per_axis=False),
+    MeasureKind(
+        name="velocity", dimension="axis/s", per_axis=True, slack=demands.SLACK, reads=(_DEMANDS,)
+    ),
+    MeasureKind(
+        name="acceleration",
+        dimension="axis/s^2",
+        per_axis=True,
+        slack=demands.SLACK,
+        reads=(_DEMANDS,),
+    ),
+    MeasureKind(
+        name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK, reads=(_DEMANDS,)
+    ),
+    MeasureKind(
+        name="path_deviation",
+        dimension="tool",
+        per_axis=False,
+        reads=(OfPlan(intent=Motion, measure=_path_deviation),),
+    ),
+    MeasureKind(
+        name="shaping_deviation",
+        dimension="tool",
+        per_axis=False,
+        reads=(OfPlan(intent=Motion, measure=_shaping_deviation),),
+    ),
     MeasureKind(
         name="tracking_error",
         dimension="axis",
         per_axis=True,
-        follows=True,
-        needs=(_COMMANDED, (*_ACTUAL, ChannelKind.MEASURED)),
-        start=start_tracking,
+        of_worst=True,
+        reads=(_moved(start_tracking, _COMMANDED, (*_ACTUAL, ChannelKind.MEASURED)),),
     ),
     MeasureKind(
         name="velocity_ripple",
         dimension="ratio",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL, _OPERATION),
-        start=ripple.start_ripple,
+        of_worst=True,
+        reads=(_moved(ripple.start_ripple, _ACTUAL, _OPERATION),),
         options=ripple.OPTIONS,
     ),
     MeasureKind(
         name="stitch_length_error",
         dimension="ratio",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL,),
-        start=stitches.start_length,
+        reads=(_moved(stitches.start_length, _ACTUAL),),
         options=stitches.OPTIONS,
     ),
     MeasureKind(
         name="stitch_placement_error",
         dimension="tool",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL,),
-        start=stitches.start_placement,
+        reads=(_moved(stitches.start_placement, _ACTUAL),),
+        options=stitches.OPTIONS,
+    ),
+    MeasureKind(
+        name="seam_error",
+        dimension="tool",
+        per_axis=False,
+        reads=(_moved(seam.start_seam, _ACTUAL),),
         options=stitches.OPTIONS,
     ),
     MeasureKind(
         name="needle_time_error",
         dimension="ratio",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL,),
-        start=stitches.start_needle,
+        reads=(_moved(stitches.start_needle, _ACTUAL),),
         options=stitches.OPTIONS,
     ),
     MeasureKind(
         name="residual_vibration",
         dimension="tool",
         per_axis=True,
-        follows=True,
-        needs=(_ACTUAL, _COMMANDED),
-        start=settling.start_residual,
-        of_switching=switch_measures.residual_vibration,
+        reads=(
+            _moved(
+                settling.start_residual, _ACTUAL, _COMMANDED, of_every_axis=ChannelKind.COMMANDED
+            ),
+            _switched(switch_measures.residual_vibration),
+        ),
         options=settling.RESIDUAL_OPTIONS,
     ),
     MeasureKind(
         name="settling_time",
         dimension="time",
         per_axis=False,
-        follows=True,
-        needs=(_ACTUAL, _COMMANDED),
-        start=settling.start_settling,
-        of_switching=switch_measures.settling_time,
+        reads=(
+            _moved(settling.start_settling, _ACTUAL, _COMMANDED),
+            _switched(switch_measures.settling_time),
+        ),
         options=settling.SETTLING_OPTIONS,
     ),
     MeasureKind(
         name="dac_saturation",
         dimension="ratio",
         per_axis=True,
-        needs=((ChannelKind.VOLTAGE,),),
-        start=electrical.start_dac_saturation,
+        reads=(_moved(electrical.start_dac_saturation, (ChannelKind.VOLTAGE,), follows=False),),
+    ),
+    MeasureKind(
+        name="step_loss",
+        dimension="ratio",
+        per_axis=True,
+        of_worst=True,
+        reads=(_moved(steps.start_step_loss, (ChannelKind.TORQUE_SHARE,), follows=False),),
     ),
     MeasureKind(
         name="current_peak",
         dimension="current",
         per_axis=True,
-        needs=((ChannelKind.CURRENT,),),
-        start=electrical.start_current_peak,
+        of_worst=True,
+        reads=(_moved(electrical.start_current_peak, (ChannelKind.CURRENT,), follows=False),),
     ),
     MeasureKind(
         name="current_rms",
         dimension="current",
         per_axis=True,
-        needs=((ChannelKind.CURRENT,),),
-        start=electrical.start_current_rms,
+        reads=(_moved(electrical.start_current_rms, (ChannelKind.CURRENT,), follows=False),),
     ),
     MeasureKind(
         name="end_position_error",
         dimension="axis",
         per_axis=True,
-        of_switching=switch_measures.end_position_error,
+        reads=(_switched(switch_measures.end_position_error),),
     ),
     MeasureKind(
         name="cycle_time",
         dimension="time",
         per_axis=False,
-        of_switching=switch_measures.cycle_time,
+        reads=(_switched(switch_measures.cycle_time),),
     ),
     MeasureKind(
         name="switching_order",
         dimension="ratio",
         per_axis=False,
-        of_switching=switch_measures.switching_order,
+        reads=(_switched(switch_measures.switching_order),),
     ),
     MeasureKind(
         name="switching_error",
         dimension="time",
         per_axis=False,
-        of_switching=switch_measures.switching_error,
+        reads=(_switched(switch_measures.switching_error),),
     ),
     # Recorded instants are sums of periods: a rounding is no fault.
     MeasureKind(
@@ -178,22 +252,20 @@ _KINDS = (
         dimension="time",
         per_axis=False,
         allowance=1e-9,
-        of_switching=switch_measures.switching_dwell,
+        reads=(_switched(switch_measures.switching_dwell),),
     ),
     MeasureKind(
         name="valve_conflict",
         dimension="time",
         per_axis=False,
-        of_switching=switch_measures.valve_conflict,
+        reads=(_switched(switch_measures.valve_conflict),),
     ),
     MeasureKind(
         name="over_level",
         dimension="ratio",
         per_axis=False,
         allowance=1e-9,
-        of_switching=switch_measures.over_level,
+        reads=(_switched(switch_measures.over_level),),
     ),
 )
-SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "over_level")
-"""Measures of an on/off machine whose limit is the machine's own."""
 MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}

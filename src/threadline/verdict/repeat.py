@@ -7,17 +7,16 @@ from itertools import zip_longest
 
 import numpy as np
 
-from threadline.path.types import ProgrammedPath
-from threadline.plan import Plan
-from threadline.signals import Recording
+from threadline.arrays import FloatArray
 from threadline.verdict.blocks import judged_blocks
-from threadline.verdict.measure import Block, Finding, Option
+from threadline.verdict.measure import Finding, Option
+from threadline.verdict.samples import Block, Setting
 
 OPTIONS = {"recordings": Option(unit="", default=20.0)}
 
 
 def measure_repeatability(
-    recordings: Sequence[Recording], plan: Plan, options: Mapping[str, float]
+    runs: Sequence[Setting], options: Mapping[str, float]
 ) -> Sequence[Finding]:
     """Return the largest distance, at the tool, of any run from the mean of all runs.
 
@@ -27,18 +26,15 @@ def measure_repeatability(
 
     Parameters
     ----------
-    recordings
+    runs
         Read in step; memory holds one block of each.
-    plan
-        Gives the order of the axes and their radii.
     options
         ``recordings``: how many it takes.
     """
     wanted = max(int(options["recordings"]), 2)
-    if len(recordings) < wanted:
-        return [Finding(value=None, note=f"needs {wanted} recordings, has {len(recordings)}")]
-    path: ProgrammedPath = plan.programmed
-    streams = [judged_blocks(recording, path.axes, 0, None) for recording in recordings]
+    if len(runs) < wanted:
+        return [Finding(value=None, note=f"needs {wanted} recordings, has {len(runs)}")]
+    streams = [judged_blocks(run.recording, run.axes, 0, None) for run in runs]
     worst = Finding(value=None, note="the recordings are empty")
     for blocks in zip_longest(*streams):
         if any(block is None or len(block) != len(blocks[0]) for block in blocks):
@@ -46,15 +42,15 @@ def measure_repeatability(
         operations = np.stack([b.operation for b in blocks if b.operation is not None])
         if (operations != operations[0]).any():
             return [Finding(value=None, note="the recordings differ in their operations")]
-        finding = _spread(blocks, path)
+        finding = _spread(blocks, runs[0].radius_m)
         if worst.value is None or (finding.value or 0.0) > worst.value:
             worst = finding
     return [worst]
 
 
-def _spread(blocks: Sequence[Block], path: ProgrammedPath) -> Finding:
+def _spread(blocks: Sequence[Block], radius_m: FloatArray) -> Finding:
     actual = np.stack([block.actual for block in blocks if block.actual is not None])
-    away = np.linalg.norm((actual - actual.mean(axis=0)) * path.radius_m, axis=2)
+    away = np.linalg.norm((actual - actual.mean(axis=0)) * radius_m, axis=2)
     run, at = np.unravel_index(int(np.argmax(away)), away.shape)
     return Finding(
         value=float(away[run, at]),

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
+from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.samples import Block, Setting
 
 OPTIONS = {"over": Option(unit="s", default=0.02)}
 _SAME = 1e-6  # relative: two speeds, or two directions

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
+from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.samples import Block, Setting
 
 RESIDUAL_OPTIONS = {"after": Option(unit="s", default=0.0), "window": Option(unit="s", default=1.0)}
 SETTLING_OPTIONS = {"band": Option(unit="m", default=1e-4)}

@@ -6,6 +6,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
@@ -13,10 +14,11 @@ from typing import Any, NoReturn
 from threadline.errors import Place, SpecError, UnitError
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
-from threadline.opening import read_text
+from threadline.opening import note_input, read_text
 from threadline.units import USUAL, parse_quantity, same_dimension, split_quantity
-from threadline.verdict.measure import MeasureKind
-from threadline.verdict.registry import MEASURES, PLAN_DEMANDS, SWITCHING_LIMITS
+from threadline.verdict.always import always_of
+from threadline.verdict.measure import MeasureKind, Option
+from threadline.verdict.registry import MEASURES
 from threadline.verdict.types import Criterion, Spec
 from threadline.wording import line_in_rows, nearest, toml_fault
 
@@ -24,19 +26,11 @@ _MOST_BASES = 20
 _MAX_BYTES = 1_000_000
 _TOP = ("name", "lag", "criteria")
 _COMMON = ("name", "axis", "limit", "required")
-_ALWAYS = (*PLAN_DEMANDS, "path_deviation", "tracking_error", "dac_saturation")
-_ALWAYS_ON_OFF = (
-    "residual_vibration",
-    "settling_time",
-    "end_position_error",
-    "cycle_time",
-    "travel",
-    *SWITCHING_LIMITS,
-    "switching_error",
-)
-_LIMITS_ON_OFF = ("travel", *SWITCHING_LIMITS)
 _OWN = "machine"  # a limit that is the machine's own
+_LOOSER = "the machine's own limit, which the specification cannot widen"
+_ROUNDING = 1e-12  # relative: a limit written out is no other limit than the machine's
 _LAG_S = 0.1
+_FEWEST = 2  # recordings that can differ
 _MOST_LAG_S = 3600.0
 
 
@@ -45,9 +39,9 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
     Axis limits are hard, and planned and tracked deviations are always of interest: travel,
     velocity, acceleration and jerk (with the machine's limits), path deviation, tracking error
-    and DAC saturation (without) are added where the file does not mention them. Of an on/off
-    machine it is what its frame does at each step, how long the cycle takes, and the limits of its
-    valves.
+    and DAC saturation (without) are added for every axis of which the file does not mention them.
+    Of an on/off machine it is what its frame does at each step, how long the cycle takes, and the
+    limits of its valves. The machine's limits hold beside a wider one of the file.
 
     Parameters
     ----------
@@ -65,7 +59,7 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     """
     text, file = _default(machine) if reference is None else (_read(Path(reference)), reference)
     reader = _Reader(text, str(file), machine)
-    return reader.spec()
+    return replace(reader.spec(), file="" if reference is None else str(reference))
 
 
 def _default(machine: Machine) -> tuple[str, str]:
@@ -82,6 +76,7 @@ def _default(machine: Machine) -> tuple[str, str]:
                     return _read(beside), str(beside)
         known = re.fullmatch(r"[A-Za-z0-9_-]+", base) is not None
         if known and (entry := library / f"{base}.spec.toml").is_file():
+            note_input(Path(str(entry)))
             return entry.read_text(encoding="utf-8"), f"{base}.spec.toml"
         if file is not None:
             content = _read(file)
@@ -107,6 +102,7 @@ class _Reader:
 
     def __init__(self, text: str, file: str, machine: Machine) -> None:
         self._text, self._file, self._machine = text, file, machine
+        self._always = always_of(machine)
 
     def spec(self) -> Spec:
         try:
@@ -135,23 +131,42 @@ class _Reader:
                     self._refuse(f"{key[0]}{axis} is there twice", index, "name", "Keep one.")
                 if key not in criteria or criteria[key].every_axis:
                     criteria[key] = criterion
-        named = {criterion.name for criterion in criteria.values() if not criterion.step}
-        on_off = bool(self._machine.cylinders)
-        own = _LIMITS_ON_OFF if on_off else PLAN_DEMANDS
-        for missing in _ALWAYS_ON_OFF if on_off else _ALWAYS:
-            if missing not in named:
-                row = {"name": missing} | ({"limit": _OWN} if missing in own else {})
-                for criterion in self._criteria(row, None):
-                    criteria[criterion.name, criterion.axis, ""] = criterion
+        beside: list[Criterion] = []
+        for criterion in self._unnamed(criteria):
+            key = criterion.name, criterion.axis, ""
+            if key in criteria and criteria[key].limit is not None:
+                beside.append(criterion)
+            else:
+                criteria[key] = criterion
         lag_s = self._number(content["lag"], "s", None, "lag") if "lag" in content else _LAG_S
         if lag_s > _MOST_LAG_S:
             self._refuse(f"lag = {content['lag']!r} is above {_MOST_LAG_S:g} s", None, "lag")
         return Spec(
             name=name,
-            criteria=tuple(criteria.values()),
+            criteria=(*criteria.values(), *beside),
             lag_s=lag_s,
             sha256=hashlib.sha256(self._text.encode()).hexdigest(),
         )
+
+    def _unnamed(self, named: Mapping[tuple[str, str, str], Criterion]) -> list[Criterion]:
+        """Return what holds although the file does not say so, axis by axis.
+
+        What is always listed, and the machine's own limits: a file may ask for more than they do,
+        and never for less.
+        """
+        found = []
+        for name in self._always.listed:
+            row = {"name": name} | ({"limit": _OWN} if name in self._always.limited else {})
+            for criterion in self._criteria(row, None):
+                given = named.get((name, criterion.axis, ""))
+                if given is None:
+                    found.append(criterion)
+                elif criterion.limit is None or given.hard:
+                    continue
+                elif given.limit is None or given.limit > criterion.limit * (1.0 + _ROUNDING):
+                    note = "" if given.limit is None else _LOOSER
+                    found.append(replace(criterion, required=given.required, note=note))
+        return found
 
     def _criteria(self, row: Mapping[str, Any], index: int | None) -> Iterator[Criterion]:
         name = row.get("name")
@@ -163,8 +178,7 @@ class _Reader:
         if kind is None:
             remedy = nearest(name, MEASURES)
             self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
-        on_off = bool(self._machine.cylinders)
-        self._known(row, (*_COMMON, *kind.options, *(("step",) if on_off else ())), index)
+        self._known(row, (*_COMMON, *kind.options, *self._always.keys), index)
         step = row.get("step", "")
         if not isinstance(step, str):
             self._refuse(f"step must be a name, got {step!r}", index, "step")
@@ -172,7 +186,7 @@ class _Reader:
         if not isinstance(required, bool):
             self._refuse(f"required must be true or false, got {required!r}", index, "required")
         options = {
-            key: self._number(row[key], kind.options[key].unit, index, key)
+            key: self._option(row[key], kind.options[key], index, key)
             for key in kind.options
             if key in row
         }
@@ -190,8 +204,21 @@ class _Reader:
                 step=step,
             )
 
+    def _option(self, text: Any, option: Option, index: int | None, key: str) -> float:
+        if option.unit:
+            return self._number(text, option.unit, index, key)
+        whole = re.fullmatch(r"[0-9]{1,9}(\.0*)?", str(text).strip())
+        if whole is None or float(text) < _FEWEST:
+            self._refuse(
+                f"{key} = {text!r} is not a whole number of {_FEWEST} at least",
+                index,
+                key,
+                f"Write it like {key} = {option.default:g}.",
+            )
+        return float(text)
+
     def _axes(self, kind: MeasureKind, wanted: Any, index: int | None) -> list[str]:
-        names = list(self._machine.cylinders or self._machine.axis_names)
+        names = list(self._machine.moving)
         if not kind.per_axis:
             if wanted:
                 self._refuse(f"{kind.name} is measured at the tool, not of an axis", index, "axis")
@@ -221,35 +248,35 @@ class _Reader:
             # A length given for a rotary axis is one at the tool.
             length = "m" + unit.removeprefix("rad")
             if isinstance(text, str) and _is_of(text, length):
-                unit, factor = length, 1.0 / self._machine.tool.radius.si
-        return factor * self._number(text, unit, index, "limit")
+                column = self._machine.axis_names.index(axis)
+                unit, factor = length, 1.0 / float(self._machine.radius_m[column])
+        value = factor * self._number(text, unit, index, "limit")
+        if not unit and value > 1.0 and not _has_unit(text):
+            self._refuse(
+                f"limit = {text!r} is {100.0 * value:g} %",
+                index,
+                "limit",
+                f'{kind.name} is a share: write limit = "{value:g} %", or a number from 0 to 1.',
+            )
+        return value
 
     def _own_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
-        plc = self._machine.plc
-        if self._machine.cylinders and plc is not None and kind.name in _LIMITS_ON_OFF:
-            return None if kind.name == "over_level" and not plc.never_over else 0.0
-        if kind.name not in PLAN_DEMANDS or self._machine.cylinders:
+        own = self._always.limited
+        if kind.name not in own:
             self._refuse(
                 f"the machine has no limit of {kind.name}",
                 index,
                 "limit",
-                'limit = "machine" is for '
-                f"{', '.join(_LIMITS_ON_OFF if self._machine.cylinders else PLAN_DEMANDS)}.",
+                f'limit = "machine" is for {", ".join(own)}.',
             )
-        limits = self._machine.axes[axis]
-        if kind.name == "travel":
-            return None if limits.endless else 0.0
-        own = {
-            "velocity": limits.velocity,
-            "acceleration": limits.acceleration,
-            "jerk": limits.jerk,
-        }[kind.name]
-        return None if own is None else own.si
+        return self._always.limit(self._machine, kind.name, axis)
 
     def _number(self, text: Any, unit: str, index: int | None, key: str) -> float:
         example = (
             f'Write it like {key} = "{ {"m": "0.5 mm", "s": "100 ms"}.get(unit, f"1 {unit}") }".'
         )
+        if not unit:
+            example = f'Write it like {key} = "5 %".'
         written = text if isinstance(text, str) else repr(text)
         if unit and re.fullmatch(r"[0-9.]+", written.strip()):
             # Nobody means 0.8 m; a number alone is of the unit that people work in.
@@ -276,6 +303,10 @@ class _Reader:
     def _refuse(self, message: str, index: int | None, key: str, remedy: str = "") -> NoReturn:
         line = line_in_rows(self._text, "criteria", index, key)
         raise SpecError(message, place=Place(self._file, line), remedy=remedy)
+
+
+def _has_unit(text: Any) -> bool:
+    return isinstance(text, str) and re.search(r"[a-zA-Z%]\s*$", text) is not None
 
 
 def _is_of(text: str, unit: str) -> bool:

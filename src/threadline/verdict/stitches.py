@@ -11,13 +11,14 @@ from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
-from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
+from threadline.verdict.measure import Finding, Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.samples import Block, Setting
 
 OPTIONS = {"delay": Option(unit="s", default=0.0)}
 _ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
 _NONE = "the job has no stitches"
-_SHORT = "the recording ends before this stitch"
+SHORT = "the recording ends before this stitch"
 _BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
 
 
@@ -31,8 +32,8 @@ class SewnStitches:
         n of them.
     down_s
         (n,) when the needle went down, its delay included.
-    actual
-        (n, axes) where the tool was then, lengths at the tool.
+    actual, begun
+        (n, axes) where the tool was then, and at the needle-down before; lengths at the tool.
     length_error
         (n,) distance moved since the needle-down before, over the wanted one, less 1.
     placement_m
@@ -42,6 +43,7 @@ class SewnStitches:
     stitches: Stitches
     down_s: FloatArray
     actual: FloatArray
+    begun: FloatArray
     length_error: FloatArray
     placement_m: FloatArray
 
@@ -58,14 +60,14 @@ class StitchFollower:
         Plan and recording.
     delay_s
         How long after the command the needle goes down: the head's lag, to which the needle is
-        set. With feed-forward the head has none, and the needle goes down when it is due.
+        set. A head that itself follows the motion has none, and the needle goes down when due.
     """
 
     def __init__(self, setting: Setting, delay_s: float) -> None:
         self._source = planned_stitches(setting.plan)
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
         self._radius_m = setting.radius_m
-        self._delay_s = 0.0 if setting.plan.feed_forward else delay_s
+        self._delay_s = delay_s if setting.plan.motion.of_loads is None else 0.0
         self._pending: list[Stitches] = []
         self._ended = False
         self._time_s: FloatArray = np.empty(0)
@@ -108,7 +110,8 @@ class StitchFollower:
     def _finish(self, run: Stitches) -> SewnStitches:
         down_s = run.down_s + self._delay_s
         actual = self._at(down_s)
-        moved = np.linalg.norm(actual - self._at(run.from_s + self._delay_s), axis=1)
+        begun = self._at(run.from_s + self._delay_s)
+        moved = np.linalg.norm(actual - begun, axis=1)
         behind = run.from_point[:1] if self._seam is None else self._seam
         ahead = self._pending[0].point[:_AHEAD] if self._pending else run.point[-1:]
         seam = np.concatenate([behind, run.point, ahead])
@@ -118,6 +121,7 @@ class StitchFollower:
             stitches=run,
             down_s=down_s,
             actual=actual,
+            begun=begun,
             length_error=moved / run.target_m - 1.0,
             placement_m=placement,
         )
@@ -133,7 +137,7 @@ def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[
     delay_s
         As for ``StitchFollower``.
     """
-    axes = plan.programmed.axes
+    axes = plan.motion.programmed.axes
     known = all(find_first(recording, _ACTUAL, axis) is not None for axis in axes)
     if not known or not has_stitches(plan.job):
         return
@@ -185,7 +189,7 @@ class _Stitching:
                     value=None,
                     operation=int(left.operation[0]),
                     job_line=int(left.line[0]),
-                    note=_SHORT,
+                    note=SHORT,
                 )
             ]
         return [self._worst]

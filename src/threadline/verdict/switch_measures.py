@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +12,6 @@ from threadline.plant.pneumatic import flow_mode
 from threadline.signals import ChannelKind
 from threadline.verdict.measure import Finding
 from threadline.verdict.switch_run import RunStep, SwitchRun
-
-SwitchMeasure = Callable[[SwitchRun, Mapping[str, float]], Sequence[Finding]]
-"""Measures one run with the options of a criterion."""
 
 _LEAST_PERIODS = 0.5  # less does not show both extremes of what rings
 _STOP_GIVES_M = 1e-5  # a piston that runs into its end stop presses it in by less
@@ -35,7 +33,7 @@ def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Fin
     for axis in run.plan.job.axes:
         frame = run.find(ChannelKind.FRAME, axis)
         if frame is None:
-            note = f"no frame channel of {axis}"
+            note = run.why(ChannelKind.FRAME, axis)
             found.append(Finding(value=None, axis=axis, note=note))
         elif not run.steps:
             found += _unknown(run, axis)
@@ -57,6 +55,9 @@ def _ringing(
     begin_s += options["after"]
     end_s = min(end_s, begin_s + options["window"])
     time_s, values = frame
+    why = run.ended(time_s, min(end_s, run.due_s(step, axis)))
+    if why:
+        return Finding(value=None, axis=axis, step=step.name, operation=step.operation, note=why)
     inside = np.flatnonzero((time_s >= begin_s) & (time_s <= end_s))
     seen = (end_s - begin_s) / period_s
     if len(inside) < 2 or seen < _LEAST_PERIODS:
@@ -84,7 +85,8 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
     frames = {axis: run.find(ChannelKind.FRAME, axis) for axis in axes}
     missing = [axis for axis, frame in frames.items() if frame is None]
     if missing:
-        return [Finding(value=None, note=f"no frame channel of {', '.join(missing)}")]
+        note = "; ".join(run.why(ChannelKind.FRAME, axis) for axis in missing)
+        return [Finding(value=None, note=note)]
     if not run.steps:
         return _unknown(run)
     found = []
@@ -93,10 +95,11 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
         if not ends:
             continue  # nothing moved
         last_s = max(ends)
-        worst = Finding(value=-1.0)
+        worst, why = Finding(value=-1.0), ""
         for axis, frame in frames.items():
             assert frame is not None
             time_s, values = frame
+            why = why or run.ended(time_s, run.due_s(step, axis))
             inside = (time_s >= last_s) & (time_s <= run.quiet_s(step, axis)[1])
             out = np.flatnonzero(inside & (np.abs(values - values[0]) > options["band"]))
             settled = float(time_s[out[-1]]) - last_s if len(out) else 0.0
@@ -111,7 +114,7 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
                     time_s=last_s + settled,
                     note=note if settled else "",
                 )
-        found.append(worst)
+        found.append(replace(worst, unseen=why))
     return found
 
 
@@ -121,14 +124,22 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
     for axis in run.plan.job.axes:
         load = run.find(ChannelKind.LOAD, axis)
         if load is None:
-            found.append(Finding(value=None, axis=axis, note=f"no load channel of {axis}"))
+            note = run.why(ChannelKind.LOAD, axis)
+            found.append(Finding(value=None, axis=axis, note=note))
             continue
         if not run.steps:
             found += _unknown(run, axis)
         for move in run.moves_of(axis):
             step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
             end_s = run.quiet_s(step, axis)[1]
-            at = max(int(np.searchsorted(load[0], end_s, side="right")) - 1, 0)
+            why = run.ended(load[0], run.due_s(step, axis))
+            if why:
+                operation = move.planned.operation
+                found.append(
+                    Finding(value=None, axis=axis, step=step.name, operation=operation, note=why)
+                )
+                continue
+            at = _sample_at(load[0], end_s)
             found.append(
                 Finding(
                     value=abs(float(load[1][at]) - move.target_m),
@@ -141,6 +152,59 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
     return found
 
 
+def _sample_at(times_s: FloatArray, end_s: float) -> int:
+    return max(int(np.searchsorted(times_s, end_s, side="right")) - 1, 0)
+
+
+def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Sequence[Finding]:
+    """Largest distance of where a piston stands behind a move from the mean of all runs, m.
+
+    Each run is read at its own instants: one that waited longer is compared where it stood.
+    """
+    wanted = max(int(options["recordings"]), 2)
+    if len(runs) < wanted:
+        return [Finding(value=None, note=f"needs {wanted} recordings, has {len(runs)}")]
+    places = []
+    for number, run in enumerate(runs, start=1):
+        if not run.steps:
+            return [replace(_unknown(run)[0], note=f"recording {number}: {_unknown(run)[0].note}")]
+        ends = _ends(run)
+        if isinstance(ends, str):
+            return [Finding(value=None, note=f"recording {number}: {ends}")]
+        places.append(ends)
+    if not places[0]:
+        return [Finding(value=None, note="no cylinder moves")]
+    stands = np.array([[place for place, _ in ends] for ends in places])
+    away = np.abs(stands - stands.mean(axis=0))
+    worst, move = np.unravel_index(int(np.argmax(away)), away.shape)
+    planned = runs[int(worst)].moves[int(move)].planned
+    return [
+        Finding(
+            value=float(away[worst, move]),
+            time_s=places[int(worst)][int(move)][1],
+            operation=planned.operation,
+            note=f"{planned.step}: {planned.axis}, recording {int(worst) + 1}",
+        )
+    ]
+
+
+def _ends(run: SwitchRun) -> list[tuple[float, float]] | str:
+    """Return where and when each move came to its end, or why that is not known."""
+    found = []
+    for move in run.moves:
+        axis = move.planned.axis
+        load = run.find(ChannelKind.LOAD, axis)
+        if load is None:
+            return run.why(ChannelKind.LOAD, axis)
+        step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
+        why = run.ended(load[0], run.due_s(step, axis))
+        if why:
+            return why
+        at = _sample_at(load[0], run.quiet_s(step, axis)[1])
+        found.append((float(load[1][at]), float(load[0][at])))
+    return found
+
+
 def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Per cylinder: how far the piston goes beyond its stroke, m; negative where room is left.
 
@@ -150,12 +214,14 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     for axis in run.plan.job.axes:
         load = run.find(ChannelKind.LOAD, axis)
         if load is None:
-            found.append(Finding(value=None, axis=axis, note=f"no load channel of {axis}"))
+            note = run.why(ChannelKind.LOAD, axis)
+            found.append(Finding(value=None, axis=axis, note=note))
             continue
         beyond = np.maximum(load[1] - run.plan.machine.cylinders[axis].stroke.si, -load[1])
         at = int(np.argmax(beyond))
         value = 0.0 if 0.0 <= beyond[at] <= _STOP_GIVES_M else float(beyond[at])
-        found.append(Finding(value=value, axis=axis, time_s=float(load[0][at])))
+        why = run.ended(load[0], run.end_s) if run.followed else ""
+        found.append(Finding(value=value, axis=axis, time_s=float(load[0][at]), unseen=why))
     return found
 
 
@@ -163,6 +229,8 @@ def cycle_time(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Time from the start to the end of the last step, s, waits for inputs included."""
     if not run.steps:
         return _unknown(run)
+    if run.unseen_wait:
+        return [Finding(value=None, note=run.unseen_wait)]
     return [Finding(value=run.steps[-1].end_s - run.steps[0].begin_s, time_s=run.steps[-1].end_s)]
 
 

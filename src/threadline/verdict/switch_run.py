@@ -7,19 +7,28 @@ or live.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
-from threadline.plan import SwitchPlan
-from threadline.signals import ChannelKind, Event, Recording
+from threadline.plan import Plan
+from threadline.signals import Channel, ChannelKind, Event, Recording
 from threadline.targets.schedule import REST_LAGS, ScheduledMove
+from threadline.verdict.coverage import Coverage, Lack
+from threadline.verdict.measure import Finding, Running, RunReading
 
 _ROUNDING_S = 1e-9
+_ROUNDING = 1e-6  # of a sample: instants are sums
+UNNAMED = "begin"
+"""The step of what moves before the list names its first."""
+Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
+"""Of a channel; those of a switch in an eighth of the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,10 +87,15 @@ class SwitchRun:
         If there are no outputs in it, or a channel is damaged.
     """
 
-    def __init__(self, recording: Recording, plan: SwitchPlan) -> None:
+    of: ClassVar[str] = "an on/off machine"
+    absent: ClassVar[str] = "nothing of axis {axis} was measured"
+    by_time = False
+
+    def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
-        self.commands = plan.commands
-        self._recording = recording
+        self.commands = plan.scheduled.commands
+        self._coverage = Coverage(recording)
+        self.recording = self._coverage.watched
         missing = [
             name
             for name in self.commands.outputs
@@ -93,27 +107,42 @@ class SwitchRun:
                 remedy="Record every output of the PLC, 0 or 1, in a table as a column "
                 f'"{missing[0]}.output": they tell when it switched.',
             )
-        columns = [self._samples(name) for name in self.commands.outputs]
-        self.time_s = columns[0][0]
-        if len(self.time_s) < 2 or any(len(v) != len(self.time_s) for _, v in columns):
+        self.time_s, _ = self._samples(self.commands.outputs[0])
+        columns = [_whole(self._samples(name)[1]) for name in self.commands.outputs]
+        if len(self.time_s) < 2 or any(len(v) != len(self.time_s) for v in columns):
             raise RecordingError("the output channels must have the same instants, two at least")
-        self.states: IntArray = np.rint(np.stack([v for _, v in columns], axis=1)).astype(np.int64)
+        self.states: NDArray[np.int8] = np.stack(columns, axis=1)
+        outputs = [c for c in recording.channels if c.name in self.commands.outputs]
+        # With every output off, nothing has happened before.
+        begin_s = 0.0 if self.states[0].any() else np.inf
+        lack = self._coverage.lack(outputs, begin_s, 0.0)
+        if lack is not None:
+            raise RecordingError(
+                f"{lack.why}: nobody knows when the valves switched",
+                remedy="Record every output of the PLC from the start of the cycle, without gaps.",
+            )
 
     @cached_property
-    def _channels(self) -> Mapping[str, tuple[FloatArray, FloatArray]]:
-        times: dict[str, list[FloatArray]] = {c.name: [] for c in self._recording.channels}
-        values: dict[str, list[FloatArray]] = {c.name: [] for c in self._recording.channels}
-        for block in self._recording:
-            for c in self._recording.channels:
-                part = block.samples[c.name]
-                first = block.first_tick[c.clock.name]
-                times[c.name].append(c.clock.times_s(first, len(part), c.stride))
-                values[c.name].append(part)
-        return {
-            name: (np.concatenate(times[name]), np.concatenate(values[name]))
-            for name in times
-            if times[name]
-        }
+    def _channels(self) -> Mapping[str, tuple[FloatArray, Samples]]:
+        channels = self.recording.channels
+        values: dict[str, list[Samples]] = {c.name: [] for c in channels}
+        firsts: dict[str, list[int]] = {c.clock.name: [] for c in channels}
+        for block in self.recording:
+            for name, first in firsts.items():
+                first.append(block.first_tick[name])
+            for c in channels:
+                values[c.name].append(_compact(block.samples[c.name]))
+        times: dict[tuple[str, int, tuple[int, ...]], FloatArray] = {}
+        found: dict[str, tuple[FloatArray, Samples]] = {}
+        for c in channels:
+            parts = values.pop(c.name)
+            pace = (c.clock.name, c.stride, tuple(len(part) for part in parts))
+            if parts and pace not in times:  # channels of one pace share their instants
+                blocks = zip(firsts[c.clock.name], pace[2], strict=True)
+                times[pace] = np.concatenate([c.clock.times_s(k, n, c.stride) for k, n in blocks])
+            if parts:
+                found[c.name] = (times[pace], _joined(parts))
+        return found
 
     def _samples(self, name: str) -> tuple[FloatArray, FloatArray]:
         empty = np.empty(0)
@@ -123,12 +152,59 @@ class SwitchRun:
                 f"channel {name!r} holds a value that is not finite",
                 remedy="Repair the trace, or leave the channel out.",
             )
-        return time_s, values
+        return time_s, np.asarray(values, dtype=np.float64)
+
+    def lacks(self, reading: RunReading, per_axis: bool) -> str:  # noqa: ARG002
+        """Say nothing: each of its measures tells itself what it lacks, step by step."""
+        return ""
+
+    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+        """Return what each measure finds in the run, which it has whole."""
+        found = [list(one.measure.finish()) for one in running]
+        why = self.ended(self.time_s, self.end_s) if self.followed else ""
+        if not why:
+            return found
+        # What is of no step is of the whole cycle.
+        return [[f if f.step else replace(f, unseen=why) for f in row] for row in found]
+
+    def unseen(self, reading: RunReading) -> str:  # noqa: ARG002
+        """Say nothing: each of its measures tells itself what it did not see."""
+        return ""
 
     def find(self, kind: ChannelKind, axis: str) -> tuple[FloatArray, FloatArray] | None:
-        """Return times, s, and values of a channel of ``axis``, or None where there is none."""
-        channel = self._recording.find(kind, axis)
-        return None if channel is None else self._samples(channel.name)
+        """Return times, s, and values of a channel of ``axis``, or None where samples lack."""
+        channel = self.recording.find(kind, axis)
+        if channel is None or self._lack_of(channel) is not None:
+            return None
+        return self._samples(channel.name)
+
+    def why(self, kind: ChannelKind, axis: str) -> str:
+        """Say what lacks where ``find`` returns None."""
+        channel = self.recording.find(kind, axis)
+        lack = None if channel is None else self._lack_of(channel)
+        return f"no {kind.value} channel of {axis}" if lack is None else lack.why
+
+    def _lack_of(self, channel: Channel) -> Lack | None:
+        """Return what is missing of a channel since the first switching, but for its end."""
+        begin_s = float(self.row_s[0]) if len(self.row_s) else 0.0
+        return self._coverage.lack([channel], begin_s, 0.0)
+
+    @property
+    def end_s(self) -> float:
+        """When the cycle ends, if the schedule was followed."""
+        return self.instant_s(self.commands.duration_ticks)
+
+    @staticmethod
+    def ended(time_s: FloatArray, until_s: float) -> str:
+        """Say that samples at ``time_s`` end before an instant; empty where they do not."""
+        interval_s = float(time_s[-1] - time_s[-2]) if len(time_s) > 1 else 0.0
+        if time_s[-1] + (1.0 + _ROUNDING) * interval_s + _ROUNDING_S >= until_s:
+            return ""
+        return f"the recording ends at {time_s[-1]:.6g} s, it is judged until {until_s:.6g} s"
+
+    def due_s(self, step: RunStep, axis: str) -> float:
+        """Return until when what ``step`` leaves must have been seen: the cycle's end at most."""
+        return min(self.quiet_s(step, axis)[1], self.end_s)
 
     @cached_property
     def changes(self) -> IntArray:
@@ -177,16 +253,37 @@ class SwitchRun:
         return float(from_s + scans * period_s)
 
     @cached_property
+    def unseen_wait(self) -> str:
+        """Why nobody knows how long the cycle waited behind its last switching; empty if known.
+
+        Before that the switchings themselves tell.
+        """
+        now_s = float(self.row_s[-1]) if len(self.row_s) else 0.0
+        for event in self.commands.events:
+            if event.kind == "wait" and event.tick >= self.commands.ticks[-1]:
+                time_s, values = self._samples(event.name)
+                if not len(time_s):
+                    return f"no input channel {event.name}: how long the cycle waited is not known"
+                if not ((time_s >= now_s) & ((values != 0) == bool(event.value))).any():
+                    return f"the recording ends while the cycle waits for {event.name}"
+        return ""
+
+    @cached_property
     def steps(self) -> tuple[RunStep, ...]:
         """Every step of the cycle; none unless the schedule was followed."""
-        events = [e for e in self.commands.events if e.kind == "tool"]
         if not self.followed or not len(self.row_s):
             return ()
-        begins = [self.instant_s(e.tick) for e in events]
+        named = [(e.tick, e.name, e.operation) for e in self.commands.events if e.kind == "tool"]
+        first = min((move.first_tick for move in self.plan.scheduled.moves), default=0)
+        if not named or first < named[0][0]:
+            # What moves before a step is named belongs to one, too.
+            start = int(self.commands.ticks[0])
+            named.insert(0, (start, UNNAMED, int(self.commands.operation[0])))
+        begins = [self.instant_s(tick) for tick, _, _ in named]
         ends = [*begins[1:], self.instant_s(self.commands.duration_ticks)]
         return tuple(
-            RunStep(name=e.name, operation=e.operation, begin_s=begin, end_s=max(begin, end))
-            for e, begin, end in zip(events, begins, ends, strict=True)
+            RunStep(name=name, operation=operation, begin_s=begin, end_s=max(begin, end))
+            for (_, name, operation), begin, end in zip(named, begins, ends, strict=True)
         )
 
     @cached_property
@@ -219,10 +316,29 @@ class SwitchRun:
         """Return the span in which what ``step`` leaves is seen: at rest, until it moves again.
 
         From the end of the motion, or the beginning of the step where that is later, to the next
-        move of this cylinder or the end of the recording.
+        move of this cylinder or the end of the recording, or of the cycle if that is later.
         """
         mine = self.moves_of(axis)
         done = [m for m in mine if m.begin_s < step.end_s - _ROUNDING_S]
         later = [m for m in mine if m.begin_s >= step.end_s - _ROUNDING_S]
         begin_s = max([step.begin_s, *(m.rest_s for m in done)])
-        return begin_s, min([float(self.time_s[-1]), *(m.begin_s for m in later)])
+        last_s = max(float(self.time_s[-1]), self.end_s)
+        return begin_s, min([last_s, *(m.begin_s for m in later)])
+
+
+def _compact(values: FloatArray) -> Samples:
+    """Return a switch's samples in an eighth of the memory; others as they are."""
+    if ((values == 0.0) | (values == 1.0)).all():
+        return values.astype(np.int8)
+    return values
+
+
+def _joined(parts: list[Samples]) -> Samples:
+    if all(part.dtype == np.int8 for part in parts):
+        return np.concatenate(parts, dtype=np.int8)
+    return np.concatenate(parts, dtype=np.float64)
+
+
+def _whole(values: Samples) -> NDArray[np.int8]:
+    """Return the nearest state of an output; what is far from 0 and 1 stays far from both."""
+    return np.clip(np.rint(values), -100, 100).astype(np.int8)

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.signals import ChannelKind
-from threadline.verdict.measure import Block, Finding, Measure, Setting, largest
+from threadline.verdict.measure import Finding, Measure, largest
+from threadline.verdict.samples import Block, Setting
 
 
 class _Tracking:

@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.measure import Block, Finding, Measure, Option, Setting
+from threadline.verdict.measure import Finding, Measure, Option
 from threadline.verdict.reversals import ReversalScan, Turning
+from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 OPTIONS = {"smallest": Option(unit="m", default=5e-5)}

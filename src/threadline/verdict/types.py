@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 NO_OPTIONS: Mapping[str, float] = {}
+
+
+def is_measured(value: float, unit: str) -> bool:
+    """Say whether ``value`` can be a result: a number, or of a time infinity, which is never."""
+    return math.isfinite(value) or (unit == "s" and value == math.inf)
 
 
 class Status(StrEnum):
@@ -16,6 +22,17 @@ class Status(StrEnum):
     FAILED = "failed"
     NOT_MEASURED = "not-measured"  # its channel is absent from the recording
     REPORTED = "reported"  # it has no limit
+
+
+class Level(StrEnum):
+    """How far a verdict reaches."""
+
+    NOMINAL = "nominal"  # few runs of one machine: nothing is said of others
+    REPEATED = "repeated"  # so many runs that what varies from run to run is in them
+
+
+REPEATED_RUNS = 20
+"""Runs from which a verdict is of level *repeated*."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +58,8 @@ class Criterion:
         acceleration and jerk: it reports what it asks for.
     every_axis
         Written for every axis: one that the job does not have is left out of the verdict.
+    note
+        What the verdict says beside it: that the specification asks for less than the machine.
     """
 
     name: str
@@ -51,6 +70,7 @@ class Criterion:
     hard: bool = False
     every_axis: bool = False
     step: str = ""
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,12 +88,15 @@ class Spec:
         far the machine may trail its command before trailing is an error.
     sha256
         Of the file.
+    file
+        As it was named; empty for the machine's own specification, and for one made by hand.
     """
 
     name: str
     criteria: tuple[Criterion, ...]
     lag_s: float = 0.1
     sha256: str = ""
+    file: str = ""
 
     def with_margin(self, share: float) -> Spec:
         """Return the specification with so much of every limit kept free.
@@ -103,7 +126,8 @@ class Result:
     name, axis, limit, required
         As in the criterion; ``axis`` is filled in where one was measured.
     measured
-        The worst value, SI ``unit``; None where nothing was measured.
+        The worst value, SI ``unit``; None where nothing was measured. Infinite is a time that has
+        no end: what never settles.
     time_s
         When the worst value occurred, from the start of the job.
     operation, job_line
@@ -117,6 +141,11 @@ class Result:
         What the number alone does not say: ``short``, ``past``, why nothing was measured.
     step
         The step of a move list that it was measured in; ``""`` for the whole job.
+
+    Raises
+    ------
+    ValueError
+        If ``measured`` is no number: NaN is never a result, and only a time may be infinite.
     """
 
     name: str
@@ -133,6 +162,11 @@ class Result:
     note: str = ""
     step: str = ""
     passes: tuple[int, ...] = ()
+    hard: bool = False
+
+    def __post_init__(self) -> None:
+        if self.measured is not None and not is_measured(self.measured, self.unit):
+            raise ValueError(f"{self.name} {self.axis}: {self.measured} {self.unit} is no result")
 
     @property
     def severity(self) -> tuple[int, float]:
@@ -145,15 +179,46 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Every criterion's result, in the order of the specification."""
+    """Every criterion's result, in the order of the specification.
+
+    Parameters
+    ----------
+    results
+        One for each criterion, axis and step.
+    simulated
+        Whether every run was simulated.
+    runs
+        How many runs were judged.
+    incomplete
+        How a run ended before its last row; empty where none did.
+    late_ticks
+        Ticks of all runs at which a row was due and had not come.
+    """
 
     results: tuple[Result, ...]
     simulated: bool
+    runs: int = 1
+    incomplete: str = ""
+    late_ticks: int = 0
+
+    @property
+    def level(self) -> Level:
+        """How far it reaches."""
+        return Level.REPEATED if self.runs >= REPEATED_RUNS else Level.NOMINAL
+
+    @property
+    def tightest(self) -> Result | None:
+        """The result that uses most of its limit; None where no limit above 0 was measured.
+
+        The machine's own limits do not count: a plan is made to use them.
+        """
+        held = [r for r in self.results if r.limit and r.measured is not None and not r.hard]
+        return max(held, key=_share, default=None)
 
     @property
     def passed(self) -> bool:
-        """Nothing failed, and everything required was measured."""
-        return all(
+        """Nothing failed, everything required was measured, and every run came to its end."""
+        return not self.incomplete and all(
             result.status is not Status.FAILED
             and not (result.required and result.status is Status.NOT_MEASURED)
             for result in self.results
@@ -171,3 +236,8 @@ class Verdict:
         if not found:
             raise KeyError((name, axis))
         return max(found, key=lambda result: result.severity)
+
+
+def _share(result: Result) -> float:
+    assert result.measured is not None and result.limit
+    return result.measured / result.limit

@@ -97,14 +97,15 @@ class PathWindow:
         Parameters
         ----------
         point
-            (axes,) where the machine stands, lengths at the tool.
+            (axes,) where the machine stands, lengths at the tool; NaN of an axis that was not
+            recorded, which then counts for nothing.
         """
         if self.ended:
             return self._remainder
         worst: Remainder | None = None
         for block in self._source:
             vertices = block.positions * self.radius_m
-            distance = np.linalg.norm(vertices - point, axis=1)
+            distance = np.sqrt(np.nansum((vertices - point) ** 2, axis=1))
             far = int(np.argmax(distance))
             if worst is None or distance[far] > worst.distance_m:
                 worst = Remainder(

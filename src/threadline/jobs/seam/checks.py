@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.errors import LimitError, Place
-from threadline.jobs.seam.contour import Contour, point_text
-from threadline.jobs.seam.crossing import crossings, flatten
+from threadline.drawing.contours import Contour, point_text
+from threadline.drawing.crossing import crossings, flatten
+from threadline.errors import JobError, LimitError, Place
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.sewing import SewnContour, StitchBlock
 from threadline.machine import Machine
@@ -50,6 +50,8 @@ def head_accelerations_m_s2(
 
 def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
     """Return a warning where the contour crosses itself."""
+    if len(contour.pieces) == 1 and contour.pieces.is_line[0]:
+        return []
     begin, end, piece = flatten(contour.pieces, _CROSSING_TOLERANCE_M)
     first, second, at_first, _, complete = crossings(begin, end, contour.closed)
     if not len(first):
@@ -94,7 +96,6 @@ class StitchCheck:
         self.machine = machine
         self.off = 0
         self.worst = (0.0, "")
-        self.bowed = (0.0, "")
         self.short: list[tuple[float, str]] = []
 
     def add(self, block: StitchBlock) -> None:
@@ -104,11 +105,13 @@ class StitchCheck:
         ------
         LimitError
             If a stitch lies outside the travel of an axis.
+        JobError
+            If the line bows further out of a stitch than the placement.
         """
         self._travel(block.points, np.append(block.line[:1], block.line))
         settings = self.sewn.settings
         file = self.sewn.place.file
-        relative = block.lengths_m / settings.stitch_length_m - 1.0
+        relative = block.lengths_m / block.target_m - 1.0
         bad = ~block.exempt & (np.abs(relative) > settings.tolerance * (1.0 + 1e-9))
         self.off += int(bad.sum())
         if bad.any():
@@ -116,13 +119,24 @@ class StitchCheck:
             if abs(relative[k]) > abs(self.worst[0]):
                 where = f"{Place(file, int(block.line[k]))}, at {point_text(block.points[k + 1])}"
                 self.worst = (float(relative[k]), where)
-        k = int(np.argmax(block.bulge_m))
-        if block.bulge_m[k] > self.bowed[0]:
-            where = f"{Place(file, int(block.line[k]))}, at {point_text(block.points[k + 1])}"
-            self.bowed = (float(block.bulge_m[k]), where)
+        self._unsewn(block)
         if block.leg.length_m < settings.stitch_length_m * (1.0 - settings.tolerance):
             where = f"{Place(file, int(block.line[0]))}, at {point_text(block.points[0])}"
             self.short.append((block.leg.length_m, where))
+
+    def _unsewn(self, block: StitchBlock) -> None:
+        """Refuse stitches that leave what is drawn unsewn."""
+        settings, file = self.sewn.settings, self.sewn.place.file
+        k = int(np.argmax(block.bulge_m))
+        if block.bulge_m[k] > settings.placement_m:
+            raise JobError(
+                f"seam {self.sewn.seam!r}: the drawn line bows {block.bulge_m[k] * 1e3:.3g} mm out "
+                f"of a stitch of {block.lengths_m[k] * 1e3:.3g} mm at "
+                f"{point_text(block.points[k + 1])}, more than the placement of "
+                f"{settings.placement_m * 1e3:.3g} mm, and would not be sewn",
+                place=Place(file, int(block.line[k])),
+                remedy="Lower least_stitch or bow, or shorten the stitches.",
+            )
 
     def reach(self) -> None:
         """Check the ends of all pieces and some places between, before a stitch is placed.
@@ -175,10 +189,5 @@ class StitchCheck:
             found.append(
                 f"{where}: {name}: {len(self.short)} legs between corners are shorter than a "
                 f"stitch, the shortest {length * 1e3:.3g} mm; each gets a stitch at both ends"
-            )
-        if self.bowed[0] > settings.placement_m:
-            found.append(
-                f"{self.bowed[1]}: {name}: the drawn line bows {self.bowed[0] * 1e3:.3g} mm out "
-                f"of a stitch, more than the placement of {settings.placement_m * 1e3:.3g} mm"
             )
         return found

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from threadline.drawing.contours import Contour, drop_zero_lengths, join_strokes
+from threadline.drawing.curves import join_pieces
+from threadline.drawing.strokes import Drawing, Stroke
 from threadline.errors import JobError, Place
-from threadline.jobs.seam.contour import Contour, drop_zero_lengths, join_strokes
-from threadline.jobs.seam.drawing import Drawing, Stroke
 from threadline.jobs.seam.read_toml import SeamChoice, SeamFile
 
 MAX_REACH_M = 1e4
@@ -55,16 +56,18 @@ def seam_contours(
                 place=Place(file, refusal.line),
                 remedy=refusal.remedy,
             )
-    chosen: list[Stroke] = []
-    warnings: list[str] = []
-    origin = np.array(seam_file.origin_m)
-    for stroke in drawing.strokes:
-        if choice.layer in (None, stroke.layer) and choice.colour in (None, stroke.colour):
-            _check_size(stroke, file)
-            kept, found = drop_zero_lengths(stroke, file)
-            warnings += found
-            if kept is not None:
-                chosen.append(replace(kept, pieces=kept.pieces.transform(np.eye(2), origin)))
+    chosen = [
+        stroke
+        for stroke in drawing.strokes
+        if choice.layer in (None, stroke.layer) and choice.colour in (None, stroke.colour)
+    ]
+    _check_size(chosen, file)
+    chosen, warnings = drop_zero_lengths(chosen, file)
+    if any(seam_file.origin_m):
+        origin = np.array(seam_file.origin_m)
+        chosen = [
+            replace(stroke, pieces=stroke.pieces.transform(np.eye(2), origin)) for stroke in chosen
+        ]
     if not chosen:
         layers = sorted({f"{s.layer or '(no name)'} {s.colour}" for s in drawing.strokes})
         raise JobError(
@@ -76,12 +79,14 @@ def seam_contours(
     return contours, warnings + found
 
 
-def _check_size(stroke: Stroke, file: str) -> None:
-    pieces = stroke.pieces
-    good = (np.abs(pieces.top) < MAX_REACH_M).all() and np.isfinite(pieces.bottom).all()
-    if not good or not np.isfinite([pieces.begin_rad, pieces.sweep_rad]).all():
+def _check_size(strokes: list[Stroke], file: str) -> None:
+    pieces = join_pieces([stroke.pieces for stroke in strokes])
+    good = (np.abs(pieces.top) < MAX_REACH_M).all(axis=(1, 2))
+    good &= np.isfinite(pieces.bottom).all(axis=1)
+    good &= np.isfinite(pieces.begin_rad) & np.isfinite(pieces.sweep_rad)
+    if not good.all():
         raise JobError(
             f"a stroke reaches further than {MAX_REACH_M:g} m",
-            place=Place(file, stroke.line),
+            place=Place(file, int(pieces.line[int(np.argmin(good))])),
             remedy="Check the unit of the drawing.",
         )

@@ -9,6 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from threadline.drawing.line import DrawnLine
+from threadline.drawing.offset import offset_contour
+from threadline.drawing.read_csv import read_csv
+from threadline.drawing.read_dxf import read_dxf
+from threadline.drawing.strokes import Drawing, read_limited
+from threadline.drawing.svg import read_svg
 from threadline.errors import JobError, Place
 from threadline.jobs.operations import Job
 from threadline.jobs.seam.checks import (
@@ -18,16 +24,11 @@ from threadline.jobs.seam.checks import (
     head_accelerations_m_s2,
 )
 from threadline.jobs.seam.choose import seam_choices, seam_contours
-from threadline.jobs.seam.drawing import Drawing, read_limited
 from threadline.jobs.seam.journeys import swinging_modes, with_journeys
-from threadline.jobs.seam.offset import offset_contour
-from threadline.jobs.seam.read_csv import read_csv
-from threadline.jobs.seam.read_dxf import read_dxf
-from threadline.jobs.seam.read_svg import read_svg
 from threadline.jobs.seam.read_toml import MAX_TOML_BYTES, SeamFile, read_seam_file
 from threadline.jobs.seam.settings import stitching
 from threadline.jobs.seam.sewing import SewnContour, sewn_contour
-from threadline.jobs.seam.stream import StitchStream
+from threadline.jobs.seam.stitch_stream import StitchStream
 from threadline.machine import Machine
 
 AXES = ("X", "Y")
@@ -55,7 +56,8 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         A move a stitch, each with the time of one turn of the needle as its feed, and tags:
         ``kind`` (travel, sew, lock), ``seam``, ``contour`` and ``stitch`` (counted from 0),
         ``exempt`` and ``corner`` (0 or 1), ``needle_s`` (since the needle first went down in
-        the contour), ``length_m`` and ``target_m``.
+        the contour), ``length_m`` and ``target_m``, and the stretch of the contour that it
+        covers, ``from_m`` to ``to_m``.
 
     Raises
     ------
@@ -93,7 +95,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         warnings += found
         for contour in contours:
             warnings += crossing_warnings(contour, choice.name, drawing.file)
-            for part in offset_contour(contour, settings, drawing.file):
+            for part in offset_contour(contour, settings.allowance, drawing.file):
                 sewn.append(sewn_contour(part, choice.name, drawing.file, settings, accelerations))
                 if len(sewn) == 1 and not sewn[0].start().any():
                     # The head is there already.
@@ -115,6 +117,8 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         start=(0.0, 0.0),
         operations=StitchStream(sewn),
         warnings=tuple(warnings),
+        paced_by="needle",
+        drawn=tuple(DrawnLine(contour.table, contour.closed) for contour in sewn),
     )
 
 
@@ -129,7 +133,8 @@ def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
                 place=Place(str(path)),
                 remedy="Put the points into a CSV file.",
             )
-        seam_file = read_seam_file(content, str(path))
+        with np.errstate(all="ignore"):
+            seam_file = read_seam_file(content, str(path))
         if isinstance(seam_file.drawing, Drawing):
             return seam_file, seam_file.drawing, digest.hexdigest()
         drawn = path.parent / seam_file.drawing

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.drawing.arclength import ArcTable
 from threadline.errors import JobError, Place
-from threadline.jobs.seam.arclength import ArcTable
+from threadline.jobs.seam.corners import corners
 from threadline.jobs.seam.settings import Stitching
 
 
@@ -41,25 +41,6 @@ class Leg:
         return abs(self.end_m - self.begin_m)
 
 
-def corners(table: ArcTable, closed: bool, least_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Return where the contour turns by at least ``least_rad``, and by how much.
-
-    Returns
-    -------
-    at_m, turn_rad
-        (n,) lengths along the contour, increasing, and angles in (0, pi]. The start of a closed
-        contour counts, that of an open one does not.
-    """
-    first, last = table.pieces.end_directions()
-    before = np.roll(last, 1, axis=0)
-    cross = before[:, 0] * first[:, 1] - before[:, 1] * first[:, 0]
-    turn = np.abs(np.arctan2(cross, (before * first).sum(axis=1)))
-    index = np.flatnonzero(turn >= least_rad)
-    if not closed:
-        index = index[index > 0]
-    return table.piece_begins_m()[index], turn[index]
-
-
 def seam_legs(table: ArcTable, closed: bool, settings: Stitching, place: Place) -> list[Leg]:
     """Return the legs of a seam in the order in which they are sewn.
 
@@ -69,7 +50,7 @@ def seam_legs(table: ArcTable, closed: bool, settings: Stitching, place: Place) 
         If the start, the end or a lock lies outside the contour.
     """
     begin_m, end_m = _range(table.length_m, closed, settings, place)
-    at_m, turn_rad = corners(table, closed, settings.corner_angle_rad)
+    at_m, turn_rad = corners(table, closed, settings)
     if closed:
         laps = table.length_m * np.arange(3)
         at_m = (at_m[None, :] + laps[:, None]).ravel()

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.jobs.seam.arclength import ArcTable
+from threadline.drawing.arclength import ArcTable
+from threadline.jobs.seam.bends import bent_stitches, bow_m, leg_points
 from threadline.jobs.seam.legs import Leg
 from threadline.jobs.seam.settings import Accelerations, Stitching
 
@@ -113,7 +114,7 @@ def place_leg(
     settings: Stitching,
     accelerations: Accelerations,
     rests: tuple[bool, bool],
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return where on the contour each stitch of the leg begins and ends.
 
     Returns
@@ -122,6 +123,35 @@ def place_leg(
         (n + 1,) lengths along the contour, from ``leg.begin_m`` to ``leg.end_m``.
     points
         (n + 1, 2) m.
+    short
+        (n,) bool: stitches that a bend made shorter than wanted.
+
+    Notes
+    -----
+    Stitches are alike as far as the line lets them; where it would bow too far out of them they
+    shorten (``bends``).
+    """
+    even = _even(table, leg, closed, settings, accelerations, rests)
+    if even is not None:
+        at_m, points, chords = even
+        if (bow_m(np.abs(np.diff(at_m)), chords) <= settings.bow_limit_m).all():
+            return at_m, points, np.zeros(len(chords), dtype=np.bool_)
+    at_m = bent_stitches(table, leg, closed, settings, accelerations, rests)
+    points = leg_points(table, leg, closed, np.abs(at_m - leg.begin_m))
+    chords = np.hypot(*np.diff(points, axis=0).T)
+    less = chords < settings.stitch_length_m * (1.0 - _SHARE * settings.tolerance)
+    return at_m, points, less & ~exempt_mask(len(chords))
+
+
+def _even(
+    table: ArcTable,
+    leg: Leg,
+    closed: bool,
+    settings: Stitching,
+    accelerations: Accelerations,
+    rests: tuple[bool, bool],
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return places, points and chords of stitches of even length; None where there are none.
 
     Notes
     -----
@@ -135,21 +165,23 @@ def place_leg(
         wanted = stitch_lengths(chord_sum, settings, accelerations, rests)
         arcs = wanted * (whole / wanted.sum())
         at_m, points, chords = _measure(table, leg, closed, arcs)
+        if not chords.any():  # a loop of one stitch
+            return None
         if abs(chords.sum() - chord_sum) <= 1e-3 * settings.stitch_length_m * len(chords):
             break
         chord_sum = float(chords.sum())
-    best = (np.inf, at_m, points)
+    best = (np.inf, at_m, points, chords)
     for _ in range(_ROUNDS):
         ratio = chords / wanted
         spread = float(ratio.max() / max(ratio.min(), 1e-12))
         if spread < best[0]:
-            best = (spread, at_m, points)
+            best = (spread, at_m, points, chords)
         if spread < 1.0 + 0.02 * settings.tolerance or not (chords > 0.0).all():
             break
         arcs = arcs / ratio
         arcs *= whole / arcs.sum()
         at_m, points, chords = _measure(table, leg, closed, arcs)
-    return best[1], best[2]
+    return best[1:]
 
 
 def _measure(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from threadline.drawing.offset import Allowance
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
 from threadline.wording import nearest
@@ -20,7 +21,7 @@ LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ = 1e-3, 1000.0
 """The needle speeds that a seam may ask for."""
 
 MOST_SETTLE_S = 60.0
-"""The longest rest before the needle that a seam may ask for."""
+"""The longest rest before the needle, and for a trim, that a seam may ask for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +38,12 @@ class Stitching:
     placement_m
         How far off the seam the head may be; with a slowed needle and interpolated motion it
         sets the speed in the corner.
+    bow_m, least_stitch_m
+        Stitches shorten where the drawn line would bow further than this out of them, down to
+        the least stitch; None for half of the placement. A least stitch that is longer than the
+        stitches counts as one of these.
     corner_angle_rad
-        A turn of at least this angle is a corner: it gets a stitch.
+        A turn of at least this angle within the least stitch is a corner: it gets a stitch.
     motion
         ``interpolated``: the next leg begins while the last one ends, the corner is rounded;
         ``discrete``: the head rests in each corner.
@@ -64,12 +69,16 @@ class Stitching:
         How fast the head goes to where a contour begins, and how long it then rests until the
         needle goes down; None for what the machine's slowest modes call for (see ``journeys``),
         infinite (``"fastest"``) for as fast as the machine can.
+    trim_s
+        How long the head rests at the end of a contour while the thread is trimmed.
     """
 
     stitch_length_m: float
     needle_speed_hz: float
     tolerance: float = 0.05
     placement_m: float = 5e-4
+    bow_m: float | None = None
+    least_stitch_m: float = 5e-4
     corner_angle_rad: float = math.radians(15.0)
     motion: str = "interpolated"
     needle: str = "constant"
@@ -87,6 +96,22 @@ class Stitching:
     reverse: bool = False
     travel_speed_m_s: float | None = None
     settle_s: float | None = None
+    trim_s: float = 0.0
+
+    @property
+    def bow_limit_m(self) -> float:
+        """How far the drawn line may bow out of a stitch."""
+        return 0.5 * self.placement_m if self.bow_m is None else self.bow_m
+
+    @property
+    def least_m(self) -> float:
+        """Length down to which stitches shorten."""
+        return min(self.least_stitch_m, self.stitch_length_m)
+
+    @property
+    def allowance(self) -> Allowance:
+        """How the stitches run beside the drawn line."""
+        return Allowance(self.allowance_m, self.side, self.join, self.mitre_limit)
 
     @property
     def speed_m_s(self) -> float:
@@ -120,6 +145,8 @@ _SETTINGS = {
     ),
     "tolerance": _Setting("tolerance", "", low=1e-4, high=0.5),
     "placement": _Setting("placement_m", "m", low=1e-6, high=0.1),
+    "bow": _Setting("bow_m", "m", low=1e-6, high=0.1),
+    "least_stitch": _Setting("least_stitch_m", "m", low=1e-5, high=0.1),
     "corner_angle": _Setting(
         "corner_angle_rad", "rad", low=math.radians(2.0), high=math.radians(170.0)
     ),
@@ -139,6 +166,7 @@ _SETTINGS = {
     "reverse": _Setting("reverse", kind=bool),
     "travel_speed": _Setting("travel_speed_m_s", "m/s", low=1e-4, high=10.0, endless="fastest"),
     "settle": _Setting("settle_s", "s", high=MOST_SETTLE_S),
+    "trim": _Setting("trim_s", "s", high=MOST_SETTLE_S),
 }
 STITCHING_KEYS = tuple(_SETTINGS)
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.drawing.arclength import ArcTable, arc_table
+from threadline.drawing.contours import ZERO_LENGTH_M, Contour, point_text
 from threadline.errors import JobError, Place
-from threadline.jobs.seam.arclength import ArcTable, arc_table
-from threadline.jobs.seam.contour import Contour
+from threadline.jobs.seam.bends import bow_m
 from threadline.jobs.seam.legs import Leg, seam_legs
 from threadline.jobs.seam.placement import exempt_mask, place_leg, wrap
 from threadline.jobs.seam.settings import Accelerations, Stitching
@@ -34,6 +35,11 @@ class StitchBlock:
         (n,) one turn of the needle each.
     exempt
         (n,) bool: the two next to a corner or a rest.
+    target_m
+        (n,) lengths that are wanted: that of the settings, less where a bend shortens stitches.
+    at_m
+        (n + 1,) where the needle goes down, along the contour as it is sewn: backwards in a lock
+        that turns back, and past its length in a second lap.
     bulge_m
         (n,) how far the contour bows out of the chord, at most.
     line
@@ -47,6 +53,8 @@ class StitchBlock:
     lengths_m: FloatArray
     times_s: FloatArray
     exempt: NDArray[np.bool_]
+    target_m: FloatArray
+    at_m: FloatArray
     bulge_m: FloatArray
     line: IntArray
     rests: bool
@@ -79,7 +87,13 @@ class SewnContour:
     accelerations: Accelerations
 
     def blocks(self) -> Iterator[StitchBlock]:
-        """Yield the stitches of each leg."""
+        """Yield the stitches of each leg.
+
+        Raises
+        ------
+        JobError
+            If a stitch goes nowhere: a loop that is too small.
+        """
         for leg in self.legs:
             yield self._block(leg)
 
@@ -100,8 +114,17 @@ class SewnContour:
         slowed = settings.needle == "slowed"
         # A slowed needle waits for the head, so that no stitch is shortened by a ramp.
         ramps = (False, False) if slowed else halts
-        at_m, points = place_leg(self.table, leg, self.closed, settings, self.accelerations, ramps)
+        at_m, points, short = place_leg(
+            self.table, leg, self.closed, settings, self.accelerations, ramps
+        )
         lengths = np.hypot(*np.diff(points, axis=0).T)
+        if lengths.min() <= ZERO_LENGTH_M:
+            raise JobError(
+                f"seam {self.seam!r}: a loop of {leg.length_m * 1e3:.3g} mm at "
+                f"{point_text(points[0])} is too small for two stitches",
+                place=self.place,
+                remedy="Delete it, or lower least_stitch.",
+            )
         arcs = np.abs(np.diff(at_m))
         on = wrap(at_m, self.table.length_m) if self.closed else at_m
         if slowed:
@@ -110,7 +133,7 @@ class SewnContour:
                 end_speed_m_s(leg.end_turn_rad, settings, self.accelerations),
             )
             bend = self.table.curvature(on)
-            times = stitch_times_s(lengths, bend, settings, self.accelerations, ends)
+            times = stitch_times_s(lengths, bend, settings, self.accelerations, ends, short)
         else:
             times = np.full(len(lengths), 1.0 / settings.needle_speed_hz)
         middle = at_m[1:] - 0.25 * np.diff(at_m)
@@ -121,8 +144,9 @@ class SewnContour:
             lengths_m=lengths,
             times_s=times,
             exempt=exempt_mask(len(lengths)),
-            # A bow of height h makes the arc longer than its chord by 8/3 h^2 / chord or less.
-            bulge_m=np.sqrt(0.5 * np.maximum(arcs - lengths, 0.0) * arcs),
+            target_m=np.where(short, lengths, settings.stitch_length_m),
+            at_m=at_m,
+            bulge_m=bow_m(arcs, lengths),
             line=self.table.pieces.line[piece],
             rests=halts[1],
         )

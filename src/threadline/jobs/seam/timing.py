@@ -7,6 +7,7 @@ the smaller of what the head and the motor can do bounds them both.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.jobs.seam.settings import Accelerations, Stitching
@@ -34,6 +35,7 @@ def stitch_times_s(
     settings: Stitching,
     accelerations: Accelerations,
     ends_m_s: tuple[float, float],
+    short: NDArray[np.bool_],
 ) -> FloatArray:
     """Return the (n,) time of each stitch of a leg.
 
@@ -48,6 +50,9 @@ def stitch_times_s(
         Of the head; the needle's limit is in the settings.
     ends_m_s
         Speeds at the two ends of the leg.
+    short
+        (n,) bool: stitches that a bend shortens; the head is so much slower there that the needle
+        keeps to its speed.
 
     Notes
     -----
@@ -61,6 +66,8 @@ def stitch_times_s(
     limit = np.minimum(
         settings.speed_m_s**2, min(accelerations) / np.maximum(np.abs(bend_1_m), 1e-12)
     )
+    own = np.where(short, (settings.needle_speed_hz * lengths_m) ** 2, np.inf)
+    limit = np.minimum(limit, np.minimum(np.append(own, np.inf), np.append(np.inf, own)))
     squared = limit.copy()
     squared[0] = min(squared[0], ends_m_s[0] ** 2)
     squared[-1] = min(squared[-1], ends_m_s[1] ** 2)

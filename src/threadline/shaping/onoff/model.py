@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
 from threadline.shaping.response import pole
 from threadline.shaping.types import FlexibleMode, Shaper
@@ -60,7 +60,7 @@ class RestToRest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Command:
+class Command(Locked):
     """Piecewise constant acceleration, as a fraction of the full one.
 
     Parameters

@@ -125,20 +125,21 @@ class _Costate:
         """Roots as times from the start, (n,), and the sign before the first."""
         from scipy.optimize import brentq
 
+        def at(before_end: float) -> float:
+            return float(self.value(weights, np.array([before_end]))[0])
+
         grid = np.linspace(-duration, 0.0, _PROOF_SAMPLES + 1)
         value = self.value(weights, grid)
         roots = []
         positive = value > 0.0
         for i in np.flatnonzero(positive[:-1] != positive[1:]):
-            roots.append(
-                brentq(
-                    lambda v: float(self.value(weights, np.array([v]))[0]),
-                    grid[i],
-                    grid[i + 1],
-                    xtol=1e-15,
-                    rtol=1e-15,
-                )
-            )
+            low, high = float(grid[i]), float(grid[i + 1])
+            # Many points at once are rounded in another order than one: a root on a grid point
+            # may show a change of sign to the row that no single evaluation sees.
+            if (at(low) > 0.0) == (at(high) > 0.0):
+                roots.append(min((low, high), key=lambda v: abs(at(v))))
+            else:
+                roots.append(brentq(at, low, high, xtol=1e-15, rtol=1e-15))
         return np.array(roots) + duration, 1.0 if value[0] > 0.0 else -1.0
 
 

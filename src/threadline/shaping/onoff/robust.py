@@ -29,6 +29,7 @@ from threadline.shaping.types import Shaper, ShaperError
 
 _ACCURACY = 1e-4
 _SWEEP = 201
+_ROUNDING = 1e-9
 
 
 class _Band:
@@ -131,6 +132,9 @@ def robust_optimum(
     def missing(duration: float) -> float:
         return farthest(move, duration, tolerance, band, intervals)[0] - move.distance_m
 
+    at_once, command = farthest(move, low, tolerance, band, intervals)
+    if at_once >= move.distance_m * (1.0 - _ROUNDING):
+        return command  # a mode so slow that the rigid move hardly rings it
     # Nothing beats the rigid body; from there on, half a period of the slowest mode at a time.
     stride = max(0.5 * m.damped_period_s for m in move.modes)
     high = low + stride

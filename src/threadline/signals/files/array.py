@@ -16,22 +16,22 @@ import numpy as np
 
 from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
+from threadline.opening import KnownFile
 from threadline.signals.commands import Event, TickBlock, TickTable
 from threadline.signals.files.common import (
     Written,
-    atomic_file,
     clear_errors,
-    meta_lines,
-    written,
+    reading,
 )
 from threadline.signals.files.events import events_cell, parse_events_cell
 from threadline.signals.files.table import (
     END,
     READ_ROWS,
     checked_counts,
+    checked_rows,
     empty_block,
     table_from,
-    table_meta,
+    write_text,
 )
 from threadline.signals.files.table_text import (
     body_lines,
@@ -40,7 +40,6 @@ from threadline.signals.files.table_text import (
     read_head,
     whole_number,
 )
-from threadline.signals.stream import Stream
 
 TITLE = "trajectory-array 1"
 MAX_TICKS = 1 << 31  # of one line: products with a remainder stay exact in 64 bits
@@ -53,16 +52,11 @@ def _columns(axes: tuple[str, ...]) -> list[str]:
 
 def write_array(table: TickTable, path: Path) -> Written:
     """Write ``table`` as a trajectory array."""
-    with atomic_file(path) as file:
-        for line in meta_lines(TITLE, table_meta(table)):
-            file.write(f"{line}\n".encode())
-        file.write((",".join(_columns(table.axes)) + "\n").encode())
-        ticks = 0
-        for block in table:
-            file.write("".join(_lines(block, len(table.axes))).encode())
-            ticks += len(block)
-        file.write(f"{END}{ticks}\n".encode())
-    return written(path)
+    return write_text(table, path, TITLE, _columns(table.axes), _text)
+
+
+def _text(block: TickBlock, axes: int) -> str:
+    return "".join(_lines(block, axes))
 
 
 def _lines(block: TickBlock, axes: int) -> Iterator[str]:
@@ -161,16 +155,18 @@ def read_array(path: Path) -> TickTable:
     Raises
     ------
     RecordingError
-        If it is something else; while it is read, if a line is wrong.
+        If it is something else, a line is wrong, or its rows are not those that were written; of an
+        older table a wrong one is told while it is read.
     """
     with clear_errors(path):
         meta, number, columns = read_head(path, TITLE)
-        table = table_from(meta, Stream(lambda: _blocks(path, number, len(table.axes))), path)
+        table = table_from(meta, path, _blocks, number)
         check_columns(columns, _columns(table.axes), Place(str(path), number))
-    return table
+        return checked_rows(table, meta, path)
 
 
-def _blocks(path: Path, head: int, axes: int) -> Iterator[TickBlock]:
+def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
+    path = known.path
     first, ready = 0, 0  # tick of the next block, rows in hand
     counts: list[IntArray] = []
     operation: list[IntArray] = []
@@ -184,7 +180,7 @@ def _blocks(path: Path, head: int, axes: int) -> Iterator[TickBlock]:
             events=tuple(events),
         )
 
-    with clear_errors(path):
+    with reading(known):
         for number, line in body_lines(path, head):
             place = Place(str(path), number)
             if line.startswith(END):

@@ -29,6 +29,11 @@ _UNITS = {ChannelKind.VOLTAGE: ("V",), ChannelKind.CURRENT: ("A",)}
 _PER_AXIS = tuple(k for k in ChannelKind if k in _POSITIONS or k in _UNITS)
 
 
+def units_of(kind: ChannelKind) -> tuple[str, ...]:
+    """Return the SI units that a channel of ``kind`` may have; none of plain numbers."""
+    return _UNITS.get(kind, ("m", "rad") if kind in _POSITIONS else ())
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column of a trace: the channel that it is, and what one of its units is in SI."""
@@ -81,7 +86,7 @@ def parse_column(text: str, place: Place) -> Column:
             remedy=f"{nearest(name, among)} Take columns out that are not to be judged.",
         )
     kind = ChannelKind(kind_name) if dot else ChannelKind.MEASURED
-    units = _UNITS.get(kind, ("m", "rad"))
+    units = units_of(kind)
     factor = _factor(name, unit, units, place)
     si = next(u for u in units if same_dimension(unit, u))
     return Column(f"{axis}.{kind.value}", kind, axis, si, factor)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -18,8 +16,10 @@ from typing import IO, Annotated, Any, TypeVar
 from pydantic import Field, TypeAdapter, ValidationError
 
 from threadline.errors import Place, RecordingError, ThreadlineError
-from threadline.opening import refuse_special
+from threadline.escaping import json_line
+from threadline.opening import KnownFile
 from threadline.wording import field_fault
+from threadline.writing import content_of, staged_file
 
 MAX_LINE_BYTES = 1 << 20
 MAX_META_BYTES = 1 << 20
@@ -47,39 +47,26 @@ class Written:
 def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     """Open a file that appears at ``path`` when the block ends well, and not at all otherwise.
 
+    In a block ``together`` of ``threadline.writing`` it appears at the end of that. The ``name``
+    of what is opened is where its bytes are until then.
+
     Raises
     ------
     RecordingError
         If the file cannot be written.
     """
     try:
-        if path.exists():
-            refuse_special(path)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
-    except OSError as error:
-        raise RecordingError(
-            f"cannot write {str(path)!r}: {error.strerror}", remedy="Give a file in a folder."
-        ) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
+        with staged_file(path) as file:
             yield file
-        # mkstemp keeps its file private; what was asked for gets the usual permissions.
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(temporary).chmod(0o666 & ~mask)
-        Path(temporary).replace(path)
     except OSError as error:
         raise RecordingError(
-            f"cannot write {str(path)!r}: {error.strerror}", remedy="Give another file."
+            f"cannot write {str(path)!r}: {error.strerror or error}", remedy="Give another file."
         ) from error
-    finally:
-        with suppress(OSError):
-            Path(temporary).unlink()
 
 
 def written(path: Path, warnings: tuple[str, ...] = ()) -> Written:
     """Return ``path`` with the hash of what is in it."""
-    with path.open("rb") as file:
+    with content_of(path).open("rb") as file:
         return Written(path, hashlib.file_digest(file, "sha256").hexdigest(), warnings)
 
 
@@ -113,6 +100,25 @@ def clear_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
+@contextmanager
+def reading(known: KnownFile) -> Iterator[None]:
+    """Do as ``clear_errors``, once the file is seen to hold what it did when it was first read.
+
+    Raises
+    ------
+    RecordingError
+        If it holds something else.
+    """
+    with clear_errors(known.path):
+        if not known.is_unchanged():
+            raise RecordingError(
+                f"the file was changed since it was read; its SHA-256 was {known.sha256[:12]}",
+                place=Place(str(known.path)),
+                remedy="Read it again.",
+            )
+        yield
+
+
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield line numbers, from 1, and lines; refuse what is not text before it fills memory."""
     with path.open("rb") as file:
@@ -144,7 +150,7 @@ def meta_lines(title: str, meta: dict[str, Any]) -> Iterator[str]:
     """Yield the comment lines in which text formats keep what is not in their columns."""
     yield f"# threadline {title}"
     for key, value in meta.items():
-        yield f"# {key}: {json.dumps(value, ensure_ascii=False)}"
+        yield f"# {key}: {json_line(value)}"
 
 
 def parse_meta_lines(lines: Iterable[tuple[int, str]], path: Path) -> dict[str, Any]:

@@ -16,12 +16,14 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError, UnitError
+from threadline.opening import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.files.columns import AXES, parse_column
 from threadline.signals.files.common import (
     Written,
     atomic_file,
     clear_errors,
+    reading,
     text_lines,
     written,
 )
@@ -169,7 +171,7 @@ def read_plt(path: Path) -> Recording:
         factors = np.array([c.factor for c in columns])
         recording = Recording(
             channels=channels,
-            blocks=Stream(lambda: _blocks(path, channels, factors)),
+            blocks=Stream(_blocks, KnownFile.of(path), channels, factors),
             job_sha256="",
             machine_sha256="",
             simulated=False,
@@ -192,9 +194,9 @@ def _period(text: str, place: Place) -> Fraction:
 
 
 def _blocks(
-    path: Path, channels: tuple[Channel, ...], factors: FloatArray
+    known: KnownFile, channels: tuple[Channel, ...], factors: FloatArray
 ) -> Iterator[RecordingBlock]:
-    clock, stride = channels[0].clock, channels[0].stride
+    path, clock, stride = known.path, channels[0].clock, channels[0].stride
     first = 0
     rows: list[list[float]] = []
 
@@ -203,7 +205,7 @@ def _blocks(
         samples = {c.name: values[:, k].copy() for k, c in enumerate(channels)}
         return RecordingBlock(first_tick={clock.name: first}, samples=samples)
 
-    with clear_errors(path):
+    with reading(known):
         for number, line in text_lines(path):
             if number == 1:
                 continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import Place, RecordingError
+from threadline.opening import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.commands import Event
+from threadline.signals.files.channel_units import in_si
 from threadline.signals.files.columns import TIME, Column, parse_column
 from threadline.signals.files.common import (
     MAX_COUNTS,
@@ -22,6 +25,7 @@ from threadline.signals.files.common import (
     clear_errors,
     meta_lines,
     parse_meta_lines,
+    reading,
     text_lines,
     written,
 )
@@ -134,7 +138,7 @@ def _own(path: Path) -> Recording:
     if not head:
         raise RecordingError("the file ends before its columns", place=Place(str(path)))
     number, text = head[0]
-    recording = recording_from(meta, Stream(lambda: _blocks(path, number, layout)), path)
+    recording = recording_from(meta, path, _own_blocks, number)
     channels = recording.channels
     place = Place(str(path), number)
     if len({(c.clock, c.stride) for c in channels}) != 1:
@@ -144,14 +148,19 @@ def _own(path: Path) -> Recording:
         raise RecordingError(
             f"the columns are {text[:200]!r}, expected {','.join(expected)!r}", place=place
         )
+    return in_si(recording, place)
+
+
+def _own_blocks(
+    known: KnownFile, channels: tuple[Channel, ...], head: int
+) -> Iterator[RecordingBlock]:
     layout = _Layout(
         separator=",",
-        channels=channels,
-        factors=[1.0, *(1.0 for _ in channels)],
-        order=list(range(len(channels) + 1)),
+        factors=(1.0, *(1.0 for _ in channels)),
+        order=tuple(range(len(channels) + 1)),
         own=True,
     )
-    return recording
+    return _blocks(known, channels, head, layout)
 
 
 def _foreign(path: Path) -> Recording:
@@ -178,19 +187,18 @@ def _foreign(path: Path) -> Recording:
     kept = [k for k in range(len(columns)) if k != at]
     layout = _Layout(
         separator=separator,
-        channels=(),
-        factors=[columns[at].factor, *(columns[k].factor for k in kept)],
-        order=[at, *kept],
+        factors=(columns[at].factor, *(columns[k].factor for k in kept)),
+        order=(at, *kept),
         own=False,
     )
     instants = ((n, row[0]) for n, row, _ in _rows(path, number, layout))
     grid = find_grid(instants, str(path))
     clock = Clock("recording", grid.period_s)
-    layout.channels = tuple(_channel(columns[k], clock) for k in kept)
-    layout.first = grid.first
+    channels = tuple(_channel(columns[k], clock) for k in kept)
+    layout = replace(layout, first=grid.first)
     return Recording(
-        channels=layout.channels,
-        blocks=Stream(lambda: _blocks(path, number, layout)),
+        channels=channels,
+        blocks=Stream(_blocks, KnownFile.of(path), channels, number, layout),
         job_sha256="",
         machine_sha256="",
         simulated=False,
@@ -202,21 +210,15 @@ def _channel(column: Column, clock: Clock) -> Channel:
     return Channel(name=column.name, kind=kind, unit=column.unit, clock=clock, axis=column.axis)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Layout:
     """How the cells of a line are to be read: time first, then the channels."""
 
-    def __init__(
-        self,
-        *,
-        separator: str,
-        channels: tuple[Channel, ...],
-        factors: list[float],
-        order: list[int],
-        own: bool,
-    ) -> None:
-        self.separator, self.channels, self.own = separator, channels, own
-        self.factors, self.order = factors, order
-        self.first: int | None = None  # tick of the first row; None: the first time tells
+    separator: str
+    factors: tuple[float, ...]
+    order: tuple[int, ...]
+    own: bool
+    first: int | None = None  # tick of the first row; None: the first time tells
 
 
 def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[float], list[Event]]]:
@@ -274,20 +276,21 @@ def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
     return value
 
 
-def _blocks(path: Path, head: int, layout: _Layout) -> Iterator[RecordingBlock]:
-    channel = layout.channels[0]
-    clock, stride = channel.clock, channel.stride
+def _blocks(
+    known: KnownFile, channels: tuple[Channel, ...], head: int, layout: _Layout
+) -> Iterator[RecordingBlock]:
+    path, clock, stride = known.path, channels[0].clock, channels[0].stride
     values: list[list[float]] = []
     events: list[Event] = []
     first = layout.first
-    operations = [k + 1 for k, c in enumerate(layout.channels) if c.kind is ChannelKind.OPERATION]
+    operations = [k + 1 for k, c in enumerate(channels) if c.kind is ChannelKind.OPERATION]
 
     def block(tick: int) -> RecordingBlock:
         columns: Any = np.array(values).T[1:]
-        samples = {c.name: columns[k] for k, c in enumerate(layout.channels)}
+        samples = {c.name: columns[k] for k, c in enumerate(channels)}
         return RecordingBlock(first_tick={clock.name: tick}, samples=samples, events=tuple(events))
 
-    with clear_errors(path):
+    with reading(known):
         for number, row, here in _rows(path, head, layout):
             place = Place(str(path), number)
             if first is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline import __version__
 from threadline.errors import Place, RecordingError
+from threadline.opening import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.files.common import (
     FractionText,
@@ -105,8 +106,20 @@ def operation_fault(value: float) -> str | None:
     return f"the operation {value:.12g} is no whole number from 0 on, nor -1 for none"
 
 
-def recording_from(meta: Any, blocks: Stream[RecordingBlock], path: Path) -> Recording:
-    """Return the recording of a file's description and samples."""
+def recording_from(
+    meta: Any, path: Path, samples: Callable[..., Iterator[RecordingBlock]], *given: object
+) -> Recording:
+    """Return the recording of a file's description and samples.
+
+    Parameters
+    ----------
+    meta
+        The description.
+    path
+        The file.
+    samples
+        Called for each reading with the file as it is now, the channels, and ``given``.
+    """
     found = checked_meta(_META, meta, path)
     place = Place(str(path))
     clocks = {n: Clock(n, positive_fraction(p, place)) for n, p in found.clocks.items()}
@@ -131,7 +144,7 @@ def recording_from(meta: Any, blocks: Stream[RecordingBlock], path: Path) -> Rec
         raise RecordingError("two channels have the same name", place=place)
     return Recording(
         channels=tuple(channels),
-        blocks=blocks,
+        blocks=Stream(samples, KnownFile.of(path), tuple(channels), *given),
         job_sha256=found.job_sha256,
         machine_sha256=found.machine_sha256,
         simulated=found.simulated,

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from threadline.errors import Place, RecordingError
+from threadline.opening import KnownFile
 from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
-from threadline.signals.files.common import Written, atomic_file, clear_errors, written
+from threadline.signals.files.channel_units import in_si
+from threadline.signals.files.common import Written, atomic_file, clear_errors, reading, written
 from threadline.signals.files.events import EventColumns, EventSpool
 from threadline.signals.files.recording_meta import (
     OPERATION_REMEDY,
@@ -21,7 +23,6 @@ from threadline.signals.files.recording_meta import (
     recording_meta,
 )
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.signals.stream import Stream
 
 MAX_BLOCK_SAMPLES = 1 << 26
 """Samples of one block, of all channels: what has to be in memory at once."""
@@ -52,7 +53,7 @@ def write_recording_npz(recording: Recording, path: Path) -> Written:
     channels = recording.channels
     names, clocks = _column_names(channels), _clock_names(channels)
     meta = {"format": TITLE, **recording_meta(recording)}
-    with atomic_file(path) as file, ColumnSpool(path.parent) as spool:
+    with atomic_file(path) as file, ColumnSpool(Path(file.name).parent) as spool:
         # One row per block: first tick of each clock, samples of each channel, events.
         spool.column("blocks", "<i8", (len(clocks) + len(channels) + 1,))
         for name in names:
@@ -94,16 +95,14 @@ def read_recording_npz(path: Path) -> Recording:
         event_names = meta.pop("event_names", None)
         if not isinstance(event_names, list) or not all(isinstance(n, str) for n in event_names):
             raise RecordingError("event_names is not a list of names", place=Place(str(path)))
-        recording = recording_from(
-            meta, Stream(lambda: _blocks(path, recording.channels, event_names)), path
-        )
+        recording = recording_from(meta, path, _blocks, tuple(event_names))
         _open(archive, recording.channels, event_names, path)
         archive.verify()
-    return recording
+    return in_si(recording, Place(str(path)))
 
 
 def _open(
-    archive: ColumnArchive, channels: tuple[Channel, ...], event_names: list[str], path: Path
+    archive: ColumnArchive, channels: tuple[Channel, ...], event_names: Sequence[str], path: Path
 ) -> tuple[ColumnReader, list[ColumnReader], EventColumns]:
     width = len(_clock_names(channels)) + len(channels) + 1
     blocks = archive.column("blocks", "<i8", (width,))
@@ -112,10 +111,10 @@ def _open(
 
 
 def _blocks(
-    path: Path, channels: tuple[Channel, ...], event_names: list[str]
+    known: KnownFile, channels: tuple[Channel, ...], event_names: tuple[str, ...]
 ) -> Iterator[RecordingBlock]:
-    clocks = _clock_names(channels)
-    with clear_errors(path), ColumnArchive(path) as archive:
+    path, clocks = known.path, _clock_names(channels)
+    with reading(known), ColumnArchive(path) as archive:
         blocks, columns, events = _open(archive, channels, event_names, path)
         left = np.array([*(column.rows for column in columns), events.left])
         for rows in blocks.runs(1024):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
+from threadline.opening import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.commands import Event, TickBlock, TickTable
 from threadline.signals.files.archive import ColumnArchive, ColumnSpool
@@ -28,6 +29,7 @@ from threadline.signals.files.common import (
     fraction_text,
     meta_lines,
     positive_fraction,
+    reading,
     written,
 )
 from threadline.signals.files.events import EventColumns, EventSpool, events_cell
@@ -53,6 +55,7 @@ class TableMeta:
     start_counts: tuple[Counts, ...]
     job_sha256: Hash
     machine_sha256: Hash
+    rows_sha256: Hash | None = None
     unit: Literal["count/m of a linear axis, count/rad of a rotary one"] = _UNIT
 
 
@@ -72,8 +75,20 @@ def table_meta(table: TickTable) -> dict[str, Any]:
     }
 
 
-def table_from(meta: Any, blocks: Stream[TickBlock], path: Path) -> TickTable:
-    """Return the table of a file's description and rows."""
+def table_from(
+    meta: Any, path: Path, rows: Callable[..., Iterator[TickBlock]], *given: object
+) -> TickTable:
+    """Return the table of a file's description and rows.
+
+    Parameters
+    ----------
+    meta
+        The description.
+    path
+        The file.
+    rows
+        Called for each reading with the file as it is now, the number of axes, and ``given``.
+    """
     found = checked_meta(_META, meta, path)
     place = Place(str(path))
     if not len(found.axes) == len(found.counts_per_unit) == len(found.start_counts):
@@ -89,10 +104,34 @@ def table_from(meta: Any, blocks: Stream[TickBlock], path: Path) -> TickTable:
         axes=found.axes,
         counts_per_unit=np.array(found.counts_per_unit),
         start_counts=np.array(found.start_counts, dtype=np.int64),
-        blocks=blocks,
+        blocks=Stream(rows, KnownFile.of(path), len(found.axes), *given),
         job_sha256=found.job_sha256,
         machine_sha256=found.machine_sha256,
     )
+
+
+def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
+    """Return ``table``, whose description is ``meta``, once its rows are seen to be those written.
+
+    Older tables don't say what the hash of their rows is; they are taken as they are.
+
+    Raises
+    ------
+    RecordingError
+        If they are not, or cannot be read.
+    """
+    told = meta.get("rows_sha256")
+    if told is None:
+        return table
+    found = table.rows_sha256()
+    if found != told:
+        raise RecordingError(
+            f"the rows are not those that were written: their SHA-256 is {found[:12]}..., the "
+            f"file says {told[:12]}...",
+            place=Place(str(path)),
+            remedy="Write or fetch it again.",
+        )
+    return table
 
 
 def write_table_npz(table: TickTable, path: Path) -> Written:
@@ -100,16 +139,17 @@ def write_table_npz(table: TickTable, path: Path) -> Written:
 
     Memory is bounded by a block; the columns grow in temporary files beside ``path``.
     """
-    with atomic_file(path) as file, ColumnSpool(path.parent) as spool:
+    with atomic_file(path) as file, ColumnSpool(Path(file.name).parent) as spool:
         spool.column("counts", "<i8", (len(table.axes),))
         spool.column("operation", "<i8")
-        events = EventSpool(spool)
+        events, digest = EventSpool(spool), table.rows_hash()
         for block in table:
+            digest.add((block.counts, block.operation), block.events)
             spool.append("counts", block.counts)
             spool.append("operation", block.operation)
             events.append(block.events)
-        content = {"format": TITLE, **table_meta(table), "event_names": events.names}
-        spool.pack(file, content)
+        meta = {**table_meta(table), "rows_sha256": digest.hexdigest()}
+        spool.pack(file, {"format": TITLE, **meta, "event_names": events.names})
     return written(path)
 
 
@@ -123,11 +163,11 @@ def read_table_npz(path: Path) -> TickTable:
     """
     with clear_errors(path), ColumnArchive(path) as archive:
         meta, names = _split_npz_meta(archive.meta(), path)
-        table = table_from(meta, Stream(lambda: _npz_blocks(path, names, len(table.axes))), path)
+        table = table_from(meta, path, _npz_blocks, tuple(names))
         # Open every column once, so that a wrong one is found now and not half-way.
         _open_npz(archive, names, len(table.axes), path)
         archive.verify()
-    return table
+        return checked_rows(table, meta, path)
 
 
 def _split_npz_meta(meta: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
@@ -142,7 +182,7 @@ def _split_npz_meta(meta: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def _open_npz(
-    archive: ColumnArchive, names: list[str], axes: int, path: Path
+    archive: ColumnArchive, names: Sequence[str], axes: int, path: Path
 ) -> tuple[Any, Any, EventColumns]:
     counts = archive.column("counts", "<i8", (axes,))
     operation = archive.column("operation", "<i8")
@@ -153,8 +193,9 @@ def _open_npz(
     return counts, operation, EventColumns(archive, names, Place(str(path)))
 
 
-def _npz_blocks(path: Path, names: list[str], axes: int) -> Iterator[TickBlock]:
-    with clear_errors(path), ColumnArchive(path) as archive:
+def _npz_blocks(known: KnownFile, axes: int, names: tuple[str, ...]) -> Iterator[TickBlock]:
+    path = known.path
+    with reading(known), ColumnArchive(path) as archive:
         counts, operation, columns = _open_npz(archive, names, axes, path)
         pending: list[Event] = []
         first, total = 0, counts.rows
@@ -199,16 +240,34 @@ def checked_counts(counts: IntArray, path: Path) -> IntArray:
 
 def write_table_csv(table: TickTable, path: Path) -> Written:
     """Write ``table`` as text: one line per tick, after comment lines with the rest."""
+    columns = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
+    return write_text(table, path, TITLE, columns, _csv_rows)
+
+
+def write_text(
+    table: TickTable,
+    path: Path,
+    title: str,
+    columns: list[str],
+    lines: Callable[[TickBlock, int], str],
+) -> Written:
+    """Write ``table`` as text: its description, the columns, the lines of each block, the end.
+
+    The hash of the rows is known at the end only, and put into the description then.
+    """
     with atomic_file(path) as file:
-        for line in meta_lines(TITLE, table_meta(table)):
+        for line in meta_lines(title, {**table_meta(table), "rows_sha256": "0" * 64}):
             file.write(f"{line}\n".encode())
-        columns = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
+        hash_at = file.tell() - len('"\n') - 64
         file.write((",".join(columns) + "\n").encode())
-        rows = 0
+        rows, digest = 0, table.rows_hash()
         for block in table:
-            file.write(_csv_rows(block, len(table.axes)).encode())
+            digest.add((block.counts, block.operation), block.events)
+            file.write(lines(block, len(table.axes)).encode())
             rows += len(block)
         file.write(f"{END}{rows}\n".encode())
+        file.seek(hash_at)
+        file.write(digest.hexdigest().encode())
     return written(path)
 
 

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import Place, RecordingError
+from threadline.opening import KnownFile
 from threadline.signals.commands import Event, TickBlock, TickTable
 from threadline.signals.files.common import (
     MAX_COUNTS,
     clear_errors,
     parse_meta_lines,
+    reading,
     text_lines,
 )
 from threadline.signals.files.events import parse_events_cell
@@ -23,10 +25,10 @@ from threadline.signals.files.table import (
     READ_ROWS,
     TITLE,
     checked_counts,
+    checked_rows,
     empty_block,
     table_from,
 )
-from threadline.signals.stream import Stream
 from threadline.wording import nearest
 
 
@@ -80,18 +82,20 @@ def read_table_csv(path: Path) -> TickTable:
     Raises
     ------
     RecordingError
-        If it is something else; while the rows are read, if one of them is wrong.
+        If it is something else, a row is wrong, or they are not those that were written; of an
+        older table a wrong one is told while it is read.
     """
     with clear_errors(path):
         meta, number, columns = read_head(path, TITLE)
-        table = table_from(meta, Stream(lambda: _blocks(path, number, len(table.axes))), path)
+        table = table_from(meta, path, _blocks, number)
         expected = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
         check_columns(columns, expected, Place(str(path), number))
-    return table
+        return checked_rows(table, meta, path)
 
 
-def _blocks(path: Path, head: int, axes: int) -> Iterator[TickBlock]:
-    with clear_errors(path):
+def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
+    path = known.path
+    with reading(known):
         rows: list[list[int]] = []
         events: list[Event] = []
         tail: list[Event] = []

@@ -1,0 +1,107 @@
+"""What the functions of the face answer: a verdict, a proof, or what a search found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from threadline.verdict import Result, Verdict, verdict_json
+
+if TYPE_CHECKING:
+    from threadline.pipeline import Proof
+    from threadline.plan import Plan
+    from threadline.recorded import Judged
+    from threadline.signals import Recording
+    from threadline.signals.files import Written
+
+PathLike = str | Path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """A verdict, with the plan that it is of.
+
+    Parameters
+    ----------
+    of
+        The proof, or what recordings were judged by.
+    """
+
+    of: Proof | Judged
+
+    @property
+    def plan(self) -> Plan:
+        """What was intended."""
+        return self.of.plan
+
+    @property
+    def verdict(self) -> Verdict:
+        """Every criterion, with what was measured."""
+        return self.of.verdict
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed and all that is required was measured."""
+        return self.of.verdict.passed
+
+    def result(self, criterion: str, axis: str = "") -> Result:
+        """Return the result of a criterion, of the worst axis where none is named."""
+        return self.of.verdict.result(criterion, axis)
+
+    def json(self) -> dict[str, Any]:
+        """Return what the command line prints with ``--json``."""
+        return verdict_json(self.of.verdict, self.of.plan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proved(Answer):
+    """A proof: a plan, what the simulated machine made of it, and the verdict."""
+
+    of: Proof
+
+    @property
+    def recording(self) -> Recording:
+        """What happened on the simulated machine."""
+        return self.of.recording
+
+    def report(self, folder: PathLike) -> Path:
+        """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
+        from threadline.report import write_report
+
+        return write_report(self.of, Path(folder))
+
+    def write(self, file: PathLike) -> Written:
+        """Write the proof as a file, see ``docs/files.md``."""
+        from threadline.proof_file import write_proof
+
+        return write_proof(self.of, file)
+
+    def record(self, file: PathLike) -> Written:
+        """Write the recording; the ending of the file says how."""
+        from threadline.signals.files import write_recording
+
+        return write_recording(self.of.recording, file)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a search for the fastest found.
+
+    Parameters
+    ----------
+    best
+        The highest feed (m/s of the fastest axis) or needle speed (stitch/s) in spec, or the
+        shortest cycle (s); None where nothing is in spec.
+    unit
+        ``"m/s"``, ``"stitch/s"`` or ``"s"``.
+    limited_by
+        The criterion that forbids more.
+    of
+        All that the search tells, by ``threadline.search``.
+    """
+
+    best: float | None
+    unit: str
+    limited_by: str
+    of: Any

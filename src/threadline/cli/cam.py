@@ -1,0 +1,246 @@
+"""``threadline cam``: from the measured cam of an old machine to a motion law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from threadline.cli.law import law_json
+from threadline.cli.options import JsonOption, ReportOption
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.told import warning
+from threadline.errors import OptionError
+from threadline.laws import write_law
+from threadline.laws.cam import MeasuredCam, Triangle, read_cam
+from threadline.laws.cam_study import CamStudy, Faired, Fairing, study_cam
+from threadline.laws.fairing import MOST_PASSES
+from threadline.options import parse_number
+from threadline.report.document import Table
+from threadline.writing import together
+
+_FEW = 20  # rows that are printed whole
+
+
+def cam(
+    measured: Annotated[
+        Path, typer.Argument(help="Table: alpha [deg], h [mm] and, where printed, phi [deg].")
+    ],
+    b: Annotated[
+        str | None, typer.Option(help='Side of the triangle from cam to rocker axis: "165 mm".')
+    ] = None,
+    c: Annotated[str | None, typer.Option(help='Length of the rocker: "135 mm".')] = None,
+    roller: Annotated[
+        str, typer.Option(help="Radius that is added to each distance; negative: taken off.")
+    ] = "0 mm",
+    noise: Annotated[
+        str | None, typer.Option(help='Measuring error: "0.05 mm"; estimated unless given.')
+    ] = None,
+    fairing: Annotated[
+        str, typer.Option(help="Of the law: spline, rebound, differences, none.")
+    ] = "spline",
+    start: Annotated[
+        str | None, typer.Option(help='Where the rise starts: "7.5 deg"; found unless given.')
+    ] = None,
+    end: Annotated[str | None, typer.Option(help="Where it ends.")] = None,
+    passes: Annotated[int, typer.Option(help="Most passes of the rebound.")] = MOST_PASSES,
+    epsilon: Annotated[
+        str | None,
+        typer.Option(help='Stop the rebound by this change of a pass alone: "0.001 mm".'),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "--output", help="Write the law as a table (.csv).")
+    ] = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Turn a measured cam into a motion law.
+
+    The distance from the cam's axis to its edge closes a triangle with the sides b and c; the angle
+    between them is what the follower turns. Without them the distance is the follower's own way.
+    Rows whose printed angle is not that of their distance are flagged, the noise is estimated, the
+    rise is found, and the law is faired; nothing is left out. Exit status: 0, or 2 for wrong input.
+
+    Example: threadline cam examples/schiffli-cam.csv --b "165 mm" --c "135 mm" --noise "0.05 mm"
+    """
+    check_outputs(file=out, folder=report)
+    if (b is None) != (c is None):
+        raise OptionError("cam: a triangle needs b and c", remedy="Give both, or neither.")
+    try:
+        chosen = Fairing(fairing)
+    except ValueError:
+        raise OptionError(
+            f"unknown fairing {fairing!r}", remedy=f"There are {', '.join(Fairing)}."
+        ) from None
+    triangle = None
+    if b is not None and c is not None:
+        triangle = Triangle(
+            b_m=parse_number("--b", b, "m", "165 mm"),
+            c_m=parse_number("--c", c, "m", "135 mm"),
+            roller_m=parse_number("--roller", roller, "m", "10 mm"),
+        )
+    table = read_cam(measured, triangle)
+    with progress_bar(not json):
+        study = study_cam(
+            table,
+            fairing=chosen,
+            noise_m=None if noise is None else parse_number("--noise", noise, "m", "0.05 mm"),
+            start_rad=None if start is None else parse_number("--start", start, "rad", "7.5 deg"),
+            end_rad=None if end is None else parse_number("--end", end, "rad", "127.5 deg"),
+            epsilon_m=None if epsilon is None else parse_number("--epsilon", epsilon, "m", "1 um"),
+            most_passes=passes,
+        )
+    tables = [_rows(study), _fairings(study)]
+    written = None
+    with together(out):
+        if report is not None:
+            from threadline.report.cam import write_cam
+
+            written = write_cam(study, [_rows(study, everything=True), tables[1]], report)
+        if out is not None:
+            write_law(study.law, out)
+    if json:
+        print_json(_content(study, written))
+        return
+    for text in study.warnings:
+        warning(text)
+    for each in tables:
+        print_table(each.title, each.header, each.rows)
+    for line in study.rise.said:
+        say(line)
+    how = "as was given" if study.noise_given else "estimated from fourth differences"
+    say(f"noise {1e3 * study.noise_m:.3g} mm, {how}")
+    bounced = study.rebounded
+    say(
+        f"the rebound ended after {bounced.passes} passes, by {bounced.stopped_by}, with rows "
+        f"moved by {1e3 * bounced.moved:.3g} mm rms"
+    )
+    if written is not None:
+        say(f"Report: {written}")
+
+
+def _notes(study: CamStudy) -> dict[int, str]:
+    notes = {
+        flag.row: f"printed {np.degrees(flag.printed_rad):.2f}, is "
+        f"{np.degrees(flag.checked_rad):.3f} deg"
+        for flag in study.cam.flags
+    }
+    for row in study.outliers:
+        said = f"outlier: {study.scaled[row]:+.1f} times the noise off, kept"
+        notes[row] = f"{notes[row]}; {said}" if row in notes else said
+    return notes
+
+
+def _rows(study: CamStudy, *, everything: bool = False) -> Table:
+    """Return the rows: all where they are few or wanted, else those of which there is to tell."""
+    table, notes = study.cam, _notes(study)
+    whole = everything or len(table.h_m) <= _FEW
+    faired = study.faired(study.chosen)
+    assert faired is not None
+    degrees = table.triangle is not None
+    rows = [
+        [
+            f"{np.degrees(table.alpha_rad[k]):g}",
+            f"{1e3 * table.h_m[k]:.3f}",
+            f"{np.degrees(table.follower[k]):.3f}" if degrees else "",
+            f"{1e3 * faired.distances_m[k]:.3f}",
+            f"{1e3 * (faired.distances_m[k] - table.h_m[k]):+.3f}",
+            notes.get(k, ""),
+        ]
+        for k in range(len(table.h_m))
+        if whole or k in notes
+    ]
+    told = "" if whole else f", those of {len(table.h_m)} with something to tell"
+    return Table(
+        title=f"Rows of {table.file}{told}",
+        header=["alpha deg", "h mm", "phi deg", f"{study.chosen} mm", "moved mm", "note"],
+        rows=rows,
+    )
+
+
+def _fairings(study: CamStudy) -> Table:
+    return Table(
+        title="Before and after fairing; peaks +- their spread over 200 draws of the noise",
+        header=["fairing", "moved mm rms", "2nd difference mm", "Cv", "Ca", "Cj", "note"],
+        rows=[
+            [
+                str(each.fairing) + (" *" if each.fairing is study.chosen else ""),
+                f"{1e3 * each.moved_m:.4f}",
+                f"{1e3 * each.second_m:.4f}",
+                *_peaks(each),
+                "" if each.monotone else "goes back",
+            ]
+            for each in study.fairings
+        ],
+    )
+
+
+def _peaks(each: Faired) -> list[str]:
+    return [
+        f"{peak:.4g} +- {spread:.2g}" if np.isfinite(peak) else "infinite"
+        for peak, spread in zip(each.peaks.tolist(), each.spread.tolist(), strict=True)
+    ]
+
+
+def _content(study: CamStudy, written: Path | None) -> dict[str, Any]:
+    table: MeasuredCam = study.cam
+    faired = study.faired(study.chosen)
+    assert faired is not None
+    content: dict[str, Any] = {
+        "law": law_json(study.law),
+        "noise_m": study.noise_m,
+        "noise_given": study.noise_given,
+        "start_rad": study.rise.start_rad,
+        "end_rad": study.rise.end_rad,
+        "start_found": study.rise.start_found,
+        "end_found": study.rise.end_found,
+        "fairing": str(study.chosen),
+        "fairings": {
+            str(each.fairing): {
+                "moved_m": each.moved_m,
+                "second_difference_m": each.second_m,
+                "monotone": each.monotone,
+                **{
+                    name: {"value": peak, "spread": spread}
+                    if np.isfinite(peak)
+                    else {"value": None, "spread": None}
+                    for name, peak, spread in zip(
+                        ("Cv", "Ca", "Cj"), each.peaks.tolist(), each.spread.tolist(), strict=True
+                    )
+                },
+            }
+            for each in study.fairings
+        },
+        "rebound": {
+            "passes": study.rebounded.passes,
+            "stopped_by": study.rebounded.stopped_by,
+            "moved_m": study.rebounded.moved,
+        },
+        "rows": [
+            {
+                "line": table.lines[k],
+                "alpha_rad": float(table.alpha_rad[k]),
+                "h_m": float(table.h_m[k]),
+                "follower": float(table.follower[k]),
+                "faired_m": float(faired.distances_m[k]),
+            }
+            for k in range(len(table.h_m))
+        ],
+        "flagged": [
+            {"line": f.line, "printed_rad": f.printed_rad, "checked_rad": f.checked_rad}
+            for f in table.flags
+        ],
+        "outliers": [table.lines[row] for row in study.outliers],
+        "warnings": list(study.warnings),
+    }
+    if written is not None:
+        content["report"] = str(written)
+    return content
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("cam")(cam)

@@ -1,0 +1,162 @@
+"""``threadline fastest`` on a move list: the shortest cycle in spec."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+
+from threadline.cli.found import command_line, margin_words
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.warn import warn
+from threadline.jobs import Job
+from threadline.machine import Machine
+from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
+from threadline.search.cycle_forecast import MoveChoice
+from threadline.search.fastest import RANGE
+from threadline.search.move_list import move_list
+from threadline.targets.schedule_options import UNSHAPED_WORD
+from threadline.verdict import Spec, criteria_json, verdict_rows
+from threadline.writing import together
+
+
+def fastest_moves(
+    job: Path,
+    read: Job,
+    machine: Machine,
+    spec: Spec,
+    margin: float,
+    out: Path | None,
+    asked: dict[str, str | Path | None],
+    json: bool,
+) -> NoReturn:
+    """Search the commands and waits of a move list, say what was found, and leave.
+
+    Parameters
+    ----------
+    out
+        Where the move list of the fastest is written; None to write none.
+    asked
+        Options that name the machine and what is asked of it, for the command that proves it.
+    """
+    check_outputs(file=out)
+    warn(machine, read)
+    with progress_bar(not json) as progress:
+        found = fastest_cycle(read, machine, spec, progress=progress)
+    written = None
+    if out is not None and found.job is not None:
+        with together(out):
+            out.write_text(
+                f"# The shortest cycle of {job.name} in spec on {machine.name}, by threadline "
+                f"fastest.\n{move_list(found.job, machine)}",
+                encoding="utf-8",
+            )
+        written = out
+    again = _command(found, job, written, asked)
+    if json:
+        print_json(_content(found) | {"margin": margin, "command": again})
+    else:
+        _show(found, f"{read.name} on {machine.name}{margin_words(margin)}")
+        if found.job is not None:
+            say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
+    raise typer.Exit(0 if found.job is not None else 1)
+
+
+def _command(
+    found: FastestCycle, job: Path, written: Path | None, asked: dict[str, str | Path | None]
+) -> str | None:
+    """Return the command that proves the fastest; None where only a move list can say it."""
+    if found.job is None:
+        return None
+    if written is not None:
+        return command_line("prove", written, asked)
+    by_axis: dict[str, set[str]] = {}
+    for move in found.moves:
+        by_axis.setdefault(move.axis, set()).add(move.how)
+    one_each = all(len(how) == 1 for how in by_axis.values())
+    if not one_each or any(move.wait_s or " for " in move.how for move in found.moves):
+        return None
+    shaper = ", ".join(f"{axis}={next(iter(how))}" for axis, how in by_axis.items())
+    plain = all(how == {UNSHAPED_WORD} for how in by_axis.values())
+    return command_line("prove", job, {**asked, "--shaper": None if plain else shaper})
+
+
+def _content(found: FastestCycle) -> dict[str, Any]:
+    best = found.cycle_s
+    return {
+        "best": best,
+        "unit": "s",
+        "intervals": [] if best is None else [[best, best]],
+        "limited_by": found.limited_by,
+        "tried": found.tried,
+        "verdict": {
+            "passed": found.proof.verdict.passed,
+            "criteria": criteria_json(found.proof.verdict),
+        },
+        "unshaped_s": cycle_s(found.unshaped),
+        "unshaped_passed": found.unshaped.verdict.passed,
+        "moves_s": sum(move.command_s + move.wait_s for move in found.moves),
+        "unshaped_moves_s": sum(move.unshaped_s for move in found.moves),
+        "time_optimal_moves_s": sum(move.time_optimal_s for move in found.moves),
+        "moves": [
+            {
+                "step": move.step,
+                "axis": move.axis,
+                "job_line": move.job_line,
+                "distance_m": move.distance_m,
+                "how": move.how,
+                "command_s": move.command_s,
+                "wait_s": move.wait_s,
+                "unshaped_s": move.unshaped_s,
+                "time_optimal_s": move.time_optimal_s,
+            }
+            for move in found.moves
+        ],
+    }
+
+
+def _show(found: FastestCycle, title: str) -> None:
+    header = ["step", "axis", "mm", "unshaped s", "optimal s", "found s", "wait s", "how"]
+    rows = [_row(move) for move in found.moves]
+    sums = [
+        sum(move.unshaped_s for move in found.moves),
+        sum(move.time_optimal_s for move in found.moves),
+        sum(move.command_s for move in found.moves),
+        sum(move.wait_s for move in found.moves),
+    ]
+    rows.append(["all moves", "", "", *(f"{value:.3f}" for value in sums), ""])
+    print_table(f"{title}: commands, move by move", header, rows)
+    for move in found.moves:
+        if " for " in move.how:
+            say(f"{move.step}, {move.axis}: {move.how}")
+    unshaped = f"unshaped it takes {cycle_s(found.unshaped):.3f} s and is " + (
+        "in spec" if found.unshaped.verdict.passed else "out of spec"
+    )
+    if found.cycle_s is None:
+        say(
+            f"no cycle in spec was found ({found.tried} tried): {found.limited_by} fails; "
+            f"{unshaped}"
+        )
+        print_table("verdict where the search came closest", *verdict_rows(found.proof.verdict))
+        return
+    limited = "" if found.limited_by == RANGE else f", limited by {found.limited_by}"
+    say(
+        f"fastest: a cycle of {found.cycle_s:.3f} s{limited}; {found.tried} cycles tried on the "
+        f"twin; {unshaped}"
+    )
+    print_table("verdict at the fastest", *verdict_rows(found.proof.verdict))
+
+
+def _row(move: MoveChoice) -> list[str]:
+    return [
+        move.step,
+        move.axis,
+        f"{move.distance_m * 1e3:g}",
+        f"{move.unshaped_s:.3f}",
+        f"{move.time_optimal_s:.3f}",
+        f"{move.command_s:.3f}",
+        f"{move.wait_s:.3f}",
+        "levels" if " for " in move.how else move.how,
+    ]

@@ -1,0 +1,328 @@
+"""What laws leave swinging on a mode, and the law made for it: tables and JSON content."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.cli.law import law_json
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.told import warning
+from threadline.errors import OptionError
+from threadline.laws import LAWS, Law, write_law
+from threadline.options import parse_number
+from threadline.report.document import Table
+from threadline.shaping import (
+    Demand,
+    FlexibleMode,
+    MadeLaw,
+    Ringing,
+    ShapedWindow,
+    made_law,
+    outside,
+    parse_mode_hz,
+    residual_m,
+    ringing,
+    shaped_windows,
+    usual_jerk_m_s3,
+)
+from threadline.writing import together
+
+COPIED = "modified-sine"
+"""The law that a law made for the mode stands beside: what cams of such machines run."""
+_RATIOS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
+_BAND = 0.1
+_DRAWN = 3
+
+
+def study(
+    laws: Sequence[Law], *, mode: str, damping: float, move: str | None, time: str | None,
+    mass: str, residual: str | None, limit: str | None, jerk: str | None, band: float | None,
+    out: Path | None, report: Path | None, json: bool,
+) -> None:  # fmt: skip
+    """Rank ``laws`` on a mode, make one for it where limits are given, print and write.
+
+    Raises
+    ------
+    OptionError
+        If an option cannot be read, lacks another, or has a value that no machine has.
+    """
+    flexible = FlexibleMode(parse_mode_hz(mode), damping)
+    if move is None or time is None:
+        raise OptionError(
+            f"--mode {mode} needs the move", remedy='Add --move "16.5 mm" --time "120 ms".'
+        )
+    move_m = parse_number("--move", move, "m", "16.5 mm")
+    window_s = parse_number("--time", time, "s", "120 ms")
+    mass_kg = parse_number("--mass", mass, "kg", "1000 kg")
+    still = None if residual is None else parse_number("--residual", residual, "m", "0.05 mm")
+    most = None if limit is None else parse_number("--limit", limit, "m/s^2", "6.33 m/s^2")
+    for option, value in (("--mass", mass_kg), ("--limit", most)):
+        if value is not None and not 0.0 < value < np.inf:
+            raise OptionError(f"{option} must be positive, got {value:g}")
+    demand = _demand(flexible, move_m, still, most, jerk, band, out)
+    made, shaped = None, []
+    with progress_bar(not json) as progress:
+        found = sorted(
+            (
+                ringing(
+                    each, flexible, move_m, window_s, residual=still,
+                    acceleration=np.inf if most is None else most,
+                )
+                for each in laws
+            ),
+            key=lambda one: one.residual_m,
+        )  # fmt: skip
+        if demand is not None:
+            made = made_law(demand, progress)
+            shaped = shaped_windows(LAWS[COPIED], demand)
+    tables = [_ranking(found, flexible, move_m, window_s, mass_kg, still, most is not None)]
+    warnings: list[str] = []
+    if made is not None:
+        tables += [_made_table(made, shaped, found), _outside_table(made)]
+        warnings.append(_notch(made))
+    written = None
+    with together(out):
+        if report is not None:
+            written = _report(
+                report, found, laws, made, flexible, move_m, window_s, still, tables, warnings
+            )
+        if out is not None and made is not None:
+            write_law(made.law, out)
+    if json:
+        print_json(_content(found, flexible, move_m, window_s, mass_kg, made, shaped, written))
+        return
+    for text in warnings:
+        warning(text)
+    for table in tables:
+        print_table(table.title, table.header, table.rows)
+        if table.note:
+            say(table.note)
+    if written is not None:
+        say(f"Report: {written}")
+
+
+def _report(
+    folder: Path, found: Sequence[Ringing], laws: Sequence[Law], made: MadeLaw | None,
+    mode: FlexibleMode, move_m: float, window_s: float, still: float | None,
+    tables: Sequence[Table], warnings: Sequence[str],
+) -> Path:  # fmt: skip
+    """Write the report: the best laws, the copied one and the one made."""
+    from threadline.report.laws import Curve, write_laws
+
+    drawn = [Curve(one.law, window_s) for one in found[:_DRAWN]]
+    if all(one.law.name != COPIED for one in drawn) and len(laws) > 1:
+        drawn[-1] = Curve(LAWS[COPIED], window_s)
+    if made is not None:
+        drawn.insert(0, Curve(made.law, made.window_s))
+    return write_laws(
+        [curve.law for curve in drawn], tables, warnings, folder, curves=drawn, mode=mode,
+        move_m=move_m, residual_m=still, band=None if made is None else made.demand.band,
+    )  # fmt: skip
+
+
+def _demand(
+    mode: FlexibleMode, move_m: float, still: float | None, most: float | None, jerk: str | None,
+    band: float | None, out: Path | None,
+) -> Demand | None:  # fmt: skip
+    """Return what a law is to be made for; None where none is."""
+    if most is not None and still is None:
+        raise OptionError("--limit makes a law", remedy='Add --residual "0.05 mm", too.')
+    for option, given in (("--jerk", jerk), ("--band", band), ("--out", out)):
+        if given is not None and most is None:
+            raise OptionError(f"{option} is of a law that is made", remedy="Add --limit, too.")
+    if most is None or still is None:
+        return None
+    return Demand(
+        mode=mode, band=_BAND if band is None else band, move_m=move_m, residual_m=still,
+        acceleration_m_s2=most,
+        jerk_m_s3=usual_jerk_m_s3(move_m, most)
+        if jerk is None
+        else parse_number("--jerk", jerk, "m/s^3", "663 m/s^3"),
+    )  # fmt: skip
+
+
+def _ranking(
+    found: Sequence[Ringing], mode: FlexibleMode, move_m: float, window_s: float, mass_kg: float,
+    still: float | None, limited: bool,
+) -> Table:  # fmt: skip
+    header = ["law", "residual mm", "worst mm", "in ms", "m/s^2", "m/s^3", "peak N"]
+    rows = []
+    for one in found:
+        law = one.law
+        acceleration = law.acceleration * move_m / window_s**2
+        rows.append(
+            [
+                law.name,
+                f"{one.residual_m * 1e3:.4f}",
+                f"{one.worst_m * 1e3:.4f}",
+                f"{one.worst_window_s * 1e3:.4g}",
+                f"{acceleration:.4g}",
+                "infinite" if law.jerk is None else f"{law.jerk * move_m / window_s**3:.4g}",
+                f"{mass_kg * acceleration:.4g}",
+            ]
+        )
+        if one.window_s is not None:
+            rows[-1].append(f"{one.window_s * 1e3:.4g}")
+    if still is not None:
+        header.append("still from ms")
+    return Table(
+        title=f"{move_m * 1e3:g} mm in {window_s * 1e3:g} ms on a mode of "
+        f"{mode.frequency_hz:g} Hz, damping ratio {mode.damping_ratio:g}, mass {mass_kg:g} kg",
+        header=header,
+        rows=rows,
+        note="Residual: amplitude of the mode when the move ends, the motor following exactly; "
+        "worst: the largest over this and every longer window, and the window that has it."
+        + (
+            ""
+            if still is None
+            else f" Still from: that and every longer window leaves at most {still * 1e3:g} mm"
+            + (" within the acceleration." if limited else ".")
+        ),
+    )
+
+
+def _made_table(made: MadeLaw, shaped: Sequence[ShapedWindow], found: Sequence[Ringing]) -> Table:
+    d = made.demand
+    rows = [
+        [
+            "made for the mode",
+            f"{made.window_s * 1e3:.1f}",
+            f"{made.velocity_m_s * 1e3:.4g}",
+            f"{made.acceleration_m_s2:.4g}",
+            f"{made.jerk_m_s3:.4g}",
+            f"largest residual over the band, simulated: {made.simulated_m * 1e3:.4f} mm",
+        ],
+        ["bound of free levels", f"{made.free_levels_s * 1e3:.1f}", "", "", "infinite",
+         "acceleration free to step, same band"],
+        ["time-optimal", f"{made.time_optimal_s * 1e3:.1f}", "", "", "infinite",
+         "acceleration free to step, exact mode alone"],
+        ["rigid machine", f"{d.rigid_s * 1e3:.1f}", "", "", "infinite", "no mode at all"],
+    ]  # fmt: skip
+    for one in sorted(shaped, key=lambda each: each.window_s):
+        law, window = one.law, one.window_s
+        rows.append(
+            [
+                law.name,
+                f"{window * 1e3:.1f}",
+                f"{law.velocity * d.move_m / window * 1e3:.4g}",
+                f"{law.acceleration * d.move_m / window**2:.4g}",
+                "infinite" if law.jerk is None else f"{law.jerk * d.move_m / window**3:.4g}",
+                "law and shaper, same band",
+            ]
+        )
+    timed = [one for one in found if one.window_s is not None]
+    if timed:
+        best = min(timed, key=lambda each: each.window_s or np.inf)
+        rows.append(
+            [best.law.name, f"{(best.window_s or 0.0) * 1e3:.1f}", "", "", "",
+             "the best law without the mode, for every longer window too"]
+        )  # fmt: skip
+    return Table(
+        title=f"Shortest window for {d.residual_m * 1e3:g} mm over +-{d.band * 100:g} % of "
+        f"{d.mode.frequency_hz:g} Hz within {d.acceleration_m_s2:g} m/s^2, {d.jerk_m_s3:.4g} m/s^3",
+        header=["move", "window ms", "mm/s", "m/s^2", "m/s^3", "note"],
+        rows=rows,
+    )
+
+
+def _beside(made: MadeLaw) -> tuple[Any, Any, Any]:
+    ratios = np.array(_RATIOS)
+    d = made.demand
+    at = np.array([made.window_s])
+    copied = [
+        residual_m(
+            LAWS[COPIED], FlexibleMode(r * d.mode.frequency_hz, d.mode.damping_ratio), d.move_m, at
+        )[0]
+        for r in _RATIOS
+    ]
+    return ratios, outside(made, ratios), np.array(copied)
+
+
+def _outside_table(made: MadeLaw) -> Table:
+    d = made.demand
+    rows = [
+        [
+            f"{ratio * d.mode.frequency_hz:.4g}",
+            f"{(ratio - 1.0) * 100:+.0f} %",
+            f"{left * 1e3:.4f}",
+            f"{copied * 1e3:.4f}",
+            "" if abs(ratio - 1.0) <= d.band + 1e-9 else "outside the band",
+        ]
+        for ratio, left, copied in zip(*_beside(made), strict=True)
+    ]
+    return Table(
+        title="The law made for the mode is a notch: what it leaves on other modes, mm",
+        header=["Hz", "off", "made", f"{COPIED} in the same window", "note"],
+        rows=rows,
+    )
+
+
+def _notch(made: MadeLaw) -> str:
+    d = made.demand
+    f = d.mode.frequency_hz
+    below, above = (
+        1e3 * x for x in outside(made, np.array([1.0 - 2.0 * _wide(d), 1.0 + 2.0 * _wide(d)]))
+    )
+    return (
+        f"the law made for the mode is a notch: {d.residual_m * 1e3:g} mm holds from "
+        f"{f * (1.0 - d.band):.4g} to {f * (1.0 + d.band):.4g} Hz; at "
+        f"{f * (1.0 - 2.0 * _wide(d)):.4g} Hz it leaves {below:.3g} mm, at "
+        f"{f * (1.0 + 2.0 * _wide(d)):.4g} Hz {above:.3g} mm. Measure the mode where the load and "
+        "the place vary"
+    )
+
+
+def _wide(demand: Demand) -> float:
+    return min(max(demand.band, 0.05), 0.45)
+
+
+def _content(
+    found: Sequence[Ringing], mode: FlexibleMode, move_m: float, window_s: float, mass_kg: float,
+    made: MadeLaw | None, shaped: Sequence[ShapedWindow], written: Path | None,
+) -> dict[str, Any]:  # fmt: skip
+    content: dict[str, Any] = {
+        "mode_hz": mode.frequency_hz,
+        "damping_ratio": mode.damping_ratio,
+        "move_m": move_m,
+        "window_s": window_s,
+        "mass_kg": mass_kg,
+        "laws": [
+            law_json(one.law)
+            | {
+                "residual_m": one.residual_m,
+                "worst_longer_m": one.worst_m,
+                "worst_longer_window_s": one.worst_window_s,
+                "velocity_m_s": one.law.velocity * move_m / window_s,
+                "acceleration_m_s2": one.law.acceleration * move_m / window_s**2,
+                "jerk_m_s3": None if one.law.jerk is None else one.law.jerk * move_m / window_s**3,
+                "force_n": mass_kg * one.law.acceleration * move_m / window_s**2,
+                "still_from_s": one.window_s,
+            }
+            for one in found
+        ],
+    }
+    if made is not None:
+        ratios, left, copied = _beside(made)
+        content["made"] = law_json(made.law) | {
+            "window_s": made.window_s,
+            "residual_m": made.simulated_m,
+            "velocity_m_s": made.velocity_m_s,
+            "acceleration_m_s2": made.acceleration_m_s2,
+            "jerk_m_s3": made.jerk_m_s3,
+            "free_levels_s": made.free_levels_s,
+            "time_optimal_s": made.time_optimal_s,
+            "rigid_s": made.demand.rigid_s,
+            "shaped": {one.law.name: one.window_s for one in shaped},
+            "outside": [
+                {"frequency_hz": r * mode.frequency_hz, "residual_m": x, f"{COPIED}_m": y}
+                for r, x, y in zip(ratios.tolist(), left.tolist(), copied.tolist(), strict=True)
+            ],
+            "warning": _notch(made),
+        }
+    if written is not None:
+        content["report"] = str(written)
+    return content

@@ -1,0 +1,93 @@
+"""Mitres: rounds of an offset that came through whole are brought to a point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.drawing.crossing import crossings
+
+_SAME_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mitre:
+    """A round at a corner and the point that may take its place.
+
+    Parameters
+    ----------
+    first, last
+        The chords of the raw chain that make the round, in order.
+    begin, apex, end
+        (2,) where the round begins, the mitre's point, where the round ends.
+    """
+
+    first: int
+    last: int
+    begin: FloatArray
+    apex: FloatArray
+    end: FloatArray
+
+
+def sharpen(
+    points: FloatArray, labels: IntArray, closed: bool, mitres: Sequence[Mitre]
+) -> tuple[FloatArray, IntArray]:
+    """Return the chain with every whole round replaced by its mitre.
+
+    Rounds are resolved first because their distance from the contour tells what is valid; the
+    point of a mitre is further away, and two of them may cross. Those that would run into
+    something stay round.
+
+    Parameters
+    ----------
+    points, labels
+        (n + 1, 2) the offset, and (n,) which chord of the raw chain each chord is part of.
+    """
+    whole = _whole(points, labels, mitres)
+    while True:
+        sharp, names, owner = _replace(points, labels, whole)
+        first, second, *_ = crossings(sharp[:-1], sharp[1:], closed)
+        guilty = set(owner[np.concatenate([first, second])].tolist()) - {-1}
+        if not guilty:
+            return sharp, names
+        whole = [found for k, found in enumerate(whole) if k not in guilty]
+
+
+def _whole(
+    points: FloatArray, labels: IntArray, mitres: Sequence[Mitre]
+) -> list[tuple[int, int, Mitre]]:
+    """Return first and last chord of every round that was not cut into."""
+    at = {int(label): k for k, label in enumerate(labels)}
+    found = []
+    for mitre in mitres:
+        i, j = at.get(mitre.first), at.get(mitre.last)
+        if i is None or j is None or j - i != mitre.last - mitre.first:
+            continue
+        ends = np.hypot(*(points[i] - mitre.begin)), np.hypot(*(points[j + 1] - mitre.end))
+        if max(ends) < _SAME_M:
+            found.append((i, j, mitre))
+    return sorted(found, key=lambda item: item[0])
+
+
+def _replace(
+    points: FloatArray, labels: IntArray, whole: list[tuple[int, int, Mitre]]
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return points, labels, and for each chord the mitre that it belongs to or -1."""
+    parts, names, owner = [], [], []
+    last = 0
+    for k, (i, j, mitre) in enumerate(whole):
+        parts += [points[last : i + 1], mitre.apex[None]]
+        names += [labels[last:i], labels[[i, j]]]
+        owner += [np.full(i - last, -1), np.full(2, k)]
+        last = j + 1
+    parts.append(points[last:])
+    names.append(labels[last:])
+    owner.append(np.full(len(labels) - last, -1))
+    return (
+        np.concatenate(parts),
+        np.concatenate(names),
+        np.concatenate(owner).astype(np.int64),
+    )

@@ -1,0 +1,243 @@
+"""SVG drawings: paths and shapes with transforms, units, layers and stroke colours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.drawing.strokes import MAX_LINES, Drawing, Refusal, Stroke
+from threadline.drawing.svg.basic_shapes import SHAPES, shape_subpaths
+from threadline.drawing.svg.page import Page, svg_page
+from threadline.drawing.svg.styles import INHERITED, READ, Styles, resolved
+from threadline.drawing.svg.tree import INKSCAPE, Element, Tree, svg_tree
+from threadline.drawing.svg.values import ValueRefused, colour, pixels, shown, transform
+from threadline.errors import JobError
+
+_GROUPS = ("svg", "g", "a")
+_NEVER_DRAWN = (
+    "defs", "symbol", "mask", "marker", "clipPath", "pattern", "linearGradient", "radialGradient",
+    "filter", "style", "script", "title", "desc", "metadata", "view", "cursor", "font",
+    "font-face", "color-profile", "animate", "animateTransform", "animateMotion", "animateColor",
+    "set", "solidcolor", "hatch", "meshgradient", "meshGradient",
+)  # fmt: skip
+_DISPLAYS = (
+    "none", "inline", "block", "list-item", "run-in", "compact", "table", "inline-block",
+    "inline-table", "flex", "grid", "contents", "inline-flex", "inline-grid", "flow-root",
+)  # fmt: skip
+_PLAIN = "or put it on a layer that is not chosen."
+
+
+def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
+    """Return the strokes of an SVG drawing, in m, Y up from the lower edge of the page.
+
+    Parameters
+    ----------
+    content, file
+        The bytes of the file, and its name for messages.
+    unit
+        What one pixel is, for a drawing that states no physical size.
+
+    Raises
+    ------
+    JobError
+        If it is no SVG, is unsafe to read, holds what is not understood, or contradicts the unit
+        given; with the line.
+
+    Notes
+    -----
+    SVG counts Y downwards from the upper edge; here the part lies as it looks on the screen. A
+    drawing is read as SVG 1.1 and CSS 2.1 have it, at time 0, without scripts.
+    """
+    tree = svg_tree(content, file)
+    page = svg_page(tree, unit)
+    walk = _Walk(tree, page, Styles(tree), list(page.warnings))
+    walk.element(tree.root, _Here(np.eye(3), dict(INHERITED)), 0)
+    return Drawing(
+        file=file,
+        strokes=tuple(walk.strokes),
+        refusals=tuple(walk.refusals.values()),
+        warnings=tuple(walk.warnings),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Here:
+    """What an element has from those around it: its axes, inherited values, layer, clipping."""
+
+    matrix: FloatArray
+    inherited: Mapping[str, str]
+    layer: str = ""
+    cut: tuple[str, int] | None = None  # what cuts it, and the line
+    clone: bool = False
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Goes through the elements as they are drawn, clones in their places."""
+
+    tree: Tree
+    page: Page
+    styles: Styles
+    warnings: list[str]
+    strokes: list[Stroke] = field(default_factory=list)
+    refusals: dict[tuple[str, str, str, int], Refusal] = field(default_factory=dict)
+    cached: dict[int, dict[str, tuple[str, bool]]] = field(default_factory=dict)
+
+    def element(self, element: Element, outside: _Here, depth: int) -> None:
+        """Draw an element, and what is in it."""
+        name = element.name
+        if " " in name or (name in _NEVER_DRAWN and not (name == "symbol" and outside.clone)):
+            return
+        try:
+            here = self._enter(element, outside, depth)
+            if here is None:
+                return
+            if name in SHAPES:
+                self._shape(element, here)
+            elif name == "use":
+                self._clone(element, here, depth)
+            elif name in _GROUPS or name == "symbol":
+                self._group(element, here, depth)
+            else:
+                self._refuse_kind(element, here)
+        except ValueRefused as error:
+            raise JobError(
+                str(error), place=self.tree.place(element), remedy=error.remedy
+            ) from error
+
+    def _enter(self, element: Element, outside: _Here, depth: int) -> _Here | None:
+        """Return what holds within an element; None where it is not drawn at all."""
+        if id(element) not in self.cached:
+            self.cached[id(element)] = self.styles.declared(element)
+        declared = self.cached[id(element)]
+        value = {
+            key: resolved(key, declared.get(key, (None,))[0], outside.inherited.get(key, ""))
+            for key in READ
+        }
+        display = value["display"].lower()
+        if display == "none":
+            return None
+        if display not in _DISPLAYS:
+            raise ValueRefused(f"display is {shown(display)}, which is not understood")
+        cut = outside.cut
+        for key in ("clip-path", "mask"):
+            if value[key].lower() != "none":
+                cut = (key, element.line)
+        layer = outside.layer
+        if element.name == "g":
+            label = element.attributes.get(f"{INKSCAPE}label", element.identity)
+            grouped = element.attributes.get(f"{INKSCAPE}groupmode") == "layer"
+            if grouped or (depth == 1 and label and not outside.clone):
+                layer = label
+        styled = "transform" in declared and declared["transform"][1]
+        own = transform(value["transform"], in_style=styled)
+        origin = value["transform-origin"]
+        if origin != "0 0" and not np.array_equal(own, np.eye(3)):
+            own = _about(own, origin, self.page.viewport)
+        return replace(
+            outside,
+            matrix=outside.matrix @ own,
+            inherited={key: value[key] for key in INHERITED},
+            layer=layer,
+            cut=cut,
+        )
+
+    def _group(self, element: Element, here: _Here, depth: int) -> None:
+        if element.name == "svg" and depth:
+            self._refuse(element, here, "an svg within the svg cannot be sewn", "Ungroup it,")
+            return
+        for child in element.children:
+            self.element(child, replace(here, clone=False) if here.clone else here, depth + 1)
+
+    def _clone(self, use: Element, here: _Here, depth: int) -> None:
+        width, height = self.page.viewport
+        x = pixels("x", use.attributes.get("x", "0"), width)
+        y = pixels("y", use.attributes.get("y", "0"), height)
+        target = self.tree.by_id.get(use.target)
+        if target is None:
+            return
+        moved = here.matrix @ np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+        self.element(target, replace(here, matrix=moved, clone=True), depth + 1)
+
+    def _shape(self, element: Element, here: _Here) -> None:
+        paths = shape_subpaths(element.name, element.attributes, self.page.viewport)
+        if here.inherited["visibility"].lower() in ("hidden", "collapse"):
+            return
+        place = self.tree.place(element)
+        stroke, filled = (self._paint(key, here) for key in ("stroke", "fill"))
+        if here.cut is not None:
+            what, line = here.cut
+            self._refuse(
+                element, here, f"a shape is cut by a {what} (line {line}), which is not applied",
+                "Remove it or cut the shape itself,", stroke,
+            )  # fmt: skip
+            return
+        if stroke == "none":
+            if filled == "none":
+                self.warnings.append(f"{place}: a shape with neither stroke nor fill was left out")
+                return
+            self.warnings.append(f"{place}: a shape without a stroke; its outline is sewn")
+        if len(self.strokes) + len(paths) > MAX_LINES:
+            raise JobError(
+                f"the drawing and its clones have more than {MAX_LINES} lines",
+                place=place,
+                remedy="Join lines to paths, or split the drawing.",
+            )
+        for path in paths:
+            pieces = path.pieces(element.line).transform(here.matrix[:2, :2], here.matrix[:2, 2])
+            mapped = pieces.transform(self.page.matrix, self.page.offset)
+            self.strokes.append(Stroke(pieces=mapped, layer=here.layer, colour=stroke))
+
+    def _paint(self, key: str, here: _Here) -> str:
+        value = here.inherited[key]
+        if value.lower() in ("currentcolor", "context-stroke", "context-fill"):
+            value = here.inherited["color"]
+        return colour(value)
+
+    def _refuse_kind(self, element: Element, here: _Here) -> None:
+        name = element.name
+        if name in ("text", "flowRoot"):
+            self._refuse(
+                element, here, "text cannot be sewn",
+                "Convert it to a path (in Inkscape: Path > Object to Path),",
+            )  # fmt: skip
+        elif name == "image":
+            self._refuse(element, here, "an image cannot be sewn", "Trace it,")
+        else:
+            article = "an" if name[:1] in "aeiou" else "a"
+            self._refuse(element, here, f"{article} {name[:40]} cannot be sewn", "Trace it,")
+
+    def _refuse(
+        self, element: Element, here: _Here, message: str, remedy: str, colour: str = ""
+    ) -> None:
+        key = (message, here.layer, colour, element.line)
+        self.refusals[key] = Refusal(
+            message=message,
+            layer=here.layer,
+            colour=colour,
+            line=element.line,
+            remedy=f"{remedy} {_PLAIN}",
+        )
+
+
+def _about(own: FloatArray, origin: str, viewport: tuple[float, float]) -> FloatArray:
+    """Return a transform carried out about an origin of the view box."""
+    parts = origin.split()
+    words = {"left": "0%", "top": "0%", "center": "50%", "right": "100%", "bottom": "100%"}
+    if len(parts) == 3 and parts[2] in ("0", "0px"):
+        parts = parts[:2]
+    if len(parts) != 2 or parts[0] in ("top", "bottom") or parts[1] in ("left", "right"):
+        raise ValueRefused(
+            f"transform-origin is {shown(origin)}, which is not read",
+            "Give it as two lengths, or save as plain SVG.",
+        )
+    x, y = (
+        pixels("transform-origin", words.get(part, part), whole)
+        for part, whole in zip(parts, viewport, strict=True)
+    )
+    there, back = np.eye(3), np.eye(3)
+    there[:2, 2], back[:2, 2] = (x, y), (-x, -y)
+    return there @ own @ back

@@ -1,0 +1,340 @@
+"""The face of the package: each question of the command line as a function, for every machine.
+
+``import threadline as tl`` has all of it: ``tl.prove("x.prg", "lathe-winder").passed``. Options are
+the words of the command line, with the same defaults; ``docs/api.md`` lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from threadline.answers import Answer as Answer  # noqa: PLC0414 - callers name the type of an answer
+from threadline.answers import Found as Found  # noqa: PLC0414
+from threadline.answers import PathLike as PathLike  # noqa: PLC0414
+from threadline.answers import Proved as Proved  # noqa: PLC0414
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.machine import load_machine as load_machine_file
+from threadline.machine.par import read_parameters
+from threadline.options import (
+    DEFAULT_INTERPOLATION,
+    DEFAULT_LIMITS,
+    DEFAULT_TOLERANCE,
+    Options,
+    options_of,
+    parse_feed,
+    parse_margin,
+)
+from threadline.trajectory import retime
+from threadline.verdict import Spec, load_spec
+
+if TYPE_CHECKING:
+    from threadline.search import Comparison
+    from threadline.shaping import Shaper
+    from threadline.signals.files import Written
+
+__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+
+
+def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Machine:
+    """Return a machine of the library or of a file, with overlays after plus signs.
+
+    >>> load_machine("lathe-winder+physical").axis_names
+    ('A', 'X', 'Y')
+
+    Parameters
+    ----------
+    machine
+        ``"lathe-winder"``, ``"mine.toml+heavy"``, or a machine.
+    par
+        An FW-CNC.PAR whose settings replace the machine's.
+
+    Raises
+    ------
+    MachineError
+        If there is none of that name, or the file does not describe one.
+    """
+    found = machine if isinstance(machine, Machine) else load_machine_file(machine)
+    return found if par is None else read_parameters(par, found)
+
+
+def prove(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
+    repeats: int = 1,
+    **words: Any,
+) -> Proved:
+    """Plan a job, simulate it on the machine, and judge it.
+
+    Parameters
+    ----------
+    job
+        Part program, seam or move list.
+    machine, par
+        As ``load_machine`` takes them.
+    spec
+        A file or a specification; None is the machine's own.
+    actual
+        The machine that runs the plan, where it isn't the one that it was made for.
+    repeats
+        Runs in all.
+    **words
+        ``interpolation``, ``feed``, ``feed_mode``, ``tolerance``, ``limits``, ``shaper``,
+        ``feed_forward``, ``smoothing``, ``law``: as on the command line.
+
+    Raises
+    ------
+    InputError
+        As on the command line, where the same sentence is printed.
+    """
+    from threadline.pipeline import prove as prove_job
+    from threadline.pipeline import with_shaping
+
+    if repeats < 1:
+        raise OptionError(f"repeats must be at least 1, got {repeats}")
+    chosen, options = load_machine(machine, par), _options(words)
+    asked = with_shaping(_spec(spec, chosen), chosen, options)
+    other = None if actual is None else load_machine(actual, par)
+    return Proved(prove_job(Path(job), chosen, asked, options, None, repeats, other))
+
+
+def fastest(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
+    margin: str = "0 %",
+    **words: Any,
+) -> Found:
+    """Find the fastest way to do a job in spec.
+
+    Of a part program the feed is searched, of a seam the needle speed, of a move list the commands
+    and waits.
+
+    Parameters
+    ----------
+    job, machine, par, spec, actual
+        As ``prove`` takes them.
+    margin
+        Share of every limit to keep free.
+    **words
+        ``interpolation``, ``tolerance``, ``feed_forward``, ``smoothing``: as on the command line.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.jobs import read_job
+    from threadline.kinds import kind_of
+    from threadline.search import fastest_job, fastest_needle
+    from threadline.search.cycle import fastest_cycle
+
+    chosen, options = load_machine(machine, par), _options(words)
+    asked = _spec(spec, chosen).with_margin(parse_margin(margin))
+    other = None if actual is None else load_machine(actual, par)
+    kind_of(chosen).check_options(chosen, options)
+    read = read_job(job, chosen)
+    if read.paced_by == "switchings":
+        if other is not None:
+            raise OptionError(f"actual is of feeds, which {chosen.name} does not have")
+        cycle = fastest_cycle(read, chosen, asked)
+        return Found(cycle.cycle_s, "s", cycle.limited_by, cycle)
+    if read.paced_by == "needle":
+        seam = fastest_needle(Path(job), chosen, asked, options, actual=other)
+        return Found(seam.best, "stitch/s", seam.limited_by, seam)
+    result = fastest_job(read, chosen, asked, options, actual=other)
+    found = result.best.found
+    return Found(found.best, "m/s", found.limited_by, result)
+
+
+def compare(
+    job: PathLike,
+    machine: PathLike | Machine,
+    interpolations: Sequence[str] = (DEFAULT_INTERPOLATION,),
+    feeds: Sequence[str] = (),
+    *,
+    shapers: Sequence[str] = (),
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    with_fastest: bool = False,
+    **words: Any,
+) -> Comparison:
+    """Prove a job with several interpolations, feeds and shapers.
+
+    Parameters
+    ----------
+    job, machine, par, spec
+        As ``prove`` takes them.
+    interpolations, feeds
+        Every one of the first at every one of the second; without feeds at the job's own.
+    shapers
+        Every one of them with each of those; ``"none"`` shapes nothing.
+    with_fastest
+        Find the fastest of each interpolation, too.
+    **words
+        ``tolerance``: as on the command line.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.jobs import read_job
+    from threadline.search import compare as compare_job
+
+    chosen = load_machine(machine, par)
+    if not interpolations:
+        raise OptionError("there is no interpolation to compare", remedy="Name one at least.")
+    return compare_job(
+        read_job(job, chosen),
+        chosen,
+        _spec(spec, chosen),
+        interpolations,
+        [parse_feed(feed) for feed in feeds] or [None],
+        _options({"interpolation": interpolations[0], **words}),
+        shapers=[None if text == "none" else text for text in shapers] or [None],
+        with_fastest=with_fastest,
+    )
+
+
+def judge(
+    recordings: PathLike | Sequence[PathLike],
+    *,
+    job: PathLike | None = None,
+    machine: str | None = None,
+    spec: PathLike | None = None,
+    par: PathLike | None = None,
+    actual: str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    **words: str,
+) -> Answer:
+    """Judge what a machine did, from one recording or several of the same job.
+
+    Parameters
+    ----------
+    recordings
+        Files of any kind in ``docs/files.md``.
+    job, machine, par, actual
+        Files and names; what is left out is what the recording says of itself.
+    spec
+        The file of the specification; None is the machine's own.
+    feed_forward, smoothing, **words
+        How the plan was made: as on the command line; what is left out the recording says.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.recorded import judge_files
+
+    files = [recordings] if isinstance(recordings, str | Path) else list(recordings)
+    if not files:
+        raise OptionError("there is no recording to judge", remedy="Name one at least.")
+    _check_words(words, ("interpolation", "feed", "feed_mode", "tolerance", "limits", "shaper"))
+    given = {
+        **{name.replace("_", "-"): text for name, text in words.items()},
+        "job": None if job is None else str(job),
+        "machine": machine,
+        "par": None if par is None else str(par),
+        "actual": actual,
+    }
+    return Answer(
+        judge_files(
+            [Path(file) for file in files],
+            given,
+            None if spec is None else Path(spec),
+            feed_forward=feed_forward,
+            smoothing=smoothing,
+        )
+    )
+
+
+def compile(
+    job: PathLike,
+    machine: PathLike | Machine,
+    target: str,
+    out: PathLike,
+    *,
+    par: PathLike | None = None,
+    **words: Any,
+) -> list[Written]:
+    """Plan a job and write it for a controller; return the files with their hashes.
+
+    Parameters
+    ----------
+    job, machine, par
+        As ``prove`` takes them.
+    target
+        ``csv``, ``npz``, ``ticks``, ``nc``; of an on/off machine ``st``, ``plcopen``.
+    out
+        The file.
+    **words
+        As ``prove`` takes them.
+
+    Raises
+    ------
+    InputError
+        As on the command line; nothing is written then.
+    """
+    from threadline.pipeline import open_job, plan_job, target_of, write
+
+    chosen, options = load_machine(machine, par), _options(words)
+    target_of(target, chosen)
+    return write(plan_job(open_job(Path(job), chosen, options), chosen, options), target, out)
+
+
+def shaper(text: str) -> Shaper | dict[str, Shaper]:
+    """Return the shaper that ``text`` describes, or one per axis where it names axes.
+
+    >>> shaper("zv:10Hz").times_s.tolist()
+    [0.0, 0.05]
+
+    Raises
+    ------
+    OptionError
+        If the text cannot be read, or no such shaper can be designed.
+    """
+    from threadline.shaping import parse_shaper
+
+    return parse_shaper(text)
+
+
+_WORDS = {
+    "interpolation": DEFAULT_INTERPOLATION,
+    "feed": None,
+    "tolerance": DEFAULT_TOLERANCE,
+    "limits": DEFAULT_LIMITS,
+    "shaper": None,
+    "feed_forward": False,
+    "smoothing": None,
+    "feed_mode": None,
+    "law": None,
+}
+
+
+def _options(words: dict[str, Any]) -> Options:
+    _check_words(words, tuple(_WORDS))
+    return options_of(**{**_WORDS, **words})
+
+
+def _check_words(words: dict[str, Any], known: tuple[str, ...]) -> None:
+    from threadline.wording import nearest
+
+    for name in words:
+        if name not in known:
+            raise OptionError(f"unknown option {name!r}", remedy=nearest(name, known))
+
+
+def _spec(spec: PathLike | Spec | None, machine: Machine) -> Spec:
+    return spec if isinstance(spec, Spec) else load_spec(spec, machine)

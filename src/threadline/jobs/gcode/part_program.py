@@ -1,0 +1,146 @@
+"""The reader of part programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from threadline.errors import BudgetError, JobError, MachineError, Place
+from threadline.jobs.gcode.block import Dialect
+from threadline.jobs.gcode.f_words import check_feed_mode, normal_feed_m_s
+from threadline.jobs.gcode.interpreter import PartProgram
+from threadline.jobs.gcode.programs import Structure
+from threadline.jobs.gcode.scan import Scanner
+from threadline.jobs.gcode.textfile import SourceFile, identify
+from threadline.jobs.gcode.words import ONE
+from threadline.jobs.operations import FeedMode, Job, OperationStream
+from threadline.machine import Machine
+from threadline.signals import Stream
+
+_RESERVED = "EFGLMNOP"
+_MAX_WARNINGS = 5
+
+
+def read_part_program(
+    path: str | Path,
+    *,
+    machine: Machine,
+    feed_mode: FeedMode | str = FeedMode.FASTEST_AXIS,
+    base_axes: tuple[str, ...] = (),
+) -> Job:
+    """Return the job of a part program.
+
+    The file is read once here: every block is checked, and the moves are counted with their
+    calls multiplied out. The job reads it again each time it is gone through.
+
+    Parameters
+    ----------
+    path
+        A program in the dialect of ``docs/part-programs.md``.
+    machine
+        Its axes are the only ones that the program may move.
+    feed_mode, base_axes
+        What F means, see ``threadline.jobs.gcode.f_words``.
+
+    Raises
+    ------
+    JobError
+        With file and line, if the program cannot be read, or the machine has no axes.
+    BudgetError
+        If it has more moves than the machine's tick budget.
+    OptionError
+        If the options do not fit together.
+    """
+    path = Path(path)
+    if not machine.axis_names:
+        raise JobError(
+            f"{machine.name!r} has no axes for part programs",
+            place=Place(str(path)),
+            remedy="Such a machine takes move lists (.toml); choose another job or machine (-m).",
+        )
+    for name in machine.axis_names:
+        if name in _RESERVED:
+            raise MachineError(
+                f"the axis {name} of {machine.name!r} has the letter of another word",
+                remedy="A part program moves axes A B C U V W X Y Z.",
+            )
+    mode = check_feed_mode(machine, str(feed_mode), tuple(base_axes))
+    file = identify(path)
+    dialect = Dialect(str(path), machine.name, {n: i for i, n in enumerate(machine.axis_names)})
+    scanner = Scanner(file, dialect)
+    structure = scanner.run()
+    if structure.totals[structure.main.label].moves == 0:
+        raise JobError(
+            f"{structure.main.name} moves nothing",
+            place=file.place(structure.main.line),
+            remedy="Name a file with a program that moves an axis.",
+        )
+    _check_budget(structure, file, machine)
+    linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
+    program = PartProgram(file, dialect, structure, linear, mode, tuple(base_axes))
+    return Job(
+        name=path.name,
+        file=str(path),
+        sha256=file.sha256,
+        axes=machine.axis_names,
+        start=(0.0,) * len(machine.axis_names),
+        operations=OperationStream(
+            Stream(PartProgram.runs, program), Stream(PartProgram.folded, program)
+        ),
+        warnings=_warnings(scanner, structure, machine, file),
+    )
+
+
+def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> None:
+    """Refuse more operations than ticks: each counts as one at least, however short it is."""
+    budget = int(machine.tick_budget.si)
+    main = structure.main
+    totals = structure.totals[main.label]
+    needed = totals.operations
+    if needed <= budget:
+        return
+    call = max(
+        main.calls.items(),
+        key=lambda item: item[1].passes * structure.totals[item[0]].operations,
+        default=None,
+    )
+    line = main.line if call is None else call[1].line
+    asked = f"{needed}" if needed < 10**15 else "more than 10^15"
+    raise BudgetError(
+        f"the program asks for {asked} operations with all passes; the machine's tick budget is "
+        f"{budget} and each counts as a tick at least",
+        place=file.place(line),
+        remedy="Lower L, or raise tick_budget in the machine file.",
+    )
+
+
+def _warnings(
+    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile
+) -> tuple[str, ...]:
+    findings = scanner.findings
+    used = scanner.moved_axes or range(len(machine.axis_names))  # G28 alone names none
+    caps_m_s = normal_feed_m_s(machine)
+    warnings = []
+    for (feed, tenth_mm), line in findings.feeds.speeds(structure.main.label).items():
+        speed_m_s = feed * tenth_mm / (600_000 * ONE)
+        if machine.operator is None or caps_m_s is None:
+            break
+        if speed_m_s > min(caps_m_s[i] for i in used):
+            caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
+            warnings.append(
+                f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
+                f"normal feed of {machine.operator.normal_feed.si:g} count/tick ({caps} mm/s), "
+                "which caps it. Choose another feed with --feed, or raise operator.normal_feed."
+            )
+    warnings += [
+        f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
+        for line in findings.long_dwells
+    ]
+    warnings += [
+        f"{file.place(line)}: G64 is for other controllers; here the interpolation decides how "
+        "corners are rounded."
+        for line in findings.blends
+    ]
+    if len(warnings) > _MAX_WARNINGS:
+        more = len(warnings) - _MAX_WARNINGS
+        warnings = [*warnings[:_MAX_WARNINGS], f"{more} more warnings of these kinds."]
+    return tuple(warnings)

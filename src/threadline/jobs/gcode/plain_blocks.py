@@ -1,0 +1,353 @@
+"""The plain blocks of a part program, read by machine code.
+
+Nearly all lines of a long program are plain: N, G0 G1 G90 G91, axis words, F, a comment. This
+kernel reads and follows them; at the first line that is anything else, or is wrong, or has more
+digits than fit, it stops in front of it, and ``blocks`` and ``interpreter`` take that line. They
+can do all that the kernel does, and tests hold the two against each other.
+
+Positions are integers of 1e-7 mm or degrees below 2**53, so that the quotient that turns them
+into SI is the correctly rounded one, as it is with the exact integers of the interpreter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.jobs.gcode.textfile import Lines
+
+STEPS = 10**7
+DECIMALS = 7
+EXACT_LIMIT = 2**53
+
+# Entries of the state vector.
+MOTION, RELATIVE, TENTH_MM, INVERSE, LINE, AT, FOLLOW = range(7)
+STATE_SIZE = 7
+
+_TAB, _LF, _CR, _BLANK, _OPEN, _CLOSE, _PLUS, _MINUS, _DOT = 9, 10, 13, 32, 40, 41, 43, 45, 46
+_ZERO, _NINE, _SEMICOLON, _EQUALS, _UPPER_A, _UPPER_Z, _LOWER_A, _LOWER_Z = (
+    48, 57, 59, 61, 65, 90, 97, 122,
+)  # fmt: skip
+_F, _G, _N = ord("F"), ord("G"), ord("N")
+_MAX_DIGITS = 15
+_MAX_LINE = 4096
+_ROOM = 4096
+_LONGEST_PAUSE = 63
+_RAD = math.pi / 180.0
+
+
+def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost half the speed
+    data: NDArray[np.uint8],
+    axis_of: NDArray[np.int8],
+    linear: NDArray[np.bool_],
+    state: IntArray,
+    exact: IntArray,
+    position: FloatArray,
+    feed: FloatArray,
+    out_position: FloatArray,
+    out_feed: FloatArray,
+    out_line: IntArray,
+    out_word: IntArray,
+    used: NDArray[np.bool_],
+) -> int:
+    """Take plain blocks from ``state[AT]`` on; return the number of moves written.
+
+    Parameters
+    ----------
+    data
+        (bytes,) whole lines.
+    axis_of
+        (128,) index of the axis by letter, -1 for none.
+    linear
+        (axes,) whether an axis is linear.
+    state
+        (STATE_SIZE,) modes, line and place in ``data``; updated. With FOLLOW 0 the words are
+        checked and noted and no position is computed.
+    exact, position
+        (axes,) in 1e-7 mm or degrees, and in m or rad; updated.
+    feed
+        (1,) F in m/s, or 1/s in G93; nan before the first F; updated.
+    out_position, out_feed, out_line
+        (room, axes), (room,), (room,): the moves; the feed of a G0 is -1.
+    out_word
+        (room,) F of the block times 1e7, -1 where it has none.
+    used
+        (axes,) axes that have words; updated.
+    """
+    # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
+    n_axes = exact.shape[0]
+    room = out_line.shape[0]
+    end = data.shape[0]
+    target = np.empty(n_axes, np.int64)
+    given = np.empty(n_axes, np.bool_)
+    new = np.empty(n_axes, np.float64)
+    moves = 0
+    follow = state[FOLLOW] != 0
+    while moves < room:
+        start = state[AT]
+        if start >= end:
+            break
+        at = start
+        motion, relative = state[MOTION], state[RELATIVE]
+        f_word = -1
+        seen_g_motion = seen_g_distance = seen_n = has_axes = False
+        for k in range(n_axes):
+            given[k] = False
+        plain = True
+        code_seen = False
+        while True:
+            if at >= end:
+                break
+            c = data[at]
+            if c == _BLANK or c == _TAB:
+                at += 1
+                continue
+            if c == _LF:
+                break
+            if c == _CR:
+                if at + 1 < end and data[at + 1] == _LF:
+                    at += 1
+                    break
+                plain = False
+                break
+            if c == _OPEN:
+                at += 1
+                while at < end and data[at] != _CLOSE:
+                    if data[at] == _OPEN or data[at] < _BLANK or data[at] > 126:
+                        break
+                    at += 1
+                if at >= end or data[at] != _CLOSE:
+                    plain = False
+                    break
+                at += 1
+                continue
+            if c == _SEMICOLON:
+                at += 1
+                # "X 5; Y 6" is refused by the reader: two words in a row are not for here.
+                while at < end and (data[at] == _BLANK or data[at] == _TAB):
+                    at += 1
+                first = True
+                while at < end and data[at] != _LF:
+                    c = data[at]
+                    if c == _CR and at + 1 < end and data[at + 1] == _LF:
+                        break
+                    if c == _EQUALS or c > 126 or (c < _BLANK and c != _TAB):
+                        plain = False
+                        break
+                    if code_seen and (c == _SEMICOLON or c == _OPEN):
+                        plain = False  # a further part, which may read as a block too
+                        break
+                    if first and code_seen and at + 1 < end:
+                        d = data[at + 1]
+                        is_letter = (_UPPER_A <= c <= _UPPER_Z) or (_LOWER_A <= c <= _LOWER_Z)
+                        if is_letter and not (
+                            (_UPPER_A <= d <= _UPPER_Z) or (_LOWER_A <= d <= _LOWER_Z)
+                        ):
+                            plain = False
+                            break
+                    first = False
+                    at += 1
+                if at < end and plain and data[at] == _CR:
+                    at += 1
+                break
+            # A word: letter, blanks, number.
+            if _LOWER_A <= c <= _LOWER_Z:
+                c -= 32
+            if c < _UPPER_A or c > _UPPER_Z:
+                plain = False
+                break
+            letter = c
+            code_seen = True
+            at += 1
+            while at < end and (data[at] == _BLANK or data[at] == _TAB):
+                at += 1
+            sign = 1
+            if at < end and (data[at] == _MINUS or data[at] == _PLUS):
+                if data[at] == _MINUS:
+                    sign = -1
+                at += 1
+            value = 0
+            digits = decimals = 0
+            dotted = False
+            while at < end:
+                c = data[at]
+                if _ZERO <= c <= _NINE:
+                    value = value * 10 + int(c - _ZERO)
+                    digits += 1
+                    if dotted:
+                        decimals += 1
+                    if digits > _MAX_DIGITS:
+                        break
+                elif c == _DOT and not dotted:
+                    dotted = True
+                else:
+                    break
+                at += 1
+            if digits == 0 or digits > _MAX_DIGITS or decimals > DECIMALS:
+                plain = False
+                break
+            if at < end and data[at] == _DOT:
+                plain = False
+                break
+            value *= sign
+            if letter == _N:
+                if seen_n or dotted or sign < 0 or digits > 12:
+                    plain = False
+                    break
+                seen_n = True
+                continue
+            if letter == _G:
+                if dotted:
+                    plain = False
+                    break
+                if (value == 0 or value == 1) and not seen_g_motion:
+                    seen_g_motion = True
+                    motion = value
+                elif (value == 90 or value == 91) and not seen_g_distance:
+                    seen_g_distance = True
+                    relative = value - 90
+                else:
+                    plain = False
+                    break
+                continue
+            # In units of 1e-7; 15 digits and 7 more stay below 2**63 only up to 10**11.
+            if digits - decimals > 11:
+                plain = False
+                break
+            for _ in range(DECIMALS - decimals):
+                value *= 10
+            if letter == _F:
+                if f_word != -1 or value <= 0:
+                    plain = False
+                    break
+                f_word = value
+                continue
+            axis = axis_of[letter]
+            if axis < 0 or given[axis]:
+                plain = False
+                break
+            given[axis] = True
+            has_axes = True
+            target[axis] = value
+        if not plain or at - start > _MAX_LINE:
+            break
+        if f_word != -1 and not has_axes:
+            break  # no move to hang it on: the interpreter takes it
+        if has_axes and follow:
+            # Everything is checked before anything is changed.
+            value_f = feed[0]
+            if f_word != -1:
+                if state[INVERSE] != 0:
+                    value_f = f_word / (60.0 * STEPS)
+                else:
+                    if f_word >= EXACT_LIMIT // 254:
+                        break
+                    value_f = (f_word * state[TENTH_MM]) / (600_000.0 * STEPS)
+            if motion < 0:
+                break
+            if motion == 1 and (math.isnan(value_f) or (state[INVERSE] != 0 and f_word == -1)):
+                break
+            fits = True
+            for k in range(n_axes):
+                if given[k]:
+                    value = target[k]
+                    if linear[k]:
+                        if abs(value) >= EXACT_LIMIT:
+                            fits = False
+                            break
+                        value *= state[TENTH_MM]
+                        if value % 10 != 0:
+                            fits = False
+                            break
+                        value //= 10
+                    if relative != 0:
+                        value += exact[k]
+                    if abs(value) >= EXACT_LIMIT:
+                        fits = False
+                        break
+                    target[k] = value
+                    if linear[k]:
+                        new[k] = value / (1000.0 * STEPS)
+                    else:
+                        new[k] = (value / (1.0 * STEPS)) * _RAD
+                else:
+                    target[k] = exact[k]
+                    new[k] = position[k]
+            if not fits:
+                break
+            for k in range(n_axes):
+                exact[k] = target[k]
+                position[k] = new[k]
+                out_position[moves, k] = new[k]
+            feed[0] = value_f
+            out_feed[moves] = value_f if motion == 1 else -1.0
+        if has_axes:
+            out_line[moves] = state[LINE]
+            out_word[moves] = f_word
+            for k in range(n_axes):
+                used[k] = used[k] or given[k]
+            moves += 1
+        state[MOTION] = motion
+        state[RELATIVE] = relative
+        state[LINE] += 1
+        state[AT] = at + 1
+    return moves
+
+
+follow_plain = njit(cache=True, nogil=True)(_follow_plain)
+
+
+class PlainReader:
+    """The kernel with the arrays that it works in.
+
+    Parameters
+    ----------
+    axis_of
+        Index of the axis by letter.
+    linear
+        (axes,) whether an axis is linear.
+    follow
+        Whether to compute positions, or only to check and note words.
+    """
+
+    def __init__(self, axis_of: Mapping[str, int], linear: tuple[bool, ...], follow: bool) -> None:
+        self._axis_of = np.full(128, -1, np.int8)
+        for letter, index in axis_of.items():
+            self._axis_of[ord(letter)] = index
+        self._linear = np.array(linear, np.bool_)
+        axes = len(linear)
+        self.state = np.zeros(STATE_SIZE, np.int64)
+        self.state[FOLLOW] = follow
+        self.exact = np.zeros(axes, np.int64)
+        self.position = np.zeros(axes)
+        self.feed = np.full(1, np.nan)
+        self.out_position = np.empty((_ROOM, axes))
+        self.out_feed = np.empty(_ROOM)
+        self.out_line = np.empty(_ROOM, np.int64)
+        self.out_word = np.empty(_ROOM, np.int64)
+        self.used = np.zeros(axes, np.bool_)
+        self._pause = self._patience = 0
+
+    def worth_trying(self) -> bool:
+        """Say whether to try again: rarely, where no block is plain."""
+        self._pause -= 1
+        return self._pause < 0
+
+    def read(self, lines: Lines) -> int:
+        """Go on in ``lines`` over plain blocks; return how many moves are in the ``out`` arrays."""
+        self.state[AT] = lines.at
+        self.state[LINE] = lines.number
+        moves = follow_plain(
+            lines.data, self._axis_of, self._linear, self.state, self.exact, self.position,
+            self.feed, self.out_position, self.out_feed, self.out_line, self.out_word, self.used,
+        )  # fmt: skip
+        self._patience = min(2 * self._patience + 1, _LONGEST_PAUSE) if moves == 0 else 0
+        self._pause = self._patience
+        lines.at = int(self.state[AT])
+        lines.number = int(self.state[LINE])
+        return int(moves)

@@ -1,0 +1,229 @@
+"""The programs of a file: where each begins and ends, whom it calls, how much it asks for.
+
+One pass over the file finds every mistake that can be seen without following the calls, and
+counts moves by multiplication, so that ``L 1000000000`` costs nothing to refuse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from threadline.errors import JobError
+from threadline.jobs.gcode.textfile import SourceFile
+
+MAX_DEPTH = 99
+_MAX_PROGRAMS = 100_000
+
+
+@dataclass(slots=True)
+class Call:
+    """All calls of one subroutine from one program: the first line, the sum of passes."""
+
+    line: int
+    passes: int
+
+
+@dataclass(slots=True)
+class Program:
+    """One program of the file, filled in while the file is scanned.
+
+    Parameters
+    ----------
+    label
+        O number, None for a main program without one.
+    offset, line
+        Where it begins: byte, and line from 1.
+    end
+        The byte behind its last line.
+    ends_with
+        99, 2 or 30; None while it is open.
+    moves
+        Moves of its own, subroutines apart.
+    stops
+        Stops, dwells and tool events of its own.
+    calls
+        By the O number that is called.
+    """
+
+    label: int | None
+    offset: int
+    line: int
+    end: int = 0
+    ends_with: int | None = None
+    moves: int = 0
+    stops: int = 0
+    calls: dict[int, Call] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The program's name in messages."""
+        return "the program" if self.label is None else f"O {self.label}"
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Moves and other operations of a program with all its calls unrolled."""
+
+    moves: int
+    others: int
+
+    @property
+    def operations(self) -> int:
+        """All of them; each counts as a tick at least."""
+        return self.moves + self.others
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """The programs of a file and the one that the operator starts."""
+
+    programs: dict[int, Program]
+    main: Program
+    totals: dict[int | None, Totals]
+
+
+class Collector:
+    """Collects the programs of a file in the order in which they stand there."""
+
+    def __init__(self, file: SourceFile) -> None:
+        self._file = file
+        self._programs: dict[int, Program] = {}
+        self._mains: list[Program] = []
+        self._unnamed: Program | None = None
+        self.current: Program | None = None
+
+    def begin(self, label: int | None, offset: int, line: int) -> Program:
+        """Begin a program.
+
+        Raises
+        ------
+        JobError
+            If the one before has no end, or the number is taken.
+        """
+        self._refuse_open_program(line)
+        if label is not None and label in self._programs:
+            raise JobError(
+                f"O {label} is defined twice, first on line {self._programs[label].line}",
+                place=self._file.place(line),
+                remedy="Give one of them another number.",
+            )
+        if len(self._programs) >= _MAX_PROGRAMS:
+            raise JobError(
+                f"the file has more than {_MAX_PROGRAMS} programs", place=self._file.place(line)
+            )
+        self.current = Program(label, offset, line)
+        if label is None:
+            self._unnamed = self.current
+        else:
+            self._programs[label] = self.current
+        return self.current
+
+    def end(self, code: int, offset: int) -> None:
+        """End the program in hand with M99, M2 or M30, in the line before byte ``offset``."""
+        assert self.current is not None
+        self.current.end = offset
+        self.current.ends_with = code
+        if code != 99:
+            self._mains.append(self.current)
+        self.current = None
+
+    def _refuse_open_program(self, line: int) -> None:
+        if self.current is not None:
+            raise JobError(
+                f"{self.current.name}, begun on line {self.current.line}, has no end before the "
+                "next program",
+                place=self._file.place(line),
+                remedy="Close a subroutine with M99, a main program with M30.",
+            )
+
+    def finish(self, line: int) -> Structure:
+        """Return the structure once the file has been read to its last ``line``.
+
+        Raises
+        ------
+        JobError
+            If the last program is open, there is no single main program, a subroutine is
+            missing or has the wrong end, or one calls itself.
+        """
+        file = self._file
+        if self.current is not None:
+            raise JobError(
+                f"{self.current.name}, begun on line {self.current.line}, has no end: the file "
+                "may be truncated",
+                place=file.place(line),
+                remedy="Close a subroutine with M99, a main program with M30.",
+            )
+        if not self._programs and self._unnamed is None:
+            raise JobError(
+                "the file holds no block", place=file.place(), remedy="Name a file with a program."
+            )
+        if not self._mains:
+            raise JobError(
+                "the file has subroutines only: no program ends with M30",
+                place=file.place(),
+                remedy="Add a main program that calls them with M98 and ends with M30.",
+            )
+        if len(self._mains) > 1:
+            second = self._mains[1]
+            raise JobError(
+                f"two main programs end with M30 or M2: {self._mains[0].name} and {second.name}",
+                place=file.place(second.line),
+                remedy="Close subroutines with M99, or give each program a file of its own.",
+            )
+        totals = self._count()
+        return Structure(self._programs, self._mains[0], totals)
+
+    def _count(self) -> dict[int | None, Totals]:
+        """Return the totals of every program, calls multiplied out."""
+        totals: dict[int | None, Totals] = {}
+        programs = list(self._programs.values())
+        if self._unnamed is not None:
+            programs.append(self._unnamed)
+        for program in programs:
+            self._total(program, (), totals)
+        return totals
+
+    def _total(
+        self, program: Program, callers: tuple[Program, ...], totals: dict[int | None, Totals]
+    ) -> Totals:
+        if program.label in totals:
+            return totals[program.label]
+        chain = (*callers, program)
+        moves, others = program.moves, program.stops
+        for label, call in program.calls.items():
+            callee = self._callee(label, call, program)
+            if callee in chain:
+                names = " -> ".join(p.name for p in (*chain[chain.index(callee) :], callee))
+                raise JobError(
+                    f"{callee.name} calls itself without end: {names}",
+                    place=self._file.place(call.line),
+                    remedy="Take one of the calls out.",
+                )
+            if callee.ends_with != 99:
+                raise JobError(
+                    f"subroutine {callee.name} ends with M{callee.ends_with} and not with M99",
+                    place=self._file.place(call.line),
+                    remedy="Close it with M99.",
+                )
+            if len(chain) > MAX_DEPTH:
+                raise JobError(
+                    f"calls are nested more than {MAX_DEPTH} deep",
+                    place=self._file.place(call.line),
+                )
+            below = self._total(callee, chain, totals)
+            moves += call.passes * below.moves
+            others += call.passes * below.others
+        totals[program.label] = Totals(moves, others)
+        return totals[program.label]
+
+    def _callee(self, label: int, call: Call, caller: Program) -> Program:
+        callee = self._programs.get(label)
+        place = self._file.place(call.line)
+        if callee is None:
+            known = ", ".join(f"O {p}" for p in list(self._programs)[:5] if p != caller.label)
+            raise JobError(
+                f"subroutine O {label} does not exist",
+                place=place,
+                remedy=f"The file has {known or 'no other program'}.",
+            )
+        return callee

@@ -1,0 +1,158 @@
+"""The first pass over a part program: every block checked, nothing followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.errors import JobError
+from threadline.jobs.gcode.block import Block, Dialect, parse_block
+from threadline.jobs.gcode.in_force import FeedNotes
+from threadline.jobs.gcode.plain_blocks import STEPS, PlainReader
+from threadline.jobs.gcode.programs import Call, Collector, Structure
+from threadline.jobs.gcode.textfile import Lines, SourceFile
+from threadline.jobs.gcode.words import ONE
+
+TAPE = "%"
+_MAX_REMEMBERED = 1000
+_LONG_DWELL_S = 1000
+
+
+@dataclass(slots=True)
+class Findings:
+    """What the scan notes for warnings and budgets.
+
+    Parameters
+    ----------
+    feeds
+        Every F, and the calls that say in which unit it is.
+    long_dwells, blends
+        Lines of dwells that look like milliseconds, and of G64.
+    """
+
+    feeds: FeedNotes = field(default_factory=FeedNotes)
+    long_dwells: list[int] = field(default_factory=list)
+    blends: list[int] = field(default_factory=list)
+
+
+class Scanner:
+    """Takes the blocks of a file in the order in which they stand there."""
+
+    def __init__(self, file: SourceFile, dialect: Dialect) -> None:
+        self.findings = Findings()
+        self._file = file
+        self._dialect = dialect
+        self._programs = Collector(file)
+        self._plain = PlainReader(dialect.axes, (True,) * len(dialect.axes), follow=False)
+        self._tapes: list[int] = []
+        self._begun = False
+
+    def run(self) -> Structure:
+        """Read the file once and return its programs.
+
+        Raises
+        ------
+        JobError
+            At the first line that is no block of the dialect, or where the programs do not fit
+            together.
+        """
+        lines = Lines(self._file, self._file.begin, 1)
+        while lines.more():
+            program = self._programs.current
+            if program is not None and self._plain.worth_trying():
+                count = self._plain.read(lines)
+                program.moves += count
+                self._note_plain(program.label, count)
+                if count or not lines.more():
+                    continue
+            number, offset, text = lines.take()
+            if text.strip() == TAPE:
+                self._take_tape(number)
+                continue
+            block = parse_block(text, number, self._dialect)
+            if block is not None:
+                self._take(block, offset, lines.offset)
+        number = max(1, lines.number - 1)
+        if len(self._tapes) == 1:
+            raise JobError(
+                f"the % on line {self._tapes[0]} opens the program and none closes it: the file "
+                "may be truncated",
+                place=self._file.place(number),
+                remedy="Add a line with % at the end.",
+            )
+        return self._programs.finish(number)
+
+    def _take_tape(self, line: int) -> None:
+        self._tapes.append(line)
+        if len(self._tapes) > 2 or (len(self._tapes) == 1 and self._begun):
+            raise JobError(
+                "this % closes a program that none has opened",
+                place=self._file.place(line),
+                remedy="Write % on the first line and on the last, or on none.",
+            )
+
+    def _take(self, block: Block, offset: int, behind: int) -> None:
+        if len(self._tapes) > 1:
+            raise JobError(
+                "a block after the % that ends the file is never run",
+                place=self._file.place(block.line),
+                remedy="Take it out.",
+            )
+        programs = self._programs
+        if block.label >= 0:
+            programs.begin(block.label, offset, block.line)
+        elif programs.current is None:
+            if self._begun:
+                raise JobError(
+                    "a block after the end of a program is never run",
+                    place=self._file.place(block.line),
+                    remedy="Begin another program with an O number, or take it out.",
+                )
+            programs.begin(None, offset, block.line)
+        self._begun = True
+        program = programs.current
+        assert program is not None
+        if block.action == 28:
+            program.moves += 2
+        elif block.axes:
+            program.moves += 1
+        program.stops += (block.action == 4) + block.tool_off + (block.program in (0, 2, 30))
+        self._note(program.label, block)
+        if block.program == 98:
+            assert block.p is not None
+            self.findings.feeds.call(program.label, block.p // ONE, block.passes)
+            call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
+            call.passes += block.passes
+        elif block.program in (2, 30, 99):
+            programs.end(block.program, behind)
+
+    @property
+    def moved_axes(self) -> list[int]:
+        """Indices of the axes that have words in the file."""
+        return [int(index) for index in np.flatnonzero(self._plain.used)]
+
+    def _note_plain(self, program: int | None, count: int) -> None:
+        """Note what the plain reader has found in ``count`` blocks of a program."""
+        plain = self._plain
+        if count:
+            words, first = np.unique(plain.out_word[:count], return_index=True)
+            for word, at in zip(words.tolist(), first.tolist(), strict=True):
+                if word >= 0:
+                    line = int(plain.out_line[at])
+                    self.findings.feeds.feed(program, word * (ONE // STEPS), line)
+
+    def _note(self, program: int | None, block: Block) -> None:
+        """Note what may deserve a warning."""
+        findings = self.findings
+        for code in block.settings:
+            findings.feeds.set_mode(program, code)
+            if code == 64 and len(findings.blends) < _MAX_REMEMBERED:
+                findings.blends.append(block.line)
+        if block.feed is not None:
+            findings.feeds.feed(program, block.feed, block.line)
+        if block.action == 4 and block.p is not None and block.p >= _LONG_DWELL_S * ONE:
+            findings.long_dwells.append(block.line)
+            del findings.long_dwells[_MAX_REMEMBERED:]
+        for index, _ in block.axes:
+            self._plain.used[index] = True

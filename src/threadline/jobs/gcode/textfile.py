@@ -1,0 +1,243 @@
+"""Reading a text file in bounded memory, and refusing what is not text."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.errors import JobError, Place
+from threadline.opening import KnownFile, open_binary
+
+MAX_LINE_BYTES = 4096
+CHUNK_BYTES = 1 << 18
+_DOS_END = b"\x1a"  # editors of the 1990s closed a text file with it
+_UTF8_MARK = b"\xef\xbb\xbf"
+_SEPARATOR = re.compile("[\x85\u2028\u2029]")  # editors show a new line there
+_CONTROL = re.compile(rb"[\x00-\x08\x0a-\x1f\x7f]")
+
+
+class Chunk(NamedTuple):
+    """Whole lines of a file: the byte at which they begin, and their bytes."""
+
+    offset: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class SourceFile:
+    """A file as it was when its hash was taken.
+
+    Parameters
+    ----------
+    path
+        The file, as it is named in places.
+    known
+        Its hash, and whether it has been changed since.
+    begin, end
+        The bytes that are text: without a byte order mark and a DOS end-of-file mark.
+    """
+
+    path: str
+    known: KnownFile
+    begin: int
+    end: int
+
+    @property
+    def sha256(self) -> str:
+        """Of all its bytes."""
+        return self.known.sha256
+
+    def place(self, line: int = 0) -> Place:
+        """Return a place in this file."""
+        return Place(self.path, line)
+
+    def chunks(
+        self, offset: int, size: int = CHUNK_BYTES, end: int | None = None
+    ) -> Iterator[Chunk]:
+        """Return the whole lines from byte ``offset`` to ``end``, a chunk of them at a time.
+
+        Raises
+        ------
+        JobError
+            If the file was changed since it was hashed.
+        """
+        with open_binary(self.known.path) as stream:
+            if not self.known.is_unchanged():
+                raise JobError(
+                    "the file was changed while it was in use",
+                    place=self.place(),
+                    remedy="Start again.",
+                )
+            stream.seek(offset)
+            rest = b""
+            at = offset
+            end = self.end if end is None else min(end, self.end)
+            while at < end:
+                data = rest + stream.read(min(size, end - at - len(rest)))
+                last = at + len(data) >= end
+                cut = len(data) if last else data.rfind(b"\n") + 1
+                if cut == 0:
+                    # One line fills the chunk: whoever takes it refuses it, with its number.
+                    yield Chunk(at, data)
+                    return
+                yield Chunk(at, data[:cut])
+                rest = data[cut:]
+                at += cut
+
+
+def identify(path: Path) -> SourceFile:
+    """Return the file at ``path`` with its hash, read in chunks.
+
+    Raises
+    ------
+    JobError
+        If it cannot be read, is a device and not a file, is empty, or is UTF-16.
+    """
+    place = Place(str(path))
+    digest = hashlib.sha256()
+    with open_binary(path) as stream:
+        if not path.is_file():
+            raise JobError(f"{path} is not a file", remedy="Name a job file.")
+        status = path.stat()
+        head = tail = b""
+        while chunk := stream.read(CHUNK_BYTES):
+            head = head or chunk[:3]
+            tail = chunk
+            digest.update(chunk)
+    if status.st_size == 0:
+        raise JobError("the file is empty", place=place, remedy="Name a file with a program.")
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise JobError("the file is UTF-16 text", place=place, remedy="Save it as UTF-8.")
+    return SourceFile(
+        path=str(path),
+        known=KnownFile(path.absolute(), digest.hexdigest(), status.st_size, status.st_mtime_ns),
+        begin=3 if head == _UTF8_MARK else 0,
+        end=status.st_size - (len(tail) - len(tail.rstrip(_DOS_END))),
+    )
+
+
+class TextLine(NamedTuple):
+    """A line: its number from 1, the byte at which it begins, its text without the end."""
+
+    number: int
+    offset: int
+    text: str
+
+
+class Lines:
+    """A place in a text file that goes forward, line by line or as far as someone else reads.
+
+    Parameters
+    ----------
+    file
+        The file.
+    offset, number
+        The byte and the line, from 1, to begin with.
+    kept
+        The lines from there on, where they are in memory already.
+    """
+
+    def __init__(
+        self, file: SourceFile, offset: int, number: int, kept: Chunk | None = None
+    ) -> None:
+        self._file = file
+        self._chunks = iter((kept,)) if kept is not None else file.chunks(offset)
+        self._chunk = Chunk(offset, b"")
+        self.data: NDArray[np.uint8] = np.empty(0, np.uint8)
+        self.at = 0
+        self.number = number
+
+    @property
+    def offset(self) -> int:
+        """The byte of the file that comes next."""
+        return self._chunk.offset + self.at
+
+    def more(self) -> bool:
+        """Say whether there is another line, and have it in ``data`` from ``at`` on."""
+        if self.at < len(self._chunk.data):
+            return True
+        chunk = next(self._chunks, None)
+        if chunk is None or not chunk.data:
+            return False
+        self._chunk = chunk
+        self.data = np.frombuffer(chunk.data, np.uint8)
+        self.at = 0
+        return True
+
+    def skip(self) -> None:
+        """Go on behind the next line."""
+        end = self._chunk.data.find(b"\n", self.at)
+        self.at = (len(self._chunk.data) if end < 0 else end) + 1
+        self.number += 1
+
+    def take(self) -> TextLine:
+        """Return the next line and go on behind it; ``more`` has said that there is one.
+
+        Raises
+        ------
+        JobError
+            If it is too long or is not text.
+        """
+        data = self._chunk.data
+        end = data.find(b"\n", self.at)
+        end = len(data) if end < 0 else end
+        text = decode_line(data[self.at : end], self._file.path, self.number)
+        line = TextLine(self.number, self.offset, text)
+        self.at = end + 1
+        self.number += 1
+        return line
+
+
+def decode_line(raw: bytes, file: str, number: int) -> str:
+    """Return a line, given without its line feed, as text.
+
+    Raises
+    ------
+    JobError
+        If it is too long, holds a control character or a line separator, or is not UTF-8.
+    """
+    if raw.endswith(b"\r"):
+        raw = raw[:-1]
+    if len(raw) > MAX_LINE_BYTES:
+        raise JobError(
+            f"the line has more than {MAX_LINE_BYTES} bytes",
+            place=Place(file, number),
+            remedy="Is this a job file? One block to a line.",
+        )
+    control = _CONTROL.search(raw)
+    if control is not None:
+        byte = control[0][0]
+        kind = {
+            0x00: "is the file binary or UTF-16?",
+            0x0D: "lines end with a line feed, with or without a carriage return before it.",
+        }.get(byte, "only tabs are allowed.")
+        raise JobError(
+            f"the line holds the control character 0x{byte:02X} in column {control.start() + 1}",
+            place=Place(file, number),
+            remedy=f"Save the program as UTF-8 text; {kind}",
+        )
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise JobError(
+            f"byte 0x{raw[error.start]:02X} in column {error.start + 1} is not UTF-8",
+            place=Place(file, number),
+            remedy="Save the program as UTF-8.",
+        ) from error
+    separator = _SEPARATOR.search(text)
+    if separator is not None:
+        # In a comment it would hide the block that an editor shows on the next line.
+        raise JobError(
+            f"the line holds the line separator U+{ord(separator[0]):04X} in column "
+            f"{separator.start() + 1}",
+            place=Place(file, number),
+            remedy="Write each block on a line of its own, ended by a line feed.",
+        )
+    return text

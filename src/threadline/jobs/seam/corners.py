@@ -1,0 +1,186 @@
+"""Where a contour has corners: turns that no stitch could follow, however they are drawn."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.drawing.arclength import ArcTable
+from threadline.drawing.curves import Pieces
+from threadline.jobs.seam.settings import Stitching
+
+_EDGE = 0.05  # share of a turn that is left out at each end of it, when its length is taken
+_CHORD_RAD = math.radians(30.0)  # twelve sides to a circle
+_CHORD_STITCHES = 2.0
+_FINE_M = 1e-7
+_CHUNK = 4096
+_SAMPLES = np.linspace(0.0, 1.0, 33)
+
+
+def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatArray, FloatArray]:
+    """Return where the contour has corners, and by how much it turns there.
+
+    A corner is a turn by at least the angle of the settings within the least stitch: a joint, a
+    fillet, a chamfer or the tip of a hairpin. What takes longer is a bend, and so are joints of
+    chords that stand for a bend: three or more within two stitches each, to the same side by
+    alike angles of 30 degrees at most.
+
+    Returns
+    -------
+    at_m, turn_rad
+        (n,) lengths along the contour, increasing, and angles in (0, pi]. The start of a closed
+        contour counts, that of an open one does not.
+    """
+    if len(table.pieces) == 1 and table.pieces.is_line[0]:
+        return np.empty(0), np.empty(0)
+    first, last = table.pieces.end_directions()
+    turn = _turn(np.roll(last, 1, axis=0), first)
+    at = table.piece_begins_m()[:-1]
+    if not closed:
+        turn[0] = 0.0
+    least_rad = settings.corner_angle_rad
+    joint = np.abs(turn) > 1e-9
+    at_joint, turn_joint = at[joint], turn[joint]
+    sharp = np.abs(turn_joint) >= least_rad
+    sharp &= ~drawn_as_chords(
+        at_joint, turn_joint, _CHORD_STITCHES * settings.stitch_length_m, _CHORD_RAD
+    )
+    at_bend, turn_bend = _tight_bends(table, settings.least_m / least_rad)
+    at_all = np.concatenate([at_joint, at_bend])
+    turn_all = np.concatenate([turn_joint, turn_bend])
+    order = np.argsort(at_all, kind="stable")
+    at_all, turn_all = at_all[order], turn_all[order]
+    found = dict(zip(at_joint[sharp].tolist(), np.abs(turn_joint[sharp]).tolist(), strict=True))
+    for begin, end in tight_turns(at_all, turn_all, least_rad, settings.least_m):
+        if begin == end:  # a joint alone is judged above
+            continue
+        inside = slice(begin, end + 1)
+        for at_m in at_all[inside].tolist():
+            found.pop(at_m, None)
+        angle = turn_all[inside]
+        total = float(angle.sum())
+        largest = int(np.argmax(np.abs(angle)))
+        if abs(angle[largest]) < 0.5 * abs(total):  # no joint to speak of: halfway round
+            largest = int(np.searchsorted(np.cumsum(angle) / total, 0.5))
+        found[float(at_all[begin + largest])] = min(abs(total), math.pi)
+    places = np.array(sorted(found), dtype=np.float64)
+    return places, np.array([found[place] for place in places.tolist()], dtype=np.float64)
+
+
+def _turn(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the (n,) signed angles from one direction to the next."""
+    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    return np.asarray(np.arctan2(cross, (before * after).sum(axis=1)))
+
+
+def _tight_bends(table: ArcTable, radius_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return places and turns within all pieces that somewhere bend more tightly than a radius."""
+    pieces = table.pieces
+    curved = np.flatnonzero(~pieces.is_line)
+    tight, most = [], []
+    for start in range(0, len(curved), _CHUNK):
+        index = curved[start : start + _CHUNK]
+        u = np.tile(_SAMPLES, len(index))
+        _, speed, bend = pieces.evaluate(np.repeat(index, len(_SAMPLES)), u, 2)
+        cross = np.abs(speed[:, 0] * bend[:, 1] - speed[:, 1] * bend[:, 0])
+        cubed = np.hypot(*speed.T) ** 3
+        bends = (cross * radius_m > cubed) | (cubed == 0.0)
+        # Between two samples a curve may turn round at once.
+        turned = np.abs(_turn(speed[:-1], speed[1:])) > 0.5
+        bends[1:] |= turned & (u[1:] > 0.0)
+        chosen = bends.reshape(len(index), -1).any(axis=1)
+        tight.append(index[chosen])
+        most.append(np.hypot(*bend.T).reshape(len(index), -1).max(axis=1)[chosen])
+    if not tight or not sum(map(len, tight)):
+        return np.empty(0), np.empty(0)
+    return _turning(table, np.concatenate(tight), np.concatenate(most))
+
+
+def _turning(table: ArcTable, index: IntArray, bend: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return places and turns along the pieces of ``index``, from the directions at many places."""
+    pieces: Pieces = table.pieces.take(index)
+    parts = np.ceil(np.sqrt(1.1 * bend / (8.0 * _FINE_M))).clip(8, 1 << 16).astype(np.int64)
+    piece = np.repeat(np.arange(len(index)), parts + 1)
+    first = np.repeat(np.cumsum(parts + 1) - (parts + 1), parts + 1)
+    u = (np.arange(len(piece)) - first) / parts[piece]
+    points, speed = pieces.evaluate(piece, u, 1)
+    same = piece[1:] == piece[:-1]
+    step = np.diff(points, axis=0)
+    still = np.hypot(*speed.T) <= 1e-9 * np.maximum(np.append(np.hypot(*step.T), 0.0), 1e-300)
+    speed[:-1][still[:-1]] = step[still[:-1]]
+    chord = np.where(same, np.hypot(*step.T), 0.0)
+    covered = np.concatenate([[0.0], np.cumsum(chord)])
+    begins = table.piece_begins_m()
+    own = covered - covered[first]
+    whole = covered[first + parts[piece]] - covered[first]
+    length = (begins[1:] - begins[:-1])[index][piece]
+    at = begins[index][piece] + own / np.maximum(whole, 1e-300) * length
+    middle = 0.5 * (at[1:] + at[:-1])
+    return middle[same], _turn(speed[:-1], speed[1:])[same]
+
+
+def tight_turns(
+    at_m: FloatArray, turn_rad: FloatArray, least_rad: float, within_m: float
+) -> list[tuple[int, int]]:
+    """Return the stretches in which a line turns like a corner: first and last element of each.
+
+    Parameters
+    ----------
+    at_m, turn_rad
+        (n,) places along the line, not decreasing, and by how much it turns there, signed.
+    least_rad, within_m
+        A corner turns by so much; its turn is no longer than that. A longer turn is a bend.
+    """
+    total = np.concatenate([[0.0], np.cumsum(turn_rad)])
+    last = np.searchsorted(at_m, at_m + within_m, side="right") - 1
+    first = np.arange(len(at_m))
+    sharp = np.abs(total[last + 1] - total[first]) >= least_rad
+    clusters: list[list[int]] = []
+    for k in np.flatnonzero(sharp).tolist():
+        if clusters and k <= clusters[-1][1]:
+            clusters[-1][1] = max(clusters[-1][1], int(last[k]))
+        else:
+            clusters.append([k, int(last[k])])
+    found = []
+    for begin, end in clusters:
+        # What hardly turns at its ends does not belong to it.
+        share = np.cumsum(turn_rad[begin : end + 1]) / (total[end + 1] - total[begin] or 1.0)
+        inner = np.flatnonzero((share >= _EDGE) & (np.append(0.0, share[:-1]) <= 1.0 - _EDGE))
+        if not len(inner):
+            continue
+        low, high = begin + int(inner[0]), begin + int(inner[-1])
+        turned = abs(total[high + 1] - total[low])
+        if turned >= (1.0 - 3.0 * _EDGE) * least_rad and at_m[high] - at_m[low] <= within_m:
+            found.append((low, high))
+    return found
+
+
+def drawn_as_chords(
+    at_m: FloatArray, turn_rad: FloatArray, within_m: float, most_rad: float
+) -> NDArray[np.bool_]:
+    """Return (n,) whether each joint is one of a bend drawn as chords, and no corner.
+
+    Such joints follow each other within ``within_m``, turn to the same side by no more than
+    ``most_rad``, and by alike angles; there are three or more of them.
+    """
+    count = len(at_m)
+    alike = np.zeros(max(count - 1, 0), dtype=np.bool_)
+    size = np.abs(turn_rad)
+    if count > 1:
+        smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
+        alike = (
+            (np.diff(at_m) <= within_m)
+            & (turn_rad[:-1] * turn_rad[1:] > 0.0)
+            & (larger <= most_rad)
+            & (larger <= 2.5 * smaller)  # where a curve meets a straight line the turn is half
+        )
+    found = np.zeros(count, dtype=np.bool_)
+    ends = [-1, *np.flatnonzero(~alike).tolist(), count - 1]
+    for before, last in pairwise(ends):
+        if last - before >= 3:
+            found[before + 1 : last + 1] = True
+    return found

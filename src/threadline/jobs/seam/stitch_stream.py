@@ -1,0 +1,123 @@
+"""The stitches of a seam as operations, one by one with tags or in runs of arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.jobs.operations import (
+    Column,
+    Dwell,
+    Feed,
+    FeedMode,
+    Move,
+    MoveRun,
+    Operation,
+    OperationStream,
+    Source,
+    ToolEvent,
+)
+from threadline.jobs.seam.sewing import SewnContour, StitchBlock
+from threadline.signals import Stream
+
+_RAPID = Feed(FeedMode.RAPID, 0.0)
+_RUN = 4096
+
+
+class StitchStream(OperationStream):
+    """A job's worth of contours: travel, sew, the stitches with their tags, trim, for each."""
+
+    __slots__ = ()
+
+    def __init__(self, sewn: Sequence[SewnContour]) -> None:
+        super().__init__(Stream(_runs, sewn))
+
+
+def _runs(sewn: Sequence[SewnContour]) -> Iterator[Operation | MoveRun]:
+    for number, contour in enumerate(sewn):
+        yield from _begin(contour)
+        needle = _Needle(contour, number)
+        line = contour.place.line
+        for block in contour.blocks():
+            line = int(block.line[-1])
+            columns = needle.columns(block)
+            for start in range(0, len(block.line), _RUN):
+                part = slice(start, start + _RUN)
+                yield MoveRun(
+                    targets=block.points[1:][part],
+                    line=block.line[part],
+                    feeds=tuple(_feeds(contour, block.times_s[part])),
+                    file=contour.place.file,
+                    passes=(),
+                    columns={name: column[part] for name, column in columns.items()},
+                )
+            yield from _rest(contour, block)
+        source = Source(contour.place.file, line)
+        yield ToolEvent("trim", 1.0, source)
+        if contour.settings.trim_s:
+            yield Dwell(contour.settings.trim_s, source)
+
+
+def _begin(contour: SewnContour) -> Iterator[Operation]:
+    source = Source(contour.place.file, contour.place.line)
+    x, y = contour.start().tolist()
+    speed = contour.settings.travel_speed_m_s
+    feed = _RAPID if speed is None or math.isinf(speed) else Feed(FeedMode.PATH, speed)
+    yield Move((x, y), feed, source, {"kind": "travel", "seam": contour.seam})
+    if contour.settings.settle_s:
+        yield Dwell(contour.settings.settle_s, source)
+    yield ToolEvent("sew", 1.0, source)
+
+
+def _rest(contour: SewnContour, block: StitchBlock) -> Iterator[Operation]:
+    if block.rests and block.leg is not contour.legs[-1]:
+        yield Dwell(0.0, Source(contour.place.file, int(block.line[-1])))
+
+
+def _feeds(contour: SewnContour, times_s: FloatArray) -> Iterator[tuple[int, Feed]]:
+    """Yield each feed and the stitch from which on it counts."""
+    if contour.settings.needle == "constant":
+        yield 0, Feed(FeedMode.INVERSE_TIME, contour.settings.needle_speed_hz)
+        return
+    for k in np.flatnonzero(np.diff(times_s, prepend=-1.0)).tolist():
+        yield k, Feed(FeedMode.INVERSE_TIME, 1.0 / float(times_s[k]))
+
+
+class _Needle:
+    """Counts the stitches of a contour and their time."""
+
+    def __init__(self, contour: SewnContour, number: int) -> None:
+        self.contour = contour
+        self.number = number
+        self.stitch = 0
+        self.time_s = 0.0
+
+    def columns(self, block: StitchBlock) -> dict[str, Column]:
+        """Return the tags of the stitches of a leg, as columns."""
+        settings, count = self.contour.settings, len(block.lengths_m)
+        stitch = np.arange(self.stitch, self.stitch + count)
+        if settings.needle == "constant":
+            # Whole turns of the needle are counted, so that no rounding adds up.
+            ends_s = (stitch + 1) / settings.needle_speed_hz
+        else:
+            ends_s = np.cumsum(np.concatenate([[self.time_s], block.times_s]))[1:]
+        corner = np.zeros(count, dtype=np.int64)
+        corner[-1] = block.leg.end_turn_rad is not None
+        self.stitch += count
+        self.time_s = float(ends_s[-1])
+        return {
+            "kind": np.full(count, "lock" if block.leg.lock else "sew"),
+            "seam": np.full(count, self.contour.seam),
+            "contour": np.full(count, self.number),
+            "stitch": stitch,
+            "exempt": block.exempt.astype(np.int64),
+            "corner": corner,
+            "needle_s": ends_s,
+            "length_m": block.lengths_m,
+            "target_m": block.target_m,
+            "from_m": block.at_m[:-1],
+            "to_m": block.at_m[1:],
+        }

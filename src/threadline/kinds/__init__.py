@@ -1,0 +1,23 @@
+"""The table of kinds of work: how each plans, simulates, is varied, measured and written."""
+
+from threadline.kinds.kind import Kind
+from threadline.kinds.switches import SWITCHES
+from threadline.kinds.ticks import TICKS, check_loops
+from threadline.machine import Machine
+from threadline.signals import Commands
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in (TICKS, SWITCHES)}
+"""Every kind of work, by the name that its machines are commanded by."""
+
+
+def kind_of(machine: Machine) -> Kind:
+    """Return the kind of work that a machine does."""
+    return KINDS[machine.commanded_by]
+
+
+def kind_of_commands(commands: Commands) -> Kind:
+    """Return the kind of work that commands belong to."""
+    return next(kind for kind in KINDS.values() if isinstance(commands, kind.commands))
+
+
+__all__ = ["KINDS", "Kind", "check_loops", "kind_of", "kind_of_commands"]

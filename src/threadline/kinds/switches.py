@@ -1,0 +1,83 @@
+"""Work in switchings: cylinders are switched on and off, on the scan of a PLC."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.jobs.operations import Job
+from threadline.kinds.kind import Kind
+from threadline.machine import Machine
+from threadline.machine.vary import vary
+from threadline.options import Options, describe, refuse_axis_options
+from threadline.plan import Plan, Scheduled
+from threadline.signals import Commands, Recording, SwitchSchedule, switch_schedule
+from threadline.targets.schedule import compile_schedule
+from threadline.targets.schedule_options import shaping_of
+from threadline.targets.write import SWITCH_TARGETS
+from threadline.twin.switching import simulate_switching
+from threadline.verdict import Spec
+
+
+def _check(machine: Machine) -> None:
+    """Refuse nothing: without a loop nothing can be unstable."""
+
+
+def _plan(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan the schedule, each cylinder shaped as the options say."""
+    shaping = (
+        {}
+        if options.shaper is None
+        else shaping_of(
+            machine,
+            options.shaper,
+            mode=options.shaper_mode,
+            damping_ratio=options.shaper_damping,
+        )
+    )
+    scheduled = compile_schedule(job, machine, shaping)
+    return Plan(
+        job=job,
+        machine=machine,
+        commands=scheduled.commands,
+        intent=scheduled,
+        options=describe(job, machine, options),
+    )
+
+
+def _simulate(commands: Commands, machine: Machine) -> Recording:
+    return simulate_switching(switch_schedule(commands), machine)
+
+
+def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+    """Return what is asked: a shaper of levels leaves no path to deviate from."""
+    return spec
+
+
+def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+    """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
+
+    The phase of the scan has nothing to stand against: what moves is set off by a scan, and what
+    no cylinder closes comes when it is waited for.
+    """
+    other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
+    return simulate_switching(switch_schedule(commands), other)
+
+
+def _release(plan: Plan) -> None:
+    """Refuse nothing: a schedule that its valves cannot follow is not planned at all."""
+
+
+SWITCHES = Kind(
+    name="switches",
+    commands=SwitchSchedule,
+    intent=Scheduled,
+    check=_check,
+    check_options=refuse_axis_options,
+    plan=_plan,
+    simulate=_simulate,
+    another_day=_another_day,
+    asked=_asked,
+    release=_release,
+    compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
+    targets=SWITCH_TARGETS,
+)

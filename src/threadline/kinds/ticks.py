@@ -1,0 +1,149 @@
+"""Work in ticks: axes with closed loops follow a path, told in counts per tick."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.errors import OptionError, PlanError
+from threadline.jobs.operations import Job
+from threadline.kinds.kind import Kind
+from threadline.laws import law
+from threadline.machine import Machine
+from threadline.machine.vary import derate, vary
+from threadline.options import Options, PathChoice, describe
+from threadline.path import chord_path, on_chords, plan_path, programmed_path
+from threadline.path.types import PlannedPath, ProgrammedPath
+from threadline.plan import Following, Motion, Plan
+from threadline.plant.analysis import unstable_loops
+from threadline.shaping import parse_shaper
+from threadline.signals import Commands, Recording, TickTable, tick_table
+from threadline.targets import followed_by_loads, followed_by_motors
+from threadline.targets.write import TICK_TARGETS
+from threadline.trajectory import check_budget, check_limits, plan_trajectory
+from threadline.twin import simulate
+from threadline.verdict import Criterion, Spec
+
+
+def check_loops(machine: Machine) -> None:
+    """Refuse a machine without loops, or with an unstable one, before any motion is planned.
+
+    Raises
+    ------
+    PlanError
+        Naming the axis and how far the loop is beyond its limit; or that the machine has no loop.
+    """
+    if not machine.axes:
+        raise PlanError(
+            f"{machine.name} has no axes with loops: its cylinders are switched on and off",
+            place=machine.place,
+            remedy="threadline prove, judge and compile take its move lists.",
+        )
+    unstable = unstable_loops(machine)
+    if unstable:
+        raise PlanError(
+            "; ".join(unstable),
+            place=machine.place,
+            remedy="Lower the gain of its controller, or correct its clock; threadline analyse "
+            "shows the loop.",
+        )
+
+
+def _check_options(machine: Machine, options: Options) -> None:
+    if options.shaper_mode is not None or options.shaper_damping is not None:
+        raise OptionError(
+            f"--mode and --damping are of on/off machines, which {machine.name} is not",
+            remedy='Write both with the shaper: --shaper "zv:12Hz:0.02".',
+        )
+    if options.following is Following.LOAD and options.timing.shaper is not None:
+        raise OptionError(
+            "a shaper and feed-forward exclude each other: the inverse leaves nothing to shape",
+            remedy="Leave one of them out.",
+        )
+
+
+def _plan(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan the path, its timing, and what follows it."""
+    timing = options.timing
+    tick_s = float(machine.tick_clock.period_s)
+    shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
+    motion_law = None if timing.law is None else law(timing.law)
+    programmed = programmed_path(job, machine, feed=timing.feed)
+    check_budget(job, machine, timing.feed)
+    limited = derate(machine, timing.limit_share)
+    path = _shape(programmed, limited, options.path)
+    timed = plan_trajectory(path, limited, timing.pace, motion_law)
+    # A demand above its limit is no error: the verdict shows what comes of it.
+    followed = (
+        followed_by_motors(timed, machine, job, shaper)
+        if timing.smoothing_s is None
+        else followed_by_loads(timed, machine, job, timing.smoothing_s)
+    )
+    motion = Motion(
+        programmed=programmed,
+        path=path,
+        trajectory=followed.trajectory,
+        following=followed.following,
+        timed=None if followed.timed is followed.trajectory else followed.timed,
+        demands=followed.demands,
+        rests_s=followed.rests_s,
+    )
+    return Plan(
+        job=job,
+        machine=machine,
+        commands=followed.commands,
+        intent=motion,
+        options=describe(job, machine, options),
+    )
+
+
+def _shape(programmed: ProgrammedPath, machine: Machine, choice: PathChoice) -> PlannedPath:
+    if on_chords(choice.interpolation):
+        return chord_path(programmed, choice.interpolation)
+    return plan_path(programmed, machine, choice.interpolation, choice.tolerance_m)
+
+
+def _simulate(commands: Commands, machine: Machine) -> Recording:
+    return simulate(tick_table(commands), machine)
+
+
+def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+    """Simulate with friction within +-30 %, supply within +-5 %, and encoders at any phase."""
+    other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
+    table = tick_table(commands)
+    phase = random.uniform(0.0, 1.0, len(table.axes))
+    return simulate(table, other, encoder_phase=phase)
+
+
+def _asked(spec: Spec, options: Options) -> Spec:
+    """Return what is asked, with ``shaping_deviation`` where the motion is shaped or smoothed.
+
+    What that does to the path is always said, with or without a limit.
+    """
+    shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
+    named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
+    if named or not shaped:
+        return spec
+    return replace(spec, criteria=(*spec.criteria, Criterion(name="shaping_deviation")))
+
+
+def _release(plan: Plan) -> None:
+    """Refuse a plan that breaks a limit of its machine anywhere."""
+    check_limits(plan.motion.trajectory, plan.machine)
+
+
+TICKS = Kind(
+    name="ticks",
+    commands=TickTable,
+    intent=Motion,
+    check=check_loops,
+    check_options=_check_options,
+    plan=_plan,
+    simulate=_simulate,
+    another_day=_another_day,
+    asked=_asked,
+    release=_release,
+    compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
+    targets=TICK_TARGETS,
+)

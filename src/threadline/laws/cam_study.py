@@ -1,0 +1,332 @@
+"""From a measured cam to a law: noise, rise, three ways of fairing, and how sure each peak is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.laws.cam import MeasuredCam
+from threadline.laws.fairing import MOST_PASSES, Rebound, Smoothed, Smoother, differences, rebound
+from threadline.laws.law import Law
+from threadline.laws.rise import Rise, noise_of, rise_of
+from threadline.laws.spline import law_of_velocity
+from threadline.laws.table import law_through
+
+DRAWS = 200
+_SEED = 1954
+_OUTLIER = 4.0
+_DOUBT = 1e3
+_MISSED = 2.0
+_EVEN = 1e-6  # of the spacing
+_LOOKS = 16  # of an interval between rows
+
+
+class Fairing(StrEnum):
+    """Ways to take the measuring error out of a cam."""
+
+    NONE = "none"
+    DIFFERENCES = "differences"
+    REBOUND = "rebound"
+    SPLINE = "spline"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Faired:
+    """What one way of fairing makes of a cam.
+
+    Parameters
+    ----------
+    distances_m
+        (n,) at the rows.
+    moved_m
+        Root mean square of the corrections.
+    second_m
+        Largest second difference of neighbouring rows, scaled to the usual spacing.
+    peaks, spread
+        (3,) Cv, Ca and Cj, and their standard deviations over draws of the noise. Ca and Cj of
+        splines through rows are those of the spline, however little it means.
+    monotone
+        Whether the rise never goes back.
+    """
+
+    fairing: Fairing
+    distances_m: FloatArray
+    moved_m: float
+    second_m: float
+    peaks: FloatArray
+    spread: FloatArray
+    monotone: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CamStudy:
+    """A cam, its fairings and its law.
+
+    Parameters
+    ----------
+    noise_m, noise_given
+        Standard deviation of the distances, and whether it was given and not estimated.
+    fairings
+        In the order of :class:`Fairing`; differences are left out where rows are not even.
+    chosen
+        The fairing of the law.
+    law
+        From the start to the end of the rise.
+    outliers
+        Rows that the smoothing spline of the others misses by more than four times the noise;
+        the law is faired with them all the same.
+    scaled
+        (n,) misses over the noise.
+    rebounded
+        How the rebound ended.
+    warnings
+        One line each.
+    """
+
+    cam: MeasuredCam
+    noise_m: float
+    noise_given: bool
+    rise: Rise
+    fairings: tuple[Faired, ...]
+    chosen: Fairing
+    law: Law
+    outliers: tuple[int, ...]
+    scaled: FloatArray
+    rebounded: Rebound
+    warnings: tuple[str, ...]
+
+    def faired(self, fairing: Fairing) -> Faired | None:
+        """Return what ``fairing`` made, None where it could not be done."""
+        return next((each for each in self.fairings if each.fairing is fairing), None)
+
+
+def study_cam(
+    cam: MeasuredCam,
+    *,
+    fairing: Fairing = Fairing.SPLINE,
+    noise_m: float | None = None,
+    start_rad: float | None = None,
+    end_rad: float | None = None,
+    epsilon_m: float | None = None,
+    most_passes: int = MOST_PASSES,
+    draws: int = DRAWS,
+) -> CamStudy:
+    """Return the law of a measured cam, with every way of fairing beside it.
+
+    Parameters
+    ----------
+    noise_m
+        Measuring error; estimated from differences when None.
+    start_rad, end_rad
+        Of the rise; found when None.
+    epsilon_m, most_passes
+        Of the rebound: see :func:`threadline.laws.fairing.rebound`.
+    draws
+        Of the noise, for the spread of the peaks; the same ones each time.
+
+    Raises
+    ------
+    OptionError
+        If a number is not positive, the noise cannot be estimated, there is no rise, or the law
+        of the fairing that was asked for cannot be made.
+    """
+    for what, value in (("noise", noise_m), ("epsilon", epsilon_m), ("passes", most_passes)):
+        if value is not None and not 0.0 < value < np.inf:
+            raise OptionError(f"cam: the {what} must be positive, got {value:g}")
+    alpha, h = cam.alpha_rad, cam.h_m
+    noise = noise_of(alpha, h) if noise_m is None else noise_m
+    if not noise > 0.0:
+        raise OptionError("cam: the rows show no noise at all", remedy='Give --noise "0.01 mm".')
+    own = noise * np.abs(cam.follower_slope)
+    rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
+    t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)
+    inside = (t >= -1e-12) & (t <= 1.0 + 1e-12)
+    gentle = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
+    smoother = Smoother(t, own, gentle)
+    weight = smoother.weight_for(cam.follower)
+    smooth = smoother.fit(cam.follower, weight)
+    bounced = rebound(alpha, h, noise, epsilon=epsilon_m, most_passes=most_passes)
+    even = float(np.ptp(np.diff(alpha))) <= _EVEN * float(np.diff(alpha).mean())
+
+    methods: dict[Fairing, Callable[[FloatArray], FloatArray]] = {Fairing.NONE: lambda y: y}
+    if even:
+        methods[Fairing.DIFFERENCES] = lambda y: differences(y, noise)
+    # The rebound is linear: one pass of the identity is its matrix.
+    once = _pass_matrix(alpha)
+    many = np.linalg.matrix_power(once, bounced.passes)
+    methods[Fairing.REBOUND] = lambda y: many @ y
+    random = np.random.default_rng(_SEED)
+    true = cam.distance_of(smooth.values)
+    drawn = [true + noise * random.standard_normal(len(h)) for _ in range(draws)]
+    table = []
+    for each, method in methods.items():
+        spread = np.array([_spline_peaks(t, cam.follower_of(method(y)), inside) for y in drawn])
+        table.append(_faired(each, cam, method(h), t, inside, spread))
+    spread = np.array([smoother.peaks(smoother.solve(cam.follower_of(y), weight)) for y in drawn])
+    law = law_of_velocity("cam", smooth.knots, smooth.coefficients, 3)
+    table.append(
+        Faired(
+            fairing=Fairing.SPLINE, distances_m=true, moved_m=_rms(true - h),
+            second_m=_second(alpha, true),
+            peaks=np.array([law.velocity, law.acceleration, law.jerk or np.inf]),
+            spread=spread.std(axis=0), monotone=True,
+        )
+    )  # fmt: skip
+    chosen = next((each for each in table if each.fairing is fairing), None)
+    if chosen is None:
+        raise OptionError(
+            "cam: differences need rows at even angles", remedy="Choose spline or rebound."
+        )
+    if fairing is not Fairing.SPLINE:
+        law = _through(t, cam.follower_of(chosen.distances_m), inside)
+    outliers, scaled = _outliers(t, own, gentle, cam.follower, weight)
+    return CamStudy(
+        cam=cam, noise_m=noise, noise_given=noise_m is not None, rise=rise,
+        fairings=tuple(table), chosen=fairing, law=law, outliers=outliers,
+        scaled=scaled, rebounded=bounced,
+        warnings=tuple(_warnings(cam, rise, chosen, bounced, epsilon_m, noise, smooth, outliers)),
+    )  # fmt: skip
+
+
+def _outliers(
+    t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool], follower: FloatArray, weight: float
+) -> tuple[tuple[int, ...], FloatArray]:
+    """Return the rows that are off, and (n,) misses over the noise.
+
+    The worst is found first and pulls no more while the next is looked for: it would draw its
+    neighbours off, too. At most a tenth of the rows.
+    """
+    found: list[int] = []
+    doubted = noise.copy()
+    scaled = np.zeros_like(noise)
+    for _ in range(len(t) // 10 + 1):
+        fit = Smoother(t, doubted, gentle).fit(follower, weight)
+        now = np.abs(fit.scaled)
+        now[found] = 0.0
+        scaled = np.where(doubted > noise, (follower - fit.values) / noise, fit.scaled)
+        worst = int(np.argmax(now))
+        if now[worst] <= _OUTLIER or len(found) >= len(t) // 10:
+            break
+        found.append(worst)
+        doubted[worst] *= _DOUBT
+    return tuple(sorted(found)), scaled
+
+
+def _pass_matrix(x: FloatArray) -> FloatArray:
+    """Return the (n, n) matrix of one pass of the rebound, clamped with slope 0."""
+    one = np.eye(len(x))
+    # No noise stops a pass of one.
+    columns = [rebound(x, column, np.inf, most_passes=1).values for column in one]
+    return np.array(columns).T
+
+
+def _normalised(
+    t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Return times and rises from 0 to 1 of the rows inside, with an end where none is there."""
+    first, last = follower[inside][0], follower[inside][-1]
+    before, after = follower[t < 0.0], follower[t > 1.0]
+    low = float(before.mean()) if len(before) else float(first)
+    high = float(after.mean()) if len(after) else float(last)
+    u, s = t[inside], (follower[inside] - low) / (high - low)
+    if u[0] > 1e-9:
+        u, s = np.append(0.0, u), np.append(0.0, s)
+    if u[-1] < 1.0 - 1e-9:
+        u, s = np.append(u, 1.0), np.append(s, 1.0)
+    u, s = u.copy(), s.copy()
+    u[0], u[-1], s[0], s[-1] = 0.0, 1.0, 0.0, 1.0
+    return u, s
+
+
+def _spline_peaks(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+    """Return Cv, Ca and Cj of the clamped cubic spline through rows: exact, but for Cv."""
+    from scipy.interpolate import CubicSpline
+
+    u, s = _normalised(t, follower, inside)
+    spline = CubicSpline(u, s, bc_type="clamped")
+    looks = (u[:-1, None] + np.diff(u)[:, None] * np.arange(_LOOKS) / _LOOKS).ravel()
+    knots = spline(u, 2)
+    jerks = np.diff(knots) / np.diff(u)
+    return np.array([np.abs(spline(looks, 1)).max(), np.abs(knots).max(), np.abs(jerks).max()])
+
+
+def _through(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> Law:
+    u, s = _normalised(t, follower, inside)
+    return law_through("cam", u, s, None, None)
+
+
+def _faired(
+    fairing: Fairing, cam: MeasuredCam, h: FloatArray, t: FloatArray, inside: NDArray[np.bool_],
+    spread: FloatArray,
+) -> Faired:  # fmt: skip
+    from scipy.interpolate import CubicSpline
+
+    u, s = _normalised(t, cam.follower_of(h), inside)
+    slope = CubicSpline(u, s, bc_type="clamped")(np.linspace(0.0, 1.0, 2001), 1)
+    return Faired(
+        fairing=fairing, distances_m=h, moved_m=_rms(h - cam.h_m),
+        second_m=_second(cam.alpha_rad, h), peaks=_spline_peaks(t, cam.follower_of(h), inside),
+        spread=spread.std(axis=0), monotone=bool(slope.min() > -1e-9),
+    )  # fmt: skip
+
+
+def _rms(x: FloatArray) -> float:
+    return float(np.sqrt(np.mean(x * x)))
+
+
+def second_differences(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return (n - 2,) second differences of ``y``, as if rows stood at their usual spacing."""
+    step = float(np.median(np.diff(x)))
+    slopes = np.diff(y) / np.diff(x)
+    return np.asarray(2.0 * np.diff(slopes) / (x[2:] - x[:-2]) * step**2)
+
+
+def _second(x: FloatArray, y: FloatArray) -> float:
+    return float(np.abs(second_differences(x, y)).max())
+
+
+def _warnings(
+    cam: MeasuredCam, rise: Rise, chosen: Faired, bounced: Rebound, epsilon: float | None,
+    noise: float, smooth: Smoothed, outliers: tuple[int, ...],
+) -> list[str]:  # fmt: skip
+    said = []
+    if cam.flags:
+        angles = ", ".join(f"{np.degrees(cam.alpha_rad[flag.row]):g}" for flag in cam.flags)
+        said.append(
+            f"{len(cam.flags)} printed angles are not those of their distances, at {angles} deg; "
+            "the distances are trusted"
+        )
+    if outliers:
+        angles = ", ".join(f"{np.degrees(cam.alpha_rad[row]):g}" for row in outliers)
+        said.append(
+            f"{len(outliers)} rows lie more than {_OUTLIER:g} times the noise off the smooth rise, "
+            f"at {angles} deg; they are kept, measure them again"
+        )
+    if not (rise.start_found and rise.end_found):
+        said += [line for line in rise.said if "no dwell" in line]
+    if epsilon is not None:
+        said.append(
+            f"epsilon alone flattens the cam: the rebound goes on to a single cubic; after "
+            f"{bounced.passes} passes it has moved the rows by {1e3 * bounced.moved:.3g} mm rms, "
+            f"the noise is {1e3 * noise:.3g} mm"
+        )
+    if not chosen.monotone:
+        said.append(f"the law of the fairing {chosen.fairing} goes back: it has no inverse")
+    if smooth.missed > _MISSED:
+        said.append(
+            "the nearest monotone rise from rest to rest misses the rows by "
+            f"{smooth.missed:.3g} times the noise: the noise is larger than was said, rows are "
+            "wrong, or the ends are not at rest"
+        )
+    if smooth.freedom > 0.7 * len(cam.h_m):
+        said.append(
+            f"{len(cam.h_m)} rows are few: the fit uses {smooth.freedom:.3g} parameters of them, "
+            "so that Ca and Cj are little more than the smoothing"
+        )
+    return said

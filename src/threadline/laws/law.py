@@ -1,0 +1,122 @@
+"""A motion law: any rise from rest to rest, symmetric or not, closed or tabulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.laws.forms import Form
+from threadline.laws.inverse import invert
+
+LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Law:
+    """A normalised motion from rest to rest: rise 1 in time 1.
+
+    Parameters
+    ----------
+    name
+        Hyphenated, as on the command line.
+    velocity, acceleration, jerk
+        Peaks of the magnitudes of the derivatives (Cv, Ca, Cj); None where the jerk is infinite
+        because the acceleration steps.
+    form
+        The rise on [0, ``meets``].
+    closing
+        What is left of the rise, over the time left, on [0, 1 - ``meets``]: the motion seen from
+        its end. None where the second half mirrors the first; then ``meets`` is 1/2.
+    meets
+        Where the two views meet.
+    """
+
+    name: str
+    velocity: float
+    acceleration: float
+    jerk: float | None
+    form: Form
+    closing: Form | None = None
+    meets: float = 0.5
+
+    def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return the ``derivative``-th derivative (0 to 3) at ``t``; at rest outside [0, 1].
+
+        At a step the value is that after it up to ``meets`` and before it afterwards; impulses are
+        left out.
+        """
+        if not 0 <= derivative <= 3:
+            raise ValueError(f"derivative must be 0 to 3, got {derivative}")
+        at = np.atleast_1d(np.asarray(t, dtype=np.float64))
+        late = at > self.meets
+        value = np.empty_like(at)
+        value[~late] = self.form.value(np.clip(at[~late], 0.0, self.meets), derivative)
+        seen = self.left(np.clip(1.0 - at[late], 0.0, 1.0 - self.meets), derivative)
+        if derivative == 0:
+            value[late] = 1.0 - seen
+            return value
+        value[late] = seen if derivative % 2 else -seen
+        value[(at < 0.0) | (at > 1.0)] = 0.0
+        return value
+
+    def left(self, before_end: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return the rise that is left ``before_end`` of the end, or a derivative by that time.
+
+        Near the end it is right to the last digits of a small number, which ``1 - s`` is not.
+        """
+        closing = self.form if self.closing is None else self.closing
+        return closing.value(before_end, derivative)
+
+    def inverse(self, rise: FloatArray | float) -> FloatArray:
+        """Return the time at which the law has risen to ``rise``, in [0, 1]: s(t(x)) = x.
+
+        Where the law dwells at a rise, the earliest time there.
+
+        Raises
+        ------
+        ValueError
+            If a rise is outside [0, 1].
+        OptionError
+            If the law is not monotone: a rise is met more than once.
+        """
+        from threadline.laws.extremes import refuse_descent
+
+        refuse_descent(self)
+        x = np.atleast_1d(np.asarray(rise, dtype=np.float64))
+        if not bool(np.all((x >= 0.0) & (x <= 1.0))):
+            worst = x[~((x >= 0.0) & (x <= 1.0))][0]
+            raise ValueError(f"law {self.name}: a rise must be in [0, 1], got {worst}")
+        early = x <= float(self.form.value(np.array([self.meets]), 0)[0])
+        out = np.empty_like(x)
+        out[early] = invert(self.form, self.meets, x[early])
+        closing = self.form if self.closing is None else self.closing
+        # 1 - x is exact from 1/2 on, and a rise is flat at both ends: solve for what is left.
+        out[~early] = 1.0 - invert(closing, 1.0 - self.meets, 1.0 - x[~early], latest=True)
+        return out
+
+    @property
+    def edges(self) -> FloatArray:
+        """(n,) ends of the stretches on which the law is smooth, from 0 to 1."""
+        closing = self.form if self.closing is None else self.closing
+        first = [b for b in self.form.breaks if 0.0 < b < self.meets]
+        last = [1.0 - b for b in closing.breaks if 0.0 < b < 1.0 - self.meets]
+        return np.array(sorted({0.0, 1.0, self.meets, *first, *last}))
+
+    @property
+    def efficiency(self) -> float:
+        """Heat of the cubic law, the least there is, over that of this law, for equal moves."""
+        t, weights = gauss(self.edges)
+        heat = float(self(t, 2) ** 2 @ weights)
+        return LEAST_HEAT / heat
+
+
+def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights of Gauss-Legendre quadrature on each of ``panels`` a stretch."""
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    parts = np.arange(panels) / panels
+    begins = (edges[:-1, None] + np.diff(edges)[:, None] * parts).ravel()
+    half = 0.5 * np.diff(np.append(begins, edges[-1]))
+    t: FloatArray = ((begins + half)[:, None] + half[:, None] * nodes).ravel()
+    return t, (half[:, None] * weights).ravel()

@@ -1,0 +1,203 @@
+"""What a measured cam says of itself: its noise, and where its rise starts and ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.laws.fairing import Smoother
+
+_ORDER = 4  # of the differences: what a rise has of them at a hundred rows is far below its noise
+_NEAR = 1.8  # times the usual span of five rows: across a gap a difference is no noise
+_OUTLYING = 4.0
+_FEWEST = 8
+_DWELL = 3  # rows that make one
+_STIFF = 1e-9  # weight of the jerk by rows: so stiff that the ends matter more than the noise
+_TRIED = 0.03  # of the window: how far the search for an end looks at first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rise:
+    """Where the rise starts and ends.
+
+    Parameters
+    ----------
+    start_rad, end_rad
+        Angles of the cam.
+    start_found, end_found
+        Whether a dwell beyond it shows it; otherwise it is the end of the table, or was given.
+    said
+        What is to be said of either, in words.
+    """
+
+    start_rad: float
+    end_rad: float
+    start_found: bool
+    end_found: bool
+    said: tuple[str, ...]
+
+
+def noise_of(x: FloatArray, y: FloatArray) -> float:
+    """Return the standard deviation of the noise of ``y`` (n,) at rising ``x``, from differences.
+
+    Fourth divided differences, each scaled to unit noise; those of which the robust spread says
+    that they are outliers are left out of this estimate alone.
+
+    Raises
+    ------
+    OptionError
+        If too few rows stand close enough together.
+    """
+    count = len(x) - _ORDER
+    scaled = []
+    if count > 0:
+        spans = x[_ORDER:] - x[:-_ORDER]
+        usual = float(np.median(np.diff(x))) * _ORDER * _NEAR
+        for k in np.flatnonzero(spans <= usual).tolist():
+            at = x[k : k + _ORDER + 1]
+            apart = at[:, None] - at[None, :]
+            np.fill_diagonal(apart, 1.0)
+            weights = 1.0 / apart.prod(axis=1)
+            scaled.append(weights @ y[k : k + _ORDER + 1] / np.linalg.norm(weights))
+    if len(scaled) < _FEWEST:
+        raise OptionError(
+            f"cam: the noise cannot be estimated, {len(scaled)} runs of five rows stand close "
+            f"enough together and {_FEWEST} are needed",
+            remedy='Give the measuring error: --noise "0.05 mm".',
+        )
+    found = np.abs(np.array(scaled))
+    robust = 1.4826 * float(np.median(found))
+    kept = found[found <= _OUTLYING * robust] if robust > 0.0 else found
+    return float(np.sqrt(np.mean(kept**2)))
+
+
+def rise_of(
+    alpha_rad: FloatArray,
+    h_m: FloatArray,
+    noise_m: float,
+    follower: FloatArray,
+    follower_noise: FloatArray,
+    start_rad: float | None = None,
+    end_rad: float | None = None,
+) -> Rise:
+    """Return where the rise starts and ends.
+
+    A dwell is a run of at least three rows at an end that the noise explains. The rise is so flat
+    beside it that its end cannot be seen; it is where a stiff monotone rise, at rest with no
+    acceleration at its ends, comes nearest to all rows. Where there is no dwell the table begins
+    within the rise, and that is said.
+
+    Parameters
+    ----------
+    alpha_rad, h_m
+        (n,) the rows.
+    follower, follower_noise
+        (n,) what the follower does there, and its noise.
+    noise_m
+        Of the distances.
+    start_rad, end_rad
+        Ends that were given.
+
+    Raises
+    ------
+    OptionError
+        If an angle that was given leaves no rise, or the distances do not rise.
+    """
+    if not h_m[-1] - h_m[0] > 6.0 * noise_m:
+        raise OptionError(
+            f"cam: the distances rise by {1e3 * (h_m[-1] - h_m[0]):g} mm from the first row to the "
+            f"last, which the noise of {1e3 * noise_m:.3g} mm explains",
+            remedy="Give the rows of one rise, in the direction in which the distance grows.",
+        )
+    first, early = _foot(alpha_rad, h_m, noise_m)
+    mirrored, late = _foot(-alpha_rad[::-1], -h_m[::-1], noise_m)
+    start = first if start_rad is None else start_rad
+    end = -mirrored if end_rad is None else end_rad
+    if not alpha_rad[0] - 1e-12 <= start < end <= alpha_rad[-1] + 1e-12:
+        raise OptionError(
+            f"cam: a rise from {np.degrees(start):g} to {np.degrees(end):g} deg is not within the "
+            f"table, {np.degrees(alpha_rad[0]):g} to {np.degrees(alpha_rad[-1]):g} deg"
+        )
+    free = (early and start_rad is None, late and end_rad is None)
+    start, end = _nearest(alpha_rad, follower, follower_noise, (start, end), free)
+    said = []
+    for which, given, found, at in (
+        ("starts", start_rad, early, start),
+        ("ends", end_rad, late, end),
+    ):
+        how = (
+            "as was given"
+            if given is not None
+            else "where a stiff rise between the dwells comes nearest to the rows"
+            if found
+            else "at the end of the table, where it still moves: no dwell of "
+            f"{_DWELL} rows shows the true end"
+            if which == "ends"
+            else "at the beginning of the table, where it already moves: no dwell of "
+            f"{_DWELL} rows shows the true start"
+        )
+        said.append(f"the rise {which} at {np.degrees(at):.4g} deg, {how}")
+    return Rise(
+        start_rad=start, end_rad=end, start_found=early and start_rad is None,
+        end_found=late and end_rad is None, said=tuple(said),
+    )  # fmt: skip
+
+
+def _nearest(
+    alpha: FloatArray,
+    follower: FloatArray,
+    noise: FloatArray,
+    ends: tuple[float, float],
+    free: tuple[bool, bool],
+) -> tuple[float, float]:
+    """Return the ends with which a stiff rise comes nearest; those that are not free stay."""
+    from scipy.optimize import minimize
+
+    if not any(free):
+        return ends
+    which = np.flatnonzero(free)
+    scale = _TRIED * (ends[1] - ends[0])
+
+    def placed(moved: FloatArray) -> FloatArray:
+        both = np.array(ends)
+        both[which] += scale * moved
+        return np.asarray(np.clip(both, alpha[0], alpha[-1]))
+
+    def missed(moved: FloatArray) -> float:
+        start, end = placed(moved).tolist()
+        if not end > start:
+            return np.inf
+        smoother = Smoother((alpha - start) / (end - start), noise)
+        weight = _STIFF * len(alpha)
+        found = smoother.solve(follower, weight)
+        rest = smoother.rows @ found - follower / noise
+        jerk = smoother.penalty @ found
+        return float(rest @ rest + weight * (jerk @ jerk))
+
+    # From the last rows of the dwells inwards: the true ends lie behind them.
+    inwards = np.array([1.0, -1.0])[which]
+    simplex = np.vstack((np.zeros(len(which)), np.diag(inwards)))
+    found = minimize(
+        missed, np.zeros(len(which)), method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01, "maxfev": 200},
+    )  # fmt: skip
+    start, end = placed(found.x).tolist()
+    return start, end
+
+
+def _foot(x: FloatArray, y: FloatArray, noise: float) -> tuple[float, bool]:
+    """Return the last row of the dwell at the first level and True; the first row where none is."""
+    count = 0
+    for k in range(_DWELL, len(x) + 1):
+        level = float(y[:k].mean())
+        slope = np.polynomial.polynomial.polyfit(x[:k] - x[:k].mean(), y[:k], 1)[1]
+        drift = abs(float(slope)) * float(x[k - 1] - x[0])
+        if np.abs(y[:k] - level).max() > 3.5 * noise or drift > 3.5 * noise * np.sqrt(12.0 / k):
+            break
+        count = k
+    if count < _DWELL:
+        return float(x[0]), False
+    return float(x[count - 1]), True

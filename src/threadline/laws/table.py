@@ -1,0 +1,156 @@
+"""Laws as tables: ``t, s, v, a, j`` with a row for each instant, in and out."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError, Place
+from threadline.laws.extremes import measured_law, refuse_descent
+from threadline.laws.forms import Pieces
+from threadline.laws.law import Law
+from threadline.opening import read_text
+from threadline.writing import staged_file
+
+ROWS = 1001
+_MOST_BYTES = 20_000_000
+_REST = 1e-6  # of the peak: what is left of velocity at an end of a table is rounding
+
+
+def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
+    """Write time, rise, velocity, acceleration and jerk of ``law``, unit rise in unit time.
+
+    The ends of its smooth stretches have rows, too, so that no row is in the middle of a corner.
+
+    Raises
+    ------
+    OptionError, OSError
+        If the file cannot be written.
+    """
+    even = np.linspace(0.0, 1.0, rows)
+    # Nothing closer than a thousandth of a row: pieces so short would be rounding.
+    apart = np.abs(law.edges[:, None] - even).min(axis=1) > 1e-3 / rows
+    t = np.union1d(even, law.edges[apart])
+    columns = [t, *(law(t, derivative) for derivative in range(4))]
+    lines = [",".join(repr(float(x)) for x in row) for row in zip(*columns, strict=True)]
+    with staged_file(file) as out:
+        out.write("\n".join(["t,s,v,a,j", *lines, ""]).encode())
+
+
+def read_law(file: Path) -> Law:
+    """Return the law of a table with the columns t and s, and v and a where there are any.
+
+    With v and a the pieces are quintic, so that the table's own derivatives hold at its rows;
+    without, a cubic spline at rest at both ends. Time and rise may have any scale: the first row
+    is 0 and the last is 1.
+
+    Raises
+    ------
+    OptionError
+        With the line, if the table cannot be read, its times do not rise, or the law goes back.
+    """
+    where = Place(str(file))
+    table, lines = _read(file)
+    t, s = table["t"], table["s"]
+    falls = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(falls):
+        k = int(falls[0]) + 1
+        raise OptionError(
+            f"motion law: time {t[k]:g} follows {t[k - 1]:g}, it must rise",
+            place=Place(str(file), lines[k]),
+        )
+    span, rise = float(t[-1] - t[0]), float(s[-1] - s[0])
+    if not rise > 0.0:
+        raise OptionError(f"motion law: its rise is {rise:g}, it must be positive", place=where)
+    u, s = (t - t[0]) / span, (s - s[0]) / rise
+    v, a = table.get("v"), table.get("a")
+    if v is not None and a is not None:
+        v, a = v * span / rise, a * span**2 / rise
+        if max(abs(float(v[0])), abs(float(v[-1]))) > _REST * float(np.abs(v).max()):
+            raise OptionError("motion law: its velocity must be 0 in the first and the last row",
+                              place=where)  # fmt: skip
+        v[0] = v[-1] = 0.0
+    law = law_through(file.stem, u, s, v, a)
+    refuse_descent(law)
+    return law
+
+
+def law_through(
+    name: str, u: FloatArray, s: FloatArray, v: FloatArray | None, a: FloatArray | None
+) -> Law:
+    """Return the law through (n,) rises ``s`` from 0 to 1 at ``u``, from 0 to 1.
+
+    Parameters
+    ----------
+    v, a
+        Its derivatives there; without them a cubic spline at rest at both ends is taken.
+    """
+    if v is None or a is None:
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(u, s, bc_type="clamped")
+        v, a = spline(u, 1), spline(u, 2)
+    opening = _pieces(u, s, v, a)
+    closing = _pieces(1.0 - u[::-1], 1.0 - s[::-1], v[::-1], -a[::-1])
+    middle = float(u[int(np.argmin(np.abs(u - 0.5)))])
+    return measured_law(name, opening, closing, middle if 0.0 < middle < 1.0 else 0.5)
+
+
+def _pieces(u: FloatArray, s: FloatArray, v: FloatArray, a: FloatArray) -> Pieces:
+    """Return the quintic pieces with these values and derivatives at their ends."""
+    h = np.diff(u)
+    gained = np.diff(s) - h * v[:-1] - 0.5 * h**2 * a[:-1]
+    speed = h * (np.diff(v) - h * a[:-1])
+    bend = h**2 * np.diff(a)
+    powers = np.stack(
+        [
+            s[:-1],
+            v[:-1],
+            0.5 * a[:-1],
+            (10.0 * gained - 4.0 * speed + 0.5 * bend) / h**3,
+            (-15.0 * gained + 7.0 * speed - bend) / h**4,
+            (6.0 * gained - 3.0 * speed + 0.5 * bend) / h**5,
+        ],
+        axis=1,
+    )
+    powers[0, :2] = 0.0
+    return Pieces(u[:-1].copy(), powers)
+
+
+def _read(file: Path) -> tuple[dict[str, FloatArray], list[int]]:
+    text = read_text(file, _MOST_BYTES, OptionError, "table of a motion law")
+    header: list[str] = []
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
+        cells = [cell.strip() for cell in row]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        if not header:
+            header = [cell.lower() for cell in cells]
+            continue
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            values = []
+        if len(values) != len(header) or not np.isfinite(values).all():
+            raise OptionError(
+                f"motion law: {','.join(cells)[:80]!r} is not a row of {len(header)} numbers",
+                place=Place(str(file), number),
+            )
+        rows.append(values)
+        lines.append(number)
+    missing = [name for name in ("t", "s") if name not in header]
+    if missing or len(rows) < 3:
+        what = (
+            f"no column {missing[0]!r}" if missing else f"{len(rows)} rows, at least 3 are needed"
+        )
+        raise OptionError(
+            f"motion law: {what}", place=Place(str(file)),
+            remedy='Its first line names the columns: "t,s" or "t,s,v,a".',
+        )  # fmt: skip
+    columns = np.array(rows).T
+    return {name: columns[k].copy() for k, name in enumerate(header)}, lines

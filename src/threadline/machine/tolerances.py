@@ -1,0 +1,80 @@
+"""What the tolerances of a machine file mean: the ``[tolerances]`` table, and the numbers it names.
+
+``+-`` is the half width of the interval that holds the value. Unless the table says otherwise every
+number lies anywhere in its interval alike, and on its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from fnmatch import fnmatchcase
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT
+from threadline.machine.quantity import Quantity
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+NumberPattern = Annotated[
+    str, Field(pattern=r"^[A-Za-z_]+(\.(\*|[A-Za-z0-9_-]+))+$", max_length=200)
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Tolerances:
+    """How the numbers of a machine vary within their ``+-``.
+
+    A number is named as its place in the file, ``"links.x_belt.stiffness"``; ``*`` stands for one
+    part of the name, or for all that are left at its end.
+
+    Parameters
+    ----------
+    normal
+        Numbers that are distributed normally: ``+-`` is two standard deviations.
+    exclude
+        Numbers that stay as the file has them.
+    groups
+        Numbers that move together, by the same share of their tolerances.
+    """
+
+    normal: tuple[NumberPattern, ...] = ()
+    exclude: tuple[NumberPattern, ...] = ()
+    groups: dict[Name, tuple[NumberPattern, ...]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _each_in_one_group(self) -> Tolerances:
+        for name, members in self.groups.items():
+            if not members:
+                raise ValueError(f"groups.{name}: a group without numbers moves nothing")
+        return self
+
+    def named(self) -> Iterator[tuple[str, str]]:
+        """Yield each pattern with the key of the table that it stands in."""
+        for key, patterns in (("normal", self.normal), ("exclude", self.exclude)):
+            yield from ((f"tolerances.{key}", pattern) for pattern in patterns)
+        for name, members in self.groups.items():
+            yield from ((f"tolerances.groups.{name}", pattern) for pattern in members)
+
+
+def matches(path: str, patterns: tuple[str, ...]) -> bool:
+    """Say whether one of ``patterns`` names the number ``path``."""
+    return any(fnmatchcase(path, pattern) for pattern in patterns)
+
+
+def quantities(part: Any, path: str = "") -> Iterator[tuple[str, Quantity]]:
+    """Yield every number below ``part`` with its dotted name, in the order of the file's parts."""
+    if isinstance(part, Quantity):
+        yield path, part
+    elif isinstance(part, Mapping):
+        for key, value in part.items():
+            yield from quantities(value, f"{path}.{key}" if path else str(key))
+    elif isinstance(part, tuple):
+        for index, value in enumerate(part):
+            yield from quantities(value, f"{path}.{index}")
+    elif is_dataclass(part):
+        for field in fields(part):
+            where = f"{path}.{field.name}" if path else field.name
+            yield from quantities(getattr(part, field.name), where)

@@ -1,0 +1,275 @@
+"""Machines within the tolerances of a file: drawn at random, at the corners, one number at a time.
+
+A *part* is where in its tolerance a number lies: -1 its lower end, 0 what the file says, 1 its
+upper end. Every way of choosing variants gives (k, n) parts for the n numbers of
+``uncertain(machine)``; ``numbers_at`` turns them into the numbers of a batch, and ``variant`` into
+one machine with the very same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+from threadline.machine.load import place_in
+from threadline.machine.model import NUMBERED, Machine
+from threadline.machine.numbers import is_whole, number_at, with_numbers
+from threadline.machine.quantity import Quantity
+from threadline.machine.tolerances import matches, quantities
+
+MOST_CORNERS = 12
+"""Numbers of which every corner is tried: 2 to this power of them."""
+FARTHEST = 3.0
+"""Standard deviations at which a normal distribution is cut off."""
+_PER_PART = 2.0
+"""Standard deviations in a tolerance."""
+_DELAY_STEPS = 100
+"""A dead time is drawn in whole hundredths of its tolerance, so that variants share instants."""
+_MACHINE = (
+    "bodies.*", "links.*", "drives.*", "sensors.*", "controllers.*", "inputs.*", "cylinders.*",
+    "contacts.*",
+)  # fmt: skip
+_COUNTS = "axes.*.counts"
+_PLANNED = (
+    "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.jerk", "axes.*.travel.*",
+    "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
+)  # fmt: skip
+"""What a plan goes by and no machine does: the same in every variant of the machine."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertain:
+    """A number that varies, or a group of numbers that move together.
+
+    Parameters
+    ----------
+    name
+        Of the group, or of the number in the file.
+    numbers
+        Names in the file.
+    normal
+        Whether it is distributed normally, cut off at 3 standard deviations: 1.5 tolerances.
+    """
+
+    name: str
+    numbers: tuple[str, ...]
+    normal: bool
+
+
+def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
+    """Return what varies of ``machine``, in the order of its file, a group where its first is.
+
+    Limits that a plan goes by (velocity, travel, the shortest dwell of a valve) are no part of it.
+
+    Raises
+    ------
+    OptionError
+        With the name of a number that has a tolerance and that no variant can change.
+    """
+    rules = machine.tolerances
+    found: dict[str, list[str]] = {}
+    for path, quantity in _numbers(machine):
+        if quantity.tolerance_si == 0.0 or matches(path, rules.exclude):
+            continue
+        if matches(path, _PLANNED):
+            continue
+        _check(machine, path)
+        group = next((n for n, m in rules.groups.items() if matches(path, m)), path)
+        found.setdefault(group, []).append(path)
+    return tuple(
+        Uncertain(name=name, numbers=tuple(paths), normal=_normal(machine, name, paths))
+        for name, paths in found.items()
+    )
+
+
+def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
+    """Return (k, n) parts of the variants with these numbers in the sequence of a seed.
+
+    A variant depends on seed and index alone, so that any order, any share of a sequence and any
+    number of processes gives the same bits: Philox's counter-based generator, keyed by both
+    (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011).
+
+    Parameters
+    ----------
+    seed
+        From 0 to 2**64 - 1.
+    index
+        (k,) from 0.
+
+    Raises
+    ------
+    OptionError
+        If seed or index is negative or too large, or a number cannot vary.
+    """
+    numbers = uncertain(machine)
+    wanted = [int(i) for i in np.asarray(index).ravel()]
+    for value, what in ((seed, "seed"), *((i, "index") for i in wanted)):
+        if not 0 <= value < 1 << 64:
+            raise OptionError(f"the {what} of a variant is {value}, not from 0 to 2**64 - 1")
+    parts = np.empty((len(wanted), len(numbers)))
+    for row, one in zip(parts, wanted, strict=True):
+        key = np.array([seed, one], dtype=np.uint64)
+        row[:] = np.random.Generator(np.random.Philox(key=key)).random(len(numbers))
+    normal = np.array([number.normal for number in numbers], dtype=bool)
+    low, high = ndtr(-FARTHEST), ndtr(FARTHEST)
+    gauss = ndtri(low + (high - low) * parts[:, normal]) / _PER_PART
+    parts = 2.0 * parts - 1.0
+    parts[:, normal] = gauss
+    return parts
+
+
+def corners(machine: Machine) -> FloatArray:
+    """Return (2**n, n) parts: every number at either end, the first number slowest.
+
+    Raises
+    ------
+    OptionError
+        If more than ``MOST_CORNERS`` numbers vary.
+    """
+    numbers = uncertain(machine)
+    if len(numbers) > MOST_CORNERS:
+        raise OptionError(
+            f"{len(numbers)} numbers of {machine.name!r} vary, too many for all their corners; "
+            f"at most {MOST_CORNERS}",
+            place=machine.place,
+            remedy="Exclude some under [tolerances], or group those that move together.",
+        )
+    return np.array(list(product((-1.0, 1.0), repeat=len(numbers)))).reshape(-1, len(numbers))
+
+
+def one_at_a_time(machine: Machine) -> FloatArray:
+    """Return (2 n, n) parts: each number at its lower end, then at its upper, alone."""
+    count = len(uncertain(machine))
+    parts = np.zeros((2 * count, count))
+    parts[np.arange(0, 2 * count, 2), np.arange(count)] = -1.0
+    parts[np.arange(1, 2 * count, 2), np.arange(count)] = 1.0
+    return parts
+
+
+def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
+    """Return what a batch of variants replaces: names in the file to (k,) SI values.
+
+    Parameters
+    ----------
+    parts
+        (k, n).
+    """
+    table = np.atleast_2d(np.asarray(parts, dtype=np.float64))
+    numbers = uncertain(machine)
+    if table.shape[1] != len(numbers):
+        raise ValueError(f"parts are for {table.shape[1]} numbers, the machine has {len(numbers)}")
+    found = {}
+    for column, number in zip(table.T, numbers, strict=True):
+        for path in number.numbers:
+            quantity = number_at(machine, path)
+            if path.endswith(".delay"):
+                found[path] = np.array([float(_delay(quantity, part)) for part in column])
+            else:
+                found[path] = quantity.si + column * quantity.tolerance_si
+    return found
+
+
+def variant(machine: Machine, parts: FloatArray) -> Machine:
+    """Return the machine whose numbers lie at ``parts``, (n,), of their tolerances.
+
+    What ``numbers_at`` gives, to the bit; its hash tells it from every other. Counts per unit stay
+    what commands are counted in: other ones put the load elsewhere.
+    """
+    numbers = {name: float(values[0]) for name, values in numbers_at(machine, parts).items()}
+    scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}
+    made = with_numbers(machine, {**numbers, **scales})
+    axes = dict(machine.axes)
+    for name, counts in scales.items():
+        axis = name.split(".")[1]
+        sensor = made.sensors[machine.controller_of(axis).sensor]
+        unit = {"count/m": "m", "count/rad": "rad"}[machine.axes[axis].counts.unit]
+        load = {
+            body: replace(q, si=q.si / counts, unit=_per(unit, q.unit), tolerance_si=0.0)
+            for body, q in sensor.reads.items()
+        }
+        axes[axis] = replace(machine.axes[axis], load=load)
+    return replace(made, axes=axes)
+
+
+def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:
+    """Return the machine with some of its uncertain numbers, by name, at a part of each.
+
+    Raises
+    ------
+    OptionError
+        If a name is not that of an uncertain number or group.
+    """
+    numbers = uncertain(machine)
+    names = [number.name for number in numbers]
+    parts = np.zeros(len(names))
+    for name, part in changed.items():
+        if name not in names:
+            raise OptionError(
+                f"{name!r} does not vary in machine {machine.name!r}",
+                remedy=f"What varies: {', '.join(names) or 'nothing'}.",
+            )
+        parts[names.index(name)] = part
+    return variant(machine, parts)
+
+
+def _numbers(machine: Machine) -> list[tuple[str, Quantity]]:
+    return [pair for table in NUMBERED for pair in quantities(getattr(machine, table), table)]
+
+
+def _check(machine: Machine, path: str) -> None:
+    why = ""
+    if path.startswith("clocks."):
+        why = "a clock is what all time is counted in"
+    elif matches(path, (_COUNTS,)):
+        if machine.axes[path.split(".")[1]].load is not None:
+            why = "its load says where it is, whatever is counted"
+    elif not matches(path, _MACHINE):
+        why = "nothing of the machine follows it"
+    elif is_whole(machine, path):
+        why = "it must be a whole number"
+    if why:
+        raise OptionError(
+            f"{path} has a tolerance, and no variant can change it: {why}",
+            place=place_in(machine, path),
+            remedy="Make it exact, or name it under [tolerances] exclude.",
+        )
+
+
+def _normal(machine: Machine, name: str, paths: list[str]) -> bool:
+    normal = [matches(path, machine.tolerances.normal) for path in paths]
+    if any(normal) and not all(normal):
+        raise OptionError(
+            f"the group {name!r} moves as one, but {paths[normal.index(True)]} is normal and "
+            f"{paths[normal.index(False)]} is not",
+            remedy="Name all of them under [tolerances] normal, or none.",
+        )
+    for path in paths if any(normal) else ():
+        quantity = number_at(machine, path)
+        if 0.0 < quantity.si <= quantity.tolerance_si * FARTHEST / _PER_PART:
+            raise OptionError(
+                f"{path} would reach zero at {FARTHEST:g} standard deviations of "
+                f"{quantity.tolerance_si / _PER_PART:.4g} {quantity.unit}".rstrip(),
+                place=place_in(machine, path),
+                remedy="Give it a smaller tolerance, or take it out of [tolerances] normal.",
+            )
+    return any(normal)
+
+
+def _per(length: str, reads: str) -> str:
+    """Return the unit of a load's weight: of an axis in m or rad, by a body in m or rad."""
+    body = reads.removeprefix("count/")
+    return "" if body == length else f"{length}/{body}"
+
+
+def _delay(quantity: Quantity, part: float) -> Fraction:
+    """Return a dead time as an exact fraction of a second, so that instants stay exact."""
+    exact = Fraction(0) if quantity.exact_s is None else quantity.exact_s
+    step = Fraction(quantity.tolerance_si).limit_denominator(10**9) / _DELAY_STEPS
+    return exact + round(part * _DELAY_STEPS) * step

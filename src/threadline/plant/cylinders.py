@@ -1,0 +1,199 @@
+"""Equations of a cylinder and what it is connected with, for every variant of the machine.
+
+With the stroke ``s = w - z`` (piston less housing), the flow speed ``v`` and the elongation ``e``
+of the air between the flow and the piston::
+
+    v' = (speed level(t - delay) - v) / lag
+    e' = v - s'
+    F  = k e + c (v - s') - friction,   on the piston; -F on the housing
+
+so that a shaper acts on *speed*: the force follows from it. Bodies and links come from the same
+network as those of every other machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.quantity import Quantity
+from threadline.plant.network import PiecewiseLinear, piecewise_linear
+from threadline.plant.values import Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CylinderEquations:
+    """Linear equations of one cylinder and everything that it is connected with.
+
+    Parameters
+    ----------
+    axis
+        The cylinder.
+    states
+        (n,) names: those of the network, then ``"flow"`` (m/s) and ``"air"`` (m).
+    matrix
+        (variants, n, n) of the network alone with flow and air: no air force, no damping of the
+        air.
+    level
+        (variants, n) what a level of 1 adds to the derivative.
+    force
+        (variants, n) what 1 N of the piston, with its reaction, adds to the derivative.
+    stroke, stroke_rate
+        (n,) rows of ``s`` and ``s'``.
+    frame
+        (variants, n) row of the frame.
+    piston, housing
+        Indices of the velocities of the two bodies.
+    piston_share
+        (variants,) the piston's share of the inertia of both.
+    piston_inertia
+        (variants,) kg.
+    air_stiffness, air_damping
+        (variants,) N/m and N s/m.
+    """
+
+    axis: str
+    states: tuple[str, ...]
+    matrix: FloatArray
+    level: FloatArray
+    force: FloatArray
+    stroke: FloatArray
+    stroke_rate: FloatArray
+    frame: FloatArray
+    piston: int
+    housing: int
+    piston_share: FloatArray
+    piston_inertia: FloatArray
+    air_stiffness: FloatArray
+    air_damping: FloatArray
+
+    def air_force(self, ramp: float = 1.0) -> FloatArray:
+        """Return the (variants, n) row of the force of the air, N, at a share of its damping."""
+        damping = self.air_damping * ramp
+        row = -damping[:, None] * self.stroke_rate
+        row[:, self.states.index("air")] += self.air_stiffness
+        row[:, self.states.index("flow")] += damping
+        return row
+
+    def joined(self, row: FloatArray) -> FloatArray:
+        """Return the (variants, n) common acceleration of piston and housing moving as one.
+
+        Parameters
+        ----------
+        row
+            (variants, n, n) rates of all states while each is free.
+        """
+        share = self.piston_share[:, None]
+        return share * row[:, self.piston] + (1.0 - share) * row[:, self.housing]
+
+    def sliding(self, ramp: float = 1.0) -> FloatArray:
+        """Return the (variants, n, n) rates while the piston slides on its air."""
+        return self.matrix + self.force[:, :, None] * self.air_force(ramp)[:, None, :]
+
+    def standing(self) -> FloatArray:
+        """Return the (variants, n, n) rates while the piston stands in its housing."""
+        rates = self.matrix.copy()
+        together = self.joined(self.matrix)
+        rates[:, self.piston] = rates[:, self.housing] = together
+        return rates
+
+    def holding(self) -> FloatArray:
+        """Return the (variants, n) row of the force that holds the piston still, N, less the air's.
+
+        What its share of the common motion takes beyond what the network gives it.
+        """
+        own = self.joined(self.matrix) - self.matrix[:, self.piston]
+        return self.piston_inertia[:, None] * own
+
+
+def network_of(machine: Machine, axis: str, values: Values | None = None) -> PiecewiseLinear:
+    """Return the piece of the network that the cylinder ``axis`` acts on.
+
+    Raises
+    ------
+    MachineError
+        If the piece has elements that are not linear, or the cylinder joins two pieces.
+    """
+    cylinder = machine.cylinders[axis]
+    for piece in piecewise_linear(machine, values):
+        if cylinder.pushes in piece.group.bodies:
+            if cylinder.reacts_on not in piece.group.bodies:
+                raise MachineError(
+                    f"cylinders.{axis}: {cylinder.pushes!r} and {cylinder.reacts_on!r} are not "
+                    "connected",
+                    remedy="Join them with a link; its stiffness may be 0.",
+                )
+            if piece.elements:
+                raise MachineError(
+                    f"cylinders.{axis}: {piece.elements[0].name} is not linear",
+                    remedy="Leave friction, play and preload out of the bodies that it moves.",
+                )
+            return piece
+    raise MachineError(f"cylinders.{axis} pushes a body that does not exist")
+
+
+def cylinder_equations(
+    machine: Machine, axis: str, values: Values | None = None
+) -> CylinderEquations:
+    """Return the equations of the cylinder ``axis`` in every variant.
+
+    Parameters
+    ----------
+    values
+        Replaced numbers; the machine's own when None.
+
+    Raises
+    ------
+    MachineError
+        If it has none.
+    """
+    used = Values.of(machine) if values is None else values
+    cylinder, piece = machine.cylinders[axis], network_of(machine, axis, used)
+
+    def number(path: str, quantity: Quantity | None) -> FloatArray:
+        return np.broadcast_to(np.asarray(used.at(path, quantity), dtype=float), (used.count,))
+
+    states = (*piece.states, "flow", "air")
+    n, size = len(states), len(piece.states)
+    flow, air = size, size + 1
+    matrix = np.zeros((used.count, n, n))
+    matrix[:, :size, :size] = piece.base[:, :, :size]
+    stroke, rate, force = np.zeros(n), np.zeros(n), np.zeros((used.count, n))
+    inertia = {}
+    for body, sign in ((cylinder.pushes, 1.0), (cylinder.reacts_on, -1.0)):
+        stroke[states.index(body)] = sign
+        at = states.index(f"{body}'")
+        rate[at] = sign
+        inertia[body] = number(f"bodies.{body}.inertia", machine.bodies[body].inertia)
+        force[:, at] = sign / inertia[body]
+    where = f"cylinders.{axis}"
+    lag = number(f"{where}.lag", cylinder.lag)
+    level = np.zeros((used.count, n))
+    level[:, flow] = number(f"{where}.speed", cylinder.speed) / lag
+    matrix[:, flow, flow] = -1.0 / lag
+    matrix[:, air] -= rate
+    matrix[:, air, flow] += 1.0
+    frame = np.zeros((used.count, n))
+    for body, weight in cylinder.frame.items():
+        frame[:, states.index(body)] = number(f"{where}.frame.{body}", weight)
+    piston_inertia = inertia[cylinder.pushes]
+    return CylinderEquations(
+        axis=axis,
+        states=states,
+        matrix=matrix,
+        level=level,
+        force=force,
+        stroke=stroke,
+        stroke_rate=rate,
+        frame=frame,
+        piston=states.index(f"{cylinder.pushes}'"),
+        housing=states.index(f"{cylinder.reacts_on}'"),
+        piston_share=piston_inertia / (piston_inertia + inertia[cylinder.reacts_on]),
+        piston_inertia=piston_inertia,
+        air_stiffness=number(f"{where}.air_stiffness", cylinder.air_stiffness),
+        air_damping=number(f"{where}.air_damping", cylinder.air_damping),
+    )

@@ -1,0 +1,178 @@
+"""Equations of a network whose motors' positions are prescribed: steppers, pulse-controlled servos.
+
+Of the network ``z' = F z`` the coordinates that are prescribed are taken out of the state: what is
+left obeys ``x' = A x + B p + C p'`` exactly, and the row of a prescribed velocity says what the
+network would do to that body, so that the torque that holds it to its course is
+``J (p'' - row . z)`` and its friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.sources import PulseServo, Source
+from threadline.plant.network import PiecewiseLinear, piecewise_linear
+from threadline.plant.values import Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tight:
+    """A preloaded belt, linear while it is tight.
+
+    Parameters
+    ----------
+    name
+        Its place in the file.
+    row
+        (n + 2 s,) its force over ``[x, p, p']``.
+    low, high
+        Forces at which a run falls slack.
+    """
+
+    name: str
+    row: FloatArray
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prescribed:
+    """One connected piece of a machine, its s drives prescribed; n states are left.
+
+    Parameters
+    ----------
+    axes, drives
+        Of the piece; each axis is told to one of the drives.
+    states
+        (n,) names.
+    rates
+        (n, n + 2 s) of the states over ``[x, p, p']``, with p the drives' positions.
+    loads, frames
+        (axes, n + 2 s), axis units from the start.
+    has_frame
+        (axes,) whether the axis has a frame.
+    pulls
+        (s, n + 2 s) force of the network on each drive's body, N m (N).
+    inertia, friction
+        (s,) of these bodies.
+    belts
+        Linear while they are tight.
+    """
+
+    axes: tuple[str, ...]
+    drives: tuple[str, ...]
+    states: tuple[str, ...]
+    rates: FloatArray
+    loads: FloatArray
+    frames: FloatArray
+    has_frame: tuple[bool, ...]
+    pulls: FloatArray
+    inertia: FloatArray
+    friction: FloatArray
+    belts: tuple[Tight, ...]
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(n, n) of the load with the motors locked."""
+        return self.rates[:, : len(self.states)]
+
+
+def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescribed, ...]:
+    """Return the equations of every piece of ``machine`` that has a prescribed drive.
+
+    Raises
+    ------
+    MachineError
+        If such a piece has a motor with a loop too, or a part that is not linear: friction of
+        another body than the drive's, play.
+    """
+    used = Values.of(machine) if values is None else values
+    return tuple(
+        _without(machine, piece, used)
+        for piece in piecewise_linear(machine, used)
+        if piece.group.sources
+    )
+
+
+def piece_of(machine: Machine, axis: str, values: Values | None = None) -> Prescribed:
+    """Return the piece that an axis belongs to."""
+    return next(piece for piece in prescribed(machine, values) if axis in piece.axes)
+
+
+def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescribed:
+    group, n = piece.group, len(piece.states)
+    sources = {name: machine.position_sources[name] for name in group.sources}
+    if group.drives:
+        raise MachineError(
+            f"drives.{group.sources[0]} is told positions and drives.{group.drives[0]} has a "
+            "loop, and both move one connected piece",
+            place=machine.place,
+            remedy="Move each piece by drives of one sort.",
+        )
+    bodies = [source.body for source in sources.values()]
+    full, tight = piece.base[0][:, :n].copy(), []
+    for element in piece.elements:
+        name = element.name.split(".")
+        if name[0] == "links" and element.modes[0].name == "tight":
+            law = element.modes[0].law[0]
+            guard = element.modes[0].guards[0]
+            full += element.direction[0][:, None] * law[None, :n]
+            tight.append((element.name, law[:n], guard.low, guard.high))
+        elif not (name[0] == "bodies" and name[1] in bodies):
+            raise MachineError(
+                f"{element.name} is not linear, in a piece that drives.{group.sources[0]} moves",
+                place=machine.place,
+                remedy="Leave friction and play out, but for the friction of the drive's own body.",
+            )
+    positions = [piece.states.index(body) for body in bodies]
+    speeds = [piece.states.index(f"{body}'") for body in bodies]
+    left = [k for k in range(n) if k not in {*positions, *speeds}]
+    order = [*left, *positions, *speeds]
+    inertia = np.array(
+        [_number(values, f"bodies.{b}.inertia", machine.bodies[b].inertia.si) for b in bodies]
+    )
+    friction = [machine.bodies[b].friction for b in bodies]
+    return Prescribed(
+        axes=group.axes,
+        drives=group.sources,
+        states=tuple(piece.states[k] for k in left),
+        rates=full[np.ix_(left, order)],
+        loads=piece.load_rows[0][:, order],
+        frames=piece.frame_rows[0][:, order],
+        has_frame=piece.has_frame,
+        pulls=inertia[:, None] * full[np.ix_(speeds, order)],
+        inertia=inertia,
+        friction=np.array(
+            [
+                0.0 if q is None else _number(values, f"bodies.{b}.friction", q.si)
+                for b, q in zip(bodies, friction, strict=True)
+            ]
+        ),
+        belts=tuple(
+            Tight(name=name, row=row[order], low=_first(low), high=_first(high))
+            for name, row, low, high in tight
+        ),
+    )
+
+
+def _number(values: Values, path: str, own: float) -> float:
+    return float(values.replaced[path][0]) if path in values.replaced else own
+
+
+def _first(bound: FloatArray | float) -> float:
+    return float(np.atleast_1d(bound)[0])
+
+
+def resonance_hz(source: Source, inertia: float) -> float | None:
+    """Return at which frequency a stepper swings about its step, Hz; None for a servo.
+
+    Its torque goes with the sine of the electrical angle, a quarter turn to a full step.
+    """
+    if isinstance(source, PulseServo):
+        return None
+    return float(np.sqrt(source.stiffness / inertia) / (2.0 * np.pi))

@@ -1,0 +1,239 @@
+"""What is known of an axis without a loop: a cylinder, or a drive that is told positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.plant.analysis import analyse_axis
+from threadline.plant.boundaries import DOUBLE, size_of, swinging
+from threadline.plant.cylinders import cylinder_equations
+from threadline.plant.modes import Oscillation
+from threadline.plant.pneumatic import flow_mode
+from threadline.plant.prescribed import piece_of, resonance_hz
+from threadline.plant.rigid import drive_rate, rigid_force, rigid_motion
+from threadline.plant.values import Values
+
+
+class Analysis(Protocol):
+    """What every analysis of something that moves can answer."""
+
+    @property
+    def axis(self) -> str:
+        """What moves."""
+
+    @property
+    def stable(self) -> bool:
+        """Whether every motion of it decays."""
+
+    def verdict(self) -> str:
+        """Return one sentence on its stability."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CylinderAnalysis:
+    """What is known of a cylinder: it has no loop, and what it stands on rings.
+
+    Parameters
+    ----------
+    axis
+        The cylinder.
+    standing, sliding
+        Modes of what it is connected with, the slowest first: while the piston stands in its
+        housing, and while it slides on its air.
+    shaped
+        The mode that its valves excite most, which shapers are made for.
+    speed_m_s
+        Of the piston at level 1.
+    growing
+        How many poles of the sliding cylinder grow.
+    """
+
+    axis: str
+    standing: tuple[Oscillation, ...]
+    sliding: tuple[Oscillation, ...]
+    shaped: Oscillation
+    speed_m_s: float
+    growing: int
+
+    @property
+    def stable(self) -> bool:
+        """Whether every motion decays."""
+        return self.growing == 0
+
+    def verdict(self) -> str:
+        """Return one sentence: that there is no loop, and what rings."""
+        return (
+            f"axis {self.axis} has no loop: its valves set the speed of the piston; what it stands "
+            f"on rings at {self.shaped.frequency_hz:.4g} Hz, damping ratio "
+            f"{self.shaped.damping:.4g}" + ("" if self.stable else ", and some motion of it GROWS")
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content; None stands for what only a loop has."""
+        return {
+            "stable": self.stable,
+            "bandwidth_hz": None,
+            "gain_margin": None,
+            "phase_margin_deg": None,
+            "dc_gain": self.speed_m_s,
+            "verdict": self.verdict(),
+            "modes_hz": [m.frequency_hz for m in self.standing],
+            "modes_damping": [m.damping for m in self.standing],
+            "modes_free_hz": [m.frequency_hz for m in self.sliding],
+            "modes_free_damping": [m.damping for m in self.sliding],
+            "shaped_hz": self.shaped.frequency_hz,
+            "shaped_damping": self.shaped.damping,
+        }
+
+
+def analyse_cylinder(
+    machine: Machine,
+    axis: str,
+    values: Values | None = None,  # noqa: ARG001
+) -> CylinderAnalysis:
+    """Return the analysis of one cylinder.
+
+    Raises
+    ------
+    MachineError
+        If nothing under it rings, or its network cannot be analysed.
+    """
+    cylinder, plant = machine.cylinders[axis], cylinder_equations(machine, axis)
+    sliding = plant.sliding()[0]
+    poles = np.linalg.eigvals(sliding)
+    frequency_hz, damping = flow_mode(machine, axis)
+    return CylinderAnalysis(
+        axis=axis,
+        standing=_oscillations(plant.standing()[0]),
+        sliding=_oscillations(sliding),
+        shaped=Oscillation(frequency_hz=frequency_hz, damping=damping),
+        speed_m_s=cylinder.speed.si,
+        growing=int(np.count_nonzero(poles.real > DOUBLE * size_of(sliding))),
+    )
+
+
+def _oscillations(matrix: FloatArray) -> tuple[Oscillation, ...]:
+    poles = sorted(swinging(matrix), key=abs)
+    return tuple(
+        Oscillation(
+            frequency_hz=float(abs(pole)) / (2.0 * np.pi), damping=float(-pole.real / abs(pole))
+        )
+        for pole in poles
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToldAnalysis:
+    """What is known of an axis whose drive is told positions: it has no loop, its load rings.
+
+    Parameters
+    ----------
+    axis, drive
+        The axis and its drive.
+    locked
+        Modes of the load against the motor, which stands where it is told, the slowest first.
+    resonance_hz
+        At which a stepper without load swings about its step; None of a servo.
+    torque_n_m, torque_at_speed_n_m
+        What the drive has at standstill, and at the speed limit of the axis.
+    needed_n_m
+        What the axis asks for at its limits of speed and acceleration, links rigid.
+    """
+
+    axis: str
+    drive: str
+    locked: tuple[Oscillation, ...]
+    resonance_hz: float | None
+    torque_n_m: float
+    torque_at_speed_n_m: float
+    needed_n_m: float
+
+    @property
+    def stable(self) -> bool:
+        """There is no loop that could be unstable."""
+        return True
+
+    def verdict(self) -> str:
+        """Return one sentence: that there is no loop, what rings, and what torque there is."""
+        slowest = f"{self.locked[0].frequency_hz:.4g} Hz" if self.locked else "nowhere"
+        swing = (
+            ""
+            if self.resonance_hz is None
+            else f"; about its step the motor swings at {self.resonance_hz:.4g} Hz"
+        )
+        return (
+            f"axis {self.axis} has no loop: drives.{self.drive} is told positions, and its load "
+            f"rings at {slowest}{swing}; at the axis' limits it is asked for "
+            f"{self.needed_n_m:.3g} of {self.torque_at_speed_n_m:.3g} N m"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content; None stands for what only a loop has."""
+        return {
+            "stable": True,
+            "bandwidth_hz": None,
+            "gain_margin": None,
+            "phase_margin_deg": None,
+            "dc_gain": None,
+            "verdict": self.verdict(),
+            "modes_hz": [m.frequency_hz for m in self.locked],
+            "modes_damping": [m.damping for m in self.locked],
+            "step_resonance_hz": self.resonance_hz,
+            "torque": self.torque_n_m,
+            "torque_at_speed_limit": self.torque_at_speed_n_m,
+            "torque_needed": self.needed_n_m,
+        }
+
+
+def analyse_told(machine: Machine, axis: str, values: Values | None = None) -> ToldAnalysis:
+    """Return the analysis of an axis whose drive is told positions.
+
+    Raises
+    ------
+    MachineError
+        If its piece has a part that is not linear.
+    """
+    piece, part = piece_of(machine, axis, values), machine.axes[axis]
+    source = machine.position_sources[part.drive]
+    turns = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    speeds = np.array([0.0, part.velocity.si * turns])
+    still, fast = source.most_torque(speeds).tolist()
+    return ToldAnalysis(
+        axis=axis,
+        drive=part.drive,
+        locked=_oscillations(piece.matrix),
+        resonance_hz=resonance_hz(source, float(piece.inertia[piece.drives.index(part.drive)])),
+        torque_n_m=still,
+        torque_at_speed_n_m=fast,
+        needed_n_m=rigid_force(machine, axis, part.velocity.si, part.acceleration.si) / turns,
+    )
+
+
+ANALYSES: Mapping[str, Callable[[Machine, str, Values | None], Analysis]] = {
+    "linear": analyse_axis,
+    "rotary": analyse_axis,
+    "stepper": analyse_told,
+    "pulse-servo": analyse_told,
+    "cylinder": analyse_cylinder,
+}
+"""By what moves: how it is analysed."""
+
+
+def analyse_moving(machine: Machine, name: str, values: Values | None = None) -> Analysis:
+    """Return the analysis of whatever moves by that name.
+
+    Raises
+    ------
+    MachineError
+        If it cannot be analysed.
+    """
+    return ANALYSES[machine.moving[name]](machine, name, values)

@@ -1,0 +1,331 @@
+"""A proof as a file: hashes of all that it was made from, and its verdict.
+
+Two proofs are of the same thing when their hashes agree. ``docs/files.md`` says what each hash is
+of, so that another program can compare them; an executor asks ``check_proof`` before it moves.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from threadline import __version__
+from threadline.errors import Place, ProofError
+from threadline.machine import Machine, load_machine
+from threadline.machine.load import split_reference
+from threadline.machine.par import read_parameters
+from threadline.opening import read_text
+from threadline.options import options_from
+from threadline.pipeline import Proof, open_job, plan_job, with_shaping
+from threadline.plan import Plan
+from threadline.signals.files.common import Written, atomic_file, written
+from threadline.verdict import Spec, load_spec
+from threadline.verdict.present import criteria_json
+
+FORMAT = "threadline proof 1"
+_MAX_BYTES = 64 << 20
+_REPEATED = 20
+_NAMES = ("job", "machine", "par")
+"""What the options say of files: the proof has their hashes instead."""
+_PARTS = ("job", "machine", "actual", "options", "spec", "commands")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Something that is not what it was when the proof was made.
+
+    Parameters
+    ----------
+    what
+        ``"job"``, ``"machine"``, ``"actual"``, ``"options"``, ``"spec"``, ``"commands"`` or
+        ``"threadline"``.
+    name
+        Which one it is, as the proof names it.
+    proved, found
+        The hash (or version) that the proof has, and the one that is there now.
+    """
+
+    what: str
+    name: str
+    proved: str
+    found: str
+
+    def __str__(self) -> str:
+        if self.what == "threadline":
+            return f"threadline is version {self.found}, the proof is by {self.proved}"
+        return (
+            f"{self.what} {self.name!r} has the sha256 {self.found[:12] or 'none'}, the proof has "
+            f"{self.proved[:12] or 'none'}"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProofFile:
+    """A proof as it was read.
+
+    Parameters
+    ----------
+    path
+        The file; the names of other files in it count from its folder.
+    content
+        All that it says, as in ``docs/files.md``.
+    """
+
+    path: Path
+    content: Mapping[str, Any]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is that the work is in specification."""
+        return bool(self.content["verdict"]["passed"])
+
+    @property
+    def level(self) -> str:
+        """How far the verdict reaches: ``"nominal"``, ``"repeated"``, or a number of runs."""
+        return str(self.content["level"])
+
+    def sha256(self, what: str) -> str:
+        """Return the hash of one of its parts; empty where there is no such part."""
+        part = self.content[what]
+        return "" if part is None else str(part["sha256"])
+
+    def name(self, what: str) -> str:
+        """Return how one of its parts is called."""
+        part = self.content[what] or {}
+        return str(part.get("name", part.get("kind", what)))
+
+
+def proof_content(proof: Proof, folder: Path) -> dict[str, Any]:
+    """Return what the file of a proof in ``folder`` says; reads the commands once."""
+    plan = proof.plan
+    given = {key: value for key, value in plan.options.items() if key not in _NAMES}
+    content = {
+        "format": FORMAT,
+        "threadline": __version__,
+        "level": _level(proof.runs),
+        "runs": proof.runs,
+        "job": {
+            "name": plan.job.name,
+            "file": _beside(plan.job.file, folder),
+            "sha256": plan.job.sha256,
+        },
+        "machine": _machine(plan.machine, folder),
+        "actual": None if proof.actual is None else _machine(proof.actual, folder),
+        "options": {"given": given, "sha256": _canonical_sha256(given)},
+        "spec": {
+            "name": proof.spec.name,
+            "file": _beside(proof.spec.file, folder) if proof.spec.file else None,
+            "sha256": spec_sha256(proof.spec),
+        },
+        "commands": {
+            "kind": plan.machine.commanded_by,
+            "sha256": plan.commands.rows_sha256(),
+        },
+        "verdict": {
+            "passed": proof.verdict.passed,
+            "simulated": proof.verdict.simulated,
+            "criteria": criteria_json(proof.verdict),
+        },
+    }
+    return {**content, "sha256": _canonical_sha256(content)}
+
+
+def write_proof(proof: Proof, path: str | Path) -> Written:
+    """Write a proof as a file; equal proofs give equal bytes.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    path = Path(path)
+    content = proof_content(proof, path.parent)
+    with atomic_file(path) as file:
+        text = json.dumps(content, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+        file.write(f"{text}\n".encode())
+    return written(path)
+
+
+def read_proof(path: str | Path) -> ProofFile:
+    """Read the file of a proof.
+
+    Raises
+    ------
+    ProofError
+        If it is none, or was changed since it was written.
+    """
+    path = Path(path)
+    place = Place(str(path))
+    text = read_text(path, _MAX_BYTES, ProofError, "proof")
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise ProofError("the file is no JSON", place=place, remedy="Give a proof.") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ProofError(
+            f"the file does not say that it is a {FORMAT!r}",
+            place=place,
+            remedy="Write one with threadline prove --proof FILE.",
+        )
+    rest = {key: value for key, value in content.items() if key != "sha256"}
+    if content.get("sha256") != _canonical_sha256(rest):
+        raise ProofError(
+            "the file was changed since it was written: it does not have the sha256 that it says",
+            place=place,
+            remedy="Prove the job again.",
+        )
+    return ProofFile(path=path, content=content)
+
+
+def check_proof(
+    proof: ProofFile | str | Path, plan: Plan, spec: Spec, actual: Machine | None = None
+) -> tuple[Difference, ...]:
+    """Return what differs between a proof and what is about to be done; empty when nothing does.
+
+    Parameters
+    ----------
+    proof
+        The proof, or its file.
+    plan
+        What is about to be done; its commands are read once.
+    spec
+        What it is asked to keep.
+    actual
+        The machine that runs the plan, where it isn't the one that it was made for.
+
+    Raises
+    ------
+    ProofError
+        If the file is no proof.
+    """
+    known = proof if isinstance(proof, ProofFile) else read_proof(proof)
+    given = {key: value for key, value in plan.options.items() if key not in _NAMES}
+    found = {
+        "job": plan.job.sha256,
+        "machine": plan.machine.sha256,
+        "actual": "" if actual is None else actual.sha256,
+        "options": _canonical_sha256(given),
+        "spec": spec_sha256(spec),
+        "commands": plan.commands.rows_sha256(),
+    }
+    differences = [
+        Difference(what, known.name(what), known.sha256(what), found[what])
+        for what in _PARTS
+        if known.sha256(what) != found[what]
+    ]
+    if known.content["threadline"] != __version__:
+        told = str(known.content["threadline"])
+        differences.append(Difference("threadline", "threadline", told, __version__))
+    return tuple(differences)
+
+
+def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
+    """Plan again from the files that a proof names, and return what differs from it.
+
+    Raises
+    ------
+    ProofError
+        If the file is no proof.
+    InputError
+        If one of the files that it names cannot be read, or the job cannot be planned any more.
+    """
+    known = proof if isinstance(proof, ProofFile) else read_proof(proof)
+    folder = known.path.parent
+    content = known.content
+    machine = _load(content["machine"], folder)
+    actual = None if content["actual"] is None else _load(content["actual"], folder)
+    file = content["spec"]["file"]
+    options = options_from(content["options"]["given"])
+    spec = load_spec(None if file is None else folder / file, machine)
+    job = open_job(folder / content["job"]["file"], machine, options)
+    early = _early(known, job.sha256, machine, actual)
+    if early:
+        # The plan of something else would only say again that it is something else.
+        return early
+    plan = plan_job(job, machine, options)
+    return check_proof(known, plan, with_shaping(spec, machine, options), actual)
+
+
+def spec_sha256(spec: Spec) -> str:
+    """Return the hash of what is asked: name, lag and every criterion, as they are in force."""
+    criteria = [
+        [
+            criterion.name,
+            criterion.axis,
+            criterion.step,
+            None if criterion.limit is None else repr(float(criterion.limit)),
+            criterion.required,
+            criterion.hard,
+            criterion.every_axis,
+            {key: repr(float(value)) for key, value in criterion.options.items()},
+        ]
+        for criterion in spec.criteria
+    ]
+    content = {"name": spec.name, "lag_s": repr(float(spec.lag_s)), "criteria": criteria}
+    return _canonical_sha256(content)
+
+
+def _early(
+    known: ProofFile, job_sha256: str, machine: Machine, actual: Machine | None
+) -> tuple[Difference, ...]:
+    found = {
+        "job": job_sha256,
+        "machine": machine.sha256,
+        "actual": "" if actual is None else actual.sha256,
+    }
+    return tuple(
+        Difference(what, known.name(what), known.sha256(what), sha256)
+        for what, sha256 in found.items()
+        if known.sha256(what) != sha256
+    )
+
+
+def _level(runs: int) -> str:
+    if runs == 1:
+        return "nominal"
+    return "repeated" if runs >= _REPEATED else f"{runs} runs"
+
+
+def _machine(machine: Machine, folder: Path) -> dict[str, Any]:
+    name, overlays = split_reference(machine.reference)
+    if name.endswith(".toml"):
+        name = _beside(name, folder)
+    return {
+        "name": machine.name,
+        "reference": "+".join([name, *overlays]),
+        "par": _beside(machine.parameters, folder) if machine.parameters else None,
+        "sha256": machine.sha256,
+    }
+
+
+def _load(told: Mapping[str, Any], folder: Path) -> Machine:
+    name, overlays = split_reference(str(told["reference"]))
+    if name.endswith(".toml"):
+        name = os.path.normpath(folder / name)
+    machine = load_machine("+".join([name, *overlays]))
+    return machine if told["par"] is None else read_parameters(folder / told["par"], machine)
+
+
+def _beside(file: str, folder: Path) -> str:
+    """Return a file as it is called from ``folder``; from the root where that cannot be said."""
+    try:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # on another drive
+        return Path(file).absolute().as_posix()
+
+
+def _canonical_sha256(content: Any) -> str:
+    """Return the SHA-256 of JSON with sorted keys and no blanks, in UTF-8."""
+    text = json.dumps(
+        content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"{text} is no number")

@@ -1,0 +1,161 @@
+"""What a recording is judged by: the plan that it says it was made with, or that is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import file_digest
+from pathlib import Path
+
+from threadline.errors import OptionError
+from threadline.jobs.operations import Job
+from threadline.machine import Machine, load_machine
+from threadline.machine.par import read_parameters
+from threadline.options import (
+    DEFAULT_INTERPOLATION,
+    DEFAULT_TOLERANCE,
+    FEED_FORWARD,
+    options_from,
+)
+from threadline.pipeline import open_job, plan_job, with_shaping
+from threadline.plan import Plan
+from threadline.signals import Recording
+from threadline.signals.files import read_recording
+from threadline.verdict import Spec, Verdict, judge, load_spec
+
+_ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
+_PLANNED_WITH = (*_ALWAYS_SAID, "feed-mode", "shaper", "mode", "damping", "feed-forward")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """Recordings of one job, the plan that they were judged by, what was asked, and the verdict."""
+
+    recordings: tuple[Recording, ...]
+    plan: Plan
+    spec: Spec
+    verdict: Verdict
+
+
+def judge_files(
+    recordings: Sequence[Path],
+    given: Mapping[str, str | None],
+    spec: Path | None = None,
+    *,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+) -> Judged:
+    """Judge recordings of one and the same job.
+
+    Parameters
+    ----------
+    recordings
+        Their files.
+    given
+        What is said of the plan, by the names that ``describe`` gives; None is what the recording
+        says of itself, or the default.
+    spec
+        The file of the specification; None is the machine's own.
+    feed_forward, smoothing
+        The table was made with feed-forward, and over which time it smoothed.
+
+    Raises
+    ------
+    OptionError
+        If a recording does not say of which job and machine it is, or says that it is of others.
+    InputError
+        If a file cannot be read.
+    """
+    _refuse_copies(recordings)
+    read = [read_recording(path) for path in recordings]
+    given = {**given, "feed-forward": smoothing}
+    if smoothing is not None and not feed_forward and "feed-forward" not in read[0].origin:
+        raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
+    if feed_forward and smoothing is None:
+        given["feed-forward"] = read[0].origin.get("feed-forward", FEED_FORWARD)
+    origin = _origin(recordings[0], read[0], given)
+    settings = Path(origin["par"]) if "par" in origin else None
+    chosen = _machine(origin["machine"], settings)
+    ran = _machine(origin["actual"], settings) if "actual" in origin else chosen
+    options = options_from(origin)
+    for path, recording in zip(recordings, read, strict=True):
+        _refuse_other_options(path, recording.origin, origin)
+    plan = plan_job(open_job(Path(origin["job"]), chosen, options), chosen, options)
+    for path, recording in zip(recordings, read, strict=True):
+        _refuse_other_files(path, recording, plan.job, ran)
+    asked = with_shaping(load_spec(spec, chosen), chosen, options)
+    verdict = judge(read, plan, asked)
+    return Judged(recordings=tuple(read), plan=plan, spec=asked, verdict=verdict)
+
+
+def _machine(reference: str, par: Path | None) -> Machine:
+    machine = load_machine(reference)
+    return machine if par is None else read_parameters(par, machine)
+
+
+def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
+    """Return of what it is a recording: what was given, what it says itself, the defaults."""
+    found = {
+        "interpolation": DEFAULT_INTERPOLATION,
+        "feed": "programmed",
+        "tolerance": DEFAULT_TOLERANCE,
+        **recording.origin,
+        **{key: text for key, text in given.items() if text is not None},
+    }
+    for key, option in (("job", "--job"), ("machine", "--machine")):
+        if key not in found:
+            raise OptionError(
+                f"{path.name} does not say which {key} it is a recording of",
+                remedy=f"Give it with {option}.",
+            )
+    return found
+
+
+def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
+    """Refuse a job or a machine that is not, to the byte, the one that was run."""
+    if recording.job_sha256 and recording.job_sha256 != job.sha256:
+        raise OptionError(
+            f"{path.name} was recorded from another version of {job.name} "
+            f"(sha256 {recording.job_sha256[:12]}, now {job.sha256[:12]})",
+            remedy="Give the job file that was run with --job.",
+        )
+    if recording.machine_sha256 and recording.machine_sha256 != ran.sha256:
+        raise OptionError(
+            f"{path.name} was recorded on another machine, or another version of its file, "
+            f"than {ran.name} (sha256 {recording.machine_sha256[:12]}, now {ran.sha256[:12]})",
+            remedy="Give the machine file of the run with --machine, and what else it was made "
+            "with: --par, --actual.",
+        )
+
+
+def _refuse_copies(recordings: Sequence[Path]) -> None:
+    """Refuse one run given twice: copies repeat themselves perfectly, machines do not."""
+    seen: dict[str, Path] = {}
+    for path in recordings if len(recordings) > 1 else ():
+        if path.is_file():
+            with path.open("rb") as file:
+                other = seen.setdefault(file_digest(file, "sha256").hexdigest(), path)
+            if other is not path:
+                raise OptionError(
+                    f"{path.name} holds the same bytes as {other.name}: it is the same run",
+                    remedy="Give every run once.",
+                )
+
+
+def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[str, str]) -> None:
+    """Refuse a plan made with other options than the run that is to be judged by it."""
+    if not recorded:
+        return  # of another controller: it says nothing of a plan
+    for key in _PLANNED_WITH:
+        ours = {name: text for name, text in chosen.items() if name != key}
+        if key in recorded:
+            ours[key] = recorded[key]
+        elif key in _ALWAYS_SAID:
+            continue
+        if options_from(ours) != options_from(chosen):
+            raise OptionError(
+                f"{path.name} was recorded with {key} {recorded.get(key, 'none')}, "
+                f"not {chosen.get(key, 'none')}",
+                remedy="Judge each run against its own plan: leave the option out, "
+                "and give runs with other options apart.",
+            )

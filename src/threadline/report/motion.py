@@ -1,0 +1,152 @@
+"""The report of a proof of axes with a path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from threadline.control import Demand
+from threadline.pipeline import Proof
+from threadline.plan import Plan
+from threadline.report.document import (
+    Document,
+    Table,
+    options_facts,
+    origin_facts,
+    write_document,
+)
+from threadline.report.figures import all_figures
+from threadline.report.seam import seam_figure
+from threadline.report.style import figure_style
+from threadline.report.traces import collect
+from threadline.targets import calculate
+from threadline.units import without_noise
+from threadline.verdict import closing, verdict_rows
+
+
+def write_motion(proof: Proof, folder: Path) -> Path:
+    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    plan = proof.plan
+    with figure_style():
+        traces = collect(proof)
+        header, rows = verdict_rows(proof.verdict)
+        figures = all_figures(proof, traces)
+        seam = seam_figure(proof)
+        if seam is not None:
+            figures = {"seam": seam, **figures}
+        thinned = "" if traces.stride == 1 else f" One sample in {traces.stride} is drawn."
+        document = Document(
+            title=f"{plan.job.name} on {plan.machine.name}",
+            subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
+            f"feed {plan.options.get('feed', 'programmed')}",
+            verdicts=[(closing(proof.verdict), proof.verdict.passed)],
+            warnings=plan.job.warnings,
+            tables=[
+                Table(title="Criteria", header=header, rows=rows),
+                Table(
+                    title="The job",
+                    header=("", ""),
+                    rows=[
+                        [part.strip() for part in line.split(":", 1)]
+                        for line in [*motion_lines(plan), *calculate(plan).lines()]
+                    ],
+                ),
+            ],
+            figures=figures,
+            captions={
+                name: _caption(name) + ("" if name == "seam" else thinned) for name in figures
+            },
+            facts=facts(proof),
+        )
+        return write_document(document, folder, "report")
+
+
+def about_motion(proof: Proof) -> list[str]:
+    """Return the lines that stand below the verdict: what it asks of drives and controllers."""
+    plan = proof.plan
+    added = plan.motion.path.summary.get("points_added")
+    return [
+        *feed_forward_lines(plan.motion.demands),
+        *motion_lines(plan),
+        *calculate(plan).lines(),
+        *([] if added is None else [_points_line(added)]),
+    ]
+
+
+def _points_line(added: float) -> str:
+    return f"Points added:         {added:.0f} (path_deviation is what is left, and where)"
+
+
+def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
+    """Yield a line per axis: what its model needs, and which limit is nearest."""
+    for demand in demands:
+        current = (
+            f"{demand.current_a:.1f} A of {demand.current_limit_a:g} A, "
+            if demand.current_a is not None
+            else ""
+        )
+        yield (
+            f"feed-forward, {demand.axis}:".ljust(22)
+            + f"{current}{demand.volts:.2f} V of {demand.volt_limit:g} V "
+            f"({demand.share:.0%} of the {demand.bound_by})"
+        )
+
+
+def motion_lines(plan: Plan) -> list[str]:
+    """Return the line that says how long the motion is, where the table is longer."""
+    if plan.motion.of_loads is None:
+        return []
+    begin_s, end_s = plan.motion.moving_s
+    return [
+        f"Motion:               {end_s - begin_s:.4g} s, from {begin_s:.3f} s to {end_s:.3f} s of "
+        f"a table of {plan.duration_s:.4g} s: feed-forward begins before it and goes "
+        "on until what it set swinging has decayed"
+    ]
+
+
+def facts(proof: Proof) -> list[tuple[str, str]]:
+    """Return what is needed to make a proof again."""
+    return [*shared_facts(proof), *summary_facts(proof)]
+
+
+def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str, str]]:
+    """Return versions, files and options, but for options that are told elsewhere."""
+    plan = proof.plan
+    return [
+        *origin_facts(plan.machine, plan.job),
+        ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        *options_facts(plan.options, plan.machine, leave_out),
+    ]
+
+
+def summary_facts(proof: Proof) -> list[tuple[str, str]]:
+    """Return what the planner says of its path."""
+    summary = proof.plan.motion.path.summary
+    return [(key, f"{without_noise(value):g}") for key, value in summary.items()]
+
+
+def _caption(name: str) -> str:
+    if name == "seam":
+        return (
+            "Each mark is a needle-down, its shape and size by how much of its limits the stitch "
+            "uses: the length error, unless it is exempt, or the distance from the seam."
+        )
+    if name.startswith("path-"):
+        return "Programmed points, planned path, and where the driven mass went."
+    if name.startswith("profile-"):
+        return (
+            "Planned and actual displacement, velocity and acceleration; actual velocity and "
+            "acceleration are differences over one tick. Where the planned velocity steps, its "
+            "acceleration is infinite, and not drawn."
+        )
+    return (
+        "Contour and tracking error along the job with the worst place and its program line, and "
+        "each measured figure as a share of its limit. The contour error is the largest of each "
+        "two-thousandth of the job."
+    )

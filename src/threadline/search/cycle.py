@@ -1,0 +1,172 @@
+"""The shortest cycle of an on/off machine in spec: the command of every move, and the waits.
+
+Candidates come first by the closed form of what they leave ringing, then by the twin. What the twin
+measures beyond the closed form (a piston that runs into its stop, friction, air that is not linear)
+is added to the forecast of the next round, so that a handful of simulations suffice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.errors import OptionError, PlanError, RecordingError
+from threadline.jobs.operations import Job, Move
+from threadline.machine import Machine
+from threadline.options import Options
+from threadline.pipeline import Progress, Proof, plan_job, prove_plan
+from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
+from threadline.search.fastest import RANGE
+from threadline.search.move_list import with_choices
+from threadline.verdict import Spec, Status
+
+_ROUNDS = 14
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FastestCycle:
+    """What a search found.
+
+    Parameters
+    ----------
+    job
+        The job with the commands and waits of the fastest; None where no cycle is in spec.
+    proof
+        Of it; where none is in spec, of the one that came closest.
+    unshaped
+        Proof of the job as it is, without a shaper.
+    moves
+        Every move, in order.
+    limited_by
+        What fails in the next faster cycle that was tried; ``"range"`` where none was.
+    tried
+        Cycles that the twin ran.
+    """
+
+    job: Job | None
+    proof: Proof
+    unshaped: Proof
+    moves: tuple[MoveChoice, ...]
+    limited_by: str
+    tried: int
+
+    @property
+    def cycle_s(self) -> float | None:
+        """Duration of the fastest cycle in spec."""
+        return None if self.job is None else cycle_s(self.proof)
+
+
+def cycle_s(proof: Proof) -> float:
+    """Return how long the cycle of a proof took, as it was simulated where that was measured."""
+    found = [r.measured for r in proof.verdict.results if r.name == "cycle_time"]
+    return found[0] if found and found[0] is not None else proof.plan.duration_s
+
+
+def fastest_cycle(
+    job: Job, machine: Machine, spec: Spec, *, progress: Progress | None = None
+) -> FastestCycle:
+    """Search commands and waits of every move together; the shortest cycle in spec wins.
+
+    Parameters
+    ----------
+    job
+        A move list; what it says itself of its moves is not kept.
+    spec
+        Its limits of the residual vibration lead the search; the twin is judged by all of it.
+
+    Raises
+    ------
+    PlanError, RecordingError
+        If the machine cannot do the job even without a shaper, or does not come to its end.
+    OptionError
+        If several cylinders move at once.
+    """
+    _check_one_by_one(job)
+    plain = with_choices(job, {}, {})
+    unshaped = prove_plan(plan_job(plain, machine, Options()), spec)
+    forecast = CycleForecast(job, machine, spec, unshaped.plan.scheduled)
+    best: tuple[Job, Proof, Cycle] | None = None
+    closest: tuple[float, Proof, Cycle | None] = (_excess(unshaped), unshaped, None)
+    limited_by = RANGE if unshaped.verdict.passed else _failing(unshaped)
+    if unshaped.verdict.passed:
+        return FastestCycle(
+            job=plain,
+            proof=unshaped,
+            unshaped=unshaped,
+            moves=forecast.told(None),
+            limited_by=RANGE,
+            tried=1,
+        )
+    tried = 1
+    for round_ in range(_ROUNDS):
+        if progress is not None:
+            progress("cycles", round_ / _ROUNDS)
+        cycle = forecast.next()
+        if cycle is None:
+            break
+        chosen = forecast.job_of(cycle)
+        tried += 1
+        try:
+            proof = prove_plan(plan_job(chosen, machine, Options()), spec)
+        except (PlanError, RecordingError):
+            continue  # its valves cannot, or an input that it waits for never comes
+        if proof.verdict.passed:
+            best = chosen, proof, cycle
+            break
+        limited_by = _failing(proof)
+        if _excess(proof) < closest[0]:
+            closest = _excess(proof), proof, cycle
+        forecast.learn(cycle, proof)
+    if best is None:
+        return FastestCycle(
+            job=None,
+            proof=closest[1],
+            unshaped=unshaped,
+            moves=forecast.told(closest[2]),
+            limited_by=_failing(closest[1]),
+            tried=tried,
+        )
+    return FastestCycle(
+        job=best[0],
+        proof=best[1],
+        unshaped=unshaped,
+        moves=forecast.told(best[2]),
+        limited_by=limited_by,
+        tried=tried,
+    )
+
+
+def _check_one_by_one(job: Job) -> None:
+    """Refuse moves of several cylinders at once: their commands are found one after the other."""
+    position = job.start
+    for operation in job:
+        if isinstance(operation, Move):
+            moved = [
+                a for a, f, t in zip(job.axes, position, operation.target, strict=True) if f != t
+            ]
+            if len(moved) > 1:
+                raise OptionError(
+                    f"{operation.source.place}: {' and '.join(moved)} move at once, and the "
+                    "search takes one cylinder after the other",
+                    remedy="Write them as two operations.",
+                )
+            position = operation.target
+
+
+def _failing(proof: Proof) -> str:
+    failed = [r for r in proof.verdict.results if r.status is Status.FAILED]
+    worst = max(failed, key=lambda result: result.severity, default=None)
+    lacking = [r for r in proof.verdict.results if r.required and r.measured is None]
+    return worst.name if worst else lacking[0].name if lacking else ""
+
+
+def _excess(proof: Proof) -> float:
+    return max(
+        (
+            r.measured / r.limit if r.limit else np.inf
+            for r in proof.verdict.results
+            if r.status is Status.FAILED and r.measured is not None
+        ),
+        default=np.inf,
+    )

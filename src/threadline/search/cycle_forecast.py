@@ -1,0 +1,255 @@
+"""The next cycle to try, by a forecast of what every move leaves ringing that the twin corrects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.pipeline import Proof
+from threadline.plant.pneumatic import step_ringing
+from threadline.search.levels import LevelCommand, time_optimal_s
+from threadline.search.move_commands import MoveCommands, step_scans
+from threadline.search.move_list import with_choices
+from threadline.signals import ChannelKind
+from threadline.targets.schedule import REST_LAGS, Scheduled, ScheduledMove
+from threadline.targets.schedule_moves import levels_text
+from threadline.verdict import Spec
+from threadline.verdict.switch_run import SwitchRun
+
+_BEAM = 300
+_BRANCHES = 24  # commands and waits that are followed behind each state
+_GRID = 0.25  # of the limit: states that ring alike to that are one
+_LONGEST_WAIT = 6  # steps: a longer one costs more than another command
+_MEASURE = "residual_vibration"
+_LESS = 0.93
+_LEAST_SEEN = 0.7  # of a period: less does not tell amplitude and rest apart
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveChoice:
+    """What was chosen for a move, beside what it is measured against.
+
+    Parameters
+    ----------
+    step, axis, distance_m, job_line
+        Of the move.
+    how
+        A shaper's text, ``none``, or levels as a move list writes them.
+    command_s, wait_s
+        Duration of its command, and how long is waited before it.
+    unshaped_s, time_optimal_s
+        Of the unshaped command, and of the shortest one that leaves nothing ringing.
+    """
+
+    step: str
+    axis: str
+    distance_m: float
+    job_line: int
+    how: str
+    command_s: float
+    wait_s: float
+    unshaped_s: float
+    time_optimal_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """Commands and waits, per move in order, and the ringing forecast behind each, in steps."""
+
+    commands: tuple[LevelCommand, ...]
+    waits: tuple[int, ...]
+    left: tuple[complex, ...]
+    scans: int
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    cost: int
+    ringing: Mapping[str, complex]
+    commands: tuple[LevelCommand, ...] = ()
+    waits: tuple[int, ...] = ()
+    left: tuple[complex, ...] = ()
+
+
+class CycleForecast:
+    """Everything that stays from round to round; lives as long as ``fastest_cycle`` runs."""
+
+    def __init__(self, job: Job, machine: Machine, spec: Spec, base: Scheduled) -> None:
+        self._job, self._machine, self._base = job, machine, base
+        self._scan_s = float(base.commands.clock.period_s)
+        axes = {move.axis for move in base.moves}
+        self._ringing = {axis: step_ringing(machine, axis) for axis in axes}
+        self._turn = {a: complex(np.exp(r.pole * self._scan_s)) for a, r in self._ringing.items()}
+        self._limits = [self._limit(spec, move) for move in base.moves]
+        self._share = dict.fromkeys(axes, 1.0)
+        self._bias = [0j] * len(base.moves)
+        self._tried: set[tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]] = set()
+        commands = MoveCommands(job, machine, self._scan_s, self._turn)
+        self._commands = [
+            commands.of(move, limit) for move, limit in zip(base.moves, self._limits, strict=True)
+        ]
+
+    def _limit(self, spec: Spec, move: ScheduledMove) -> float:
+        """Return how much may ring behind a move, in steps."""
+        own = [
+            c.limit
+            for c in spec.criteria
+            if c.name == _MEASURE and c.limit is not None and c.axis in {"", move.axis}
+            and c.step in {"", move.step}
+        ]  # fmt: skip
+        return min(own, default=np.inf) / abs(self._ringing[move.axis].amplitude_m)
+
+    def next(self) -> Cycle | None:
+        """Return the shortest cycle whose forecast is within the limits and was not tried."""
+        states = [_State(0, dict.fromkeys(self._turn, 0j))]
+        for index, move in enumerate(self._base.moves):
+            states = _kept(
+                [after for state in states for after in self._after(state, index, move)],
+                {m.axis: self._limits[i] for i, m in enumerate(self._base.moves)},
+            )
+        for state in sorted(states, key=lambda s: s.cost):
+            key = tuple(c.ticks for c in state.commands), state.waits
+            if key not in self._tried:
+                self._tried.add(key)
+                return Cycle(state.commands, state.waits, state.left, state.cost)
+        return None
+
+    def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
+        """Return what may follow a state: every command behind every wait within the limit."""
+        axis, sign = move.axis, 1.0 if move.forward else -1.0
+        pause = self._pause(index)
+        most = self._share[axis] * self._limits[index]
+        commands = self._commands[index]
+        left = sign * np.array([command.left for command in commands]) + self._bias[index]
+        scans = np.array([command.scans for command in commands])
+        turn = self._turn[axis]
+        quiet = abs(state.ringing[axis]) < 1e-9
+        waits = np.arange(1 if quiet else _LONGEST_WAIT + 1) * step_scans(turn)
+        elapsed = pause + waits[:, None] + scans
+        behind = state.ringing[axis] * np.exp(np.log(turn) * elapsed) + left
+        row, column = np.nonzero(np.abs(behind) <= most)
+        cost = waits[row] + scans[column]
+        best = np.lexsort((np.abs(behind[row, column]), cost))[:_BRANCHES]
+        found = []
+        for line, at in zip(row[best].tolist(), column[best].tolist(), strict=True):
+            command, wait = commands[at], int(waits[line])
+            gone = pause + wait + command.scans
+            ringing = {a: s * self._turn[a] ** gone for a, s in state.ringing.items()}
+            ringing[axis] = complex(behind[line, at])
+            found.append(
+                _State(
+                    state.cost + wait + command.scans,
+                    ringing,
+                    (*state.commands, command),
+                    (*state.waits, wait),
+                    (*state.left, ringing[axis]),
+                )
+            )
+        return found
+
+    def _pause(self, index: int) -> int:
+        """Return the scans between the move before and this one, as scheduled unshaped."""
+        if not index:
+            return 0
+        before, now = self._base.moves[index - 1], self._base.moves[index]
+        return max(now.first_tick - before.last_tick, 0)
+
+    def learn(self, cycle: Cycle, proof: Proof) -> None:
+        """Take over what the twin found beyond the forecast; ask for less where that is unknown."""
+        run = SwitchRun(proof.recording, proof.plan)
+        known: dict[str, tuple[float, complex]] = {}
+        learned = False
+        for index, move in enumerate(run.moves):
+            axis, sign = move.planned.axis, 1.0 if move.planned.forward else -1.0
+            before_s, before = known.get(axis, (move.end_s, 0j))
+            aged = before * np.exp(self._ringing[axis].pole * (move.end_s - before_s))
+            forecast = complex(aged + sign * cycle.commands[index].left)
+            found = self._measured(run, index)
+            if found is None:
+                known[axis] = move.end_s, forecast + self._bias[index]
+                continue
+            known[axis] = move.end_s, found
+            fresh = found - forecast
+            learned = learned or abs(fresh - self._bias[index]) > 0.02 * self._limits[index]
+            self._bias[index] = fresh
+        if not learned:
+            for axis in self._share:
+                self._share[axis] *= _LESS
+
+    def _measured(self, run: SwitchRun, index: int) -> complex | None:
+        """Return the ringing behind a move at its last switching, in steps, by least squares."""
+        move = run.moves[index]
+        axis = move.planned.axis
+        frame, ringing = run.find(ChannelKind.FRAME, axis), self._ringing[axis]
+        later = [m.begin_s for m in run.moves[index + 1 :] if m.planned.axis == axis]
+        if frame is None:
+            return None
+        period_s = 2.0 * np.pi / ringing.pole.imag
+        cylinder = self._machine.cylinders[axis]
+        begin_s = move.end_s + cylinder.delay.si + REST_LAGS * cylinder.lag.si
+        end_s = min([*later, begin_s + period_s, float(frame[0][-1])])
+        if end_s - begin_s < _LEAST_SEEN * period_s:
+            return None
+        inside = (frame[0] >= begin_s) & (frame[0] <= end_s)
+        time_s = frame[0][inside] - (move.end_s + cylinder.delay.si)
+        wave = np.exp(ringing.pole * time_s) * ringing.amplitude_m
+        rows = np.column_stack((wave.real, -wave.imag, np.ones(len(time_s))))
+        real, imag, _ = np.linalg.lstsq(rows, frame[1][inside], rcond=None)[0]
+        return complex(real, imag)
+
+    def job_of(self, cycle: Cycle) -> Job:
+        """Return the job with the commands and waits of a cycle."""
+        how, waits = {}, {}
+        for move, command, wait in zip(self._base.moves, cycle.commands, cycle.waits, strict=True):
+            how[move.operation] = self._how(move, command)
+            waits[move.operation] = wait * self._scan_s
+        return with_choices(self._job, how, waits)
+
+    def _how(self, move: ScheduledMove, command: LevelCommand) -> tuple[str, str]:
+        if command.name != "levels":
+            return "shaper", command.name
+        levels = replace(move.levels, ticks=command.ticks, levels=command.levels, realised=None)
+        return "levels", levels_text(levels, self._scan_s)
+
+    def told(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
+        """Return every move with what was chosen for it; as it is unshaped without a cycle."""
+        lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
+        optimal: dict[tuple[str, int], float] = {}
+        rows = []
+        for index, move in enumerate(self._base.moves):
+            scans = move.levels.ticks[-1]
+            key = move.axis, scans
+            if key not in optimal:
+                pole = self._ringing[move.axis].pole
+                optimal[key] = time_optimal_s(scans * self._scan_s, pole)
+            command = None if cycle is None else cycle.commands[index]
+            rows.append(
+                MoveChoice(
+                    step=move.step,
+                    axis=move.axis,
+                    distance_m=move.levels.wanted_m * (1.0 if move.forward else -1.0),
+                    job_line=lines[move.operation],
+                    how="none" if command is None else self._how(move, command)[1],
+                    command_s=(scans if command is None else command.scans) * self._scan_s,
+                    wait_s=0.0 if cycle is None else cycle.waits[index] * self._scan_s,
+                    unshaped_s=scans * self._scan_s,
+                    time_optimal_s=optimal[key],
+                )
+            )
+        return tuple(rows)
+
+
+def _kept(states: list[_State], limits: Mapping[str, float]) -> list[_State]:
+    """Return the cheapest states, of those that ring alike only the cheapest."""
+    seen: dict[tuple[int, ...], _State] = {}
+    for state in sorted(states, key=lambda s: (s.cost, sum(map(abs, s.ringing.values())))):
+        place: tuple[int, ...] = ()
+        for axis, ringing in state.ringing.items():
+            grid = _GRID * limits[axis] if np.isfinite(limits[axis]) else 1.0
+            place += round(ringing.real / grid), round(ringing.imag / grid)
+        seen.setdefault(place, state)
+    return sorted(seen.values(), key=lambda s: s.cost)[:_BEAM]

@@ -1,0 +1,148 @@
+"""Commands that a move of a cylinder may have, and what each leaves ringing: in closed form.
+
+Open flow controls set a speed, so that each change of the level by h rings on by itself:
+``h exp(pole (t - t_i))`` in units of one full step. A sum of such terms, at the last switching, is
+all that counts of a command. Every command here covers the same distance as the unshaped one,
+because level times duration is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+
+_LONGEST_PERIODS = 1.6
+"""A command is at most this many periods longer than the unshaped one: a shaper is not."""
+_INTERVALS = 800
+
+
+@dataclass(frozen=True, slots=True)
+class LevelCommand:
+    """A command of one move.
+
+    Parameters
+    ----------
+    name
+        A shaper's text, or ``levels``.
+    ticks, levels
+        Level from each scan on, the last 0.
+    left
+        Complex ringing at its last switching, in units of one full step.
+    """
+
+    name: str
+    ticks: tuple[int, ...]
+    levels: tuple[float, ...]
+    left: complex
+
+    @property
+    def scans(self) -> int:
+        """Duration in scans."""
+        return self.ticks[-1]
+
+
+def left_ringing(ticks: Sequence[int], levels: Sequence[float], turn: complex) -> complex:
+    """Return what a command leaves at its last switching.
+
+    Parameters
+    ----------
+    turn
+        By what ringing is multiplied in one scan: ``exp(pole scan)``.
+    """
+    heights = np.diff(levels, prepend=0.0)
+    to_go = ticks[-1] - np.asarray(ticks, dtype=np.float64)
+    return complex(np.sum(heights * np.exp(np.log(turn) * to_go)))
+
+
+def gapped(
+    on: int, dwell: int, turn: complex, most: float, total: int, step: int = 1
+) -> list[LevelCommand]:
+    """Return on/off commands of ``on`` scans with one or two gaps that leave at most ``most``.
+
+    Each stretch and each gap takes ``dwell`` scans at least; the gaps together are ``total``. Of
+    the places and sizes of gaps every ``step``-th is looked at.
+    """
+    found = []
+    log, end = np.log(turn), on + total
+    first = np.arange(dwell, on - dwell + 1, step)
+    for edges in _one_and_two(first, on, total, np.arange(dwell, total - dwell + 1, step)):
+        heights = np.tile([1.0, -1.0], edges.shape[1] // 2)
+        left = np.exp(log * (end - edges)) @ heights
+        for row in np.flatnonzero(np.abs(left) <= most):
+            ticks = edges[row].tolist()
+            levels = tuple(float(v) for v in np.tile([1.0, 0.0], len(ticks) // 2))
+            found.append(LevelCommand("levels", tuple(ticks), levels, complex(left[row])))
+    return found
+
+
+def _one_and_two(first: IntArray, on: int, total: int, gaps: IntArray) -> Iterator[IntArray]:
+    """Yield (n, edges) switchings of commands with one gap, then with two, ``total`` in all."""
+    end = on + total
+    if not len(first):
+        return
+    zero = np.zeros_like(first)
+    yield np.column_stack((zero, first, first + total, zero + end))
+    if not len(gaps):
+        return
+    a, b, gap = (v.ravel() for v in np.meshgrid(first, first, gaps, indexing="ij"))
+    fits = a + b <= on - first[0]
+    a, b, gap = a[fits], b[fits], gap[fits]
+    begin = np.zeros_like(a)
+    second = a + gap
+    yield np.column_stack((begin, a, second, second + b, second + b + total - gap, begin + end))
+
+
+def stepped(
+    on: int, dwell: int, turn: complex, most: float, pairs: Sequence[tuple[float, float]]
+) -> list[LevelCommand]:
+    """Return commands that begin at one level and end at another, which add up to 1.
+
+    ``on`` scans of level 1 in the unshaped command; the first and last stretch are equally long.
+    """
+    found = []
+    longest = int(_LONGEST_PERIODS * period_scans(turn))
+    for begin, end in pairs:
+        for span in range(dwell, min(on - dwell, longest) + 1):
+            ticks = (0, span, on, on + span)
+            levels = (begin, 1.0, end, 0.0)
+            left = left_ringing(ticks, levels, turn)
+            if abs(left) <= most:
+                found.append(LevelCommand("levels", ticks, levels, left))
+    return found
+
+
+def period_scans(turn: complex) -> float:
+    """Return the period of what rings, in scans."""
+    return float(2.0 * np.pi / np.angle(turn))
+
+
+def time_optimal_s(on_s: float, pole: complex) -> float:
+    """Return the shortest duration of any command that leaves nothing ringing, s.
+
+    Levels free in [0, 1] that add up to ``on_s`` seconds of level 1: on a grid of the duration
+    whether there is one is a linear program, and there is one for every longer duration too, so
+    that bisection finds the shortest.
+    """
+    from scipy.optimize import linprog
+
+    period_s = float(2.0 * np.pi / pole.imag)
+
+    def reachable(duration_s: float) -> bool:
+        edges: FloatArray = np.linspace(0.0, duration_s, _INTERVALS + 1)
+        grown = np.exp(pole * (duration_s - edges))
+        ring = grown[:-1] - grown[1:]
+        rows = np.vstack((ring.real, ring.imag, np.diff(edges) / on_s))
+        found = linprog(np.zeros(_INTERVALS), A_eq=rows, b_eq=[0.0, 0.0, 1.0], bounds=(0.0, 1.0))
+        return bool(found.status == 0)
+
+    low, high = on_s, on_s + period_s
+    if reachable(low):
+        return low
+    while high - low > 1e-4 * period_s:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if reachable(middle) else (middle, high)
+    return high

@@ -1,0 +1,202 @@
+"""A path cut into elements: short polynomial pieces in one smooth parameter.
+
+The planned path is smooth in a parameter in which each of its pieces has a length of its own; the
+square of the rate of that parameter, x, is what is solved for. At a rest that rate falls to zero
+with the third power of time's root, which no spline in the parameter can follow; so the first
+element after a rest runs through the path as ``w^3 - w^4 / 2``: at an even rate of w, its motion
+begins with constant jerk, and w joins the parameter of the path smoothly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+
+DEGREE = 5
+_LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
+_PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
+_ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Elements:
+    """Consecutive elements of one run, n of them.
+
+    Parameters
+    ----------
+    c
+        (n, DEGREE + 1, axes) position in powers of u in [0, 1], m or rad.
+    length
+        (n,) of the common parameter.
+    cap
+        (n,) largest u'^2 that the feed allows, infinite where none is given.
+    operation
+        (n,) operation under way.
+    """
+
+    c: FloatArray
+    length: FloatArray
+    cap: FloatArray
+    operation: IntArray
+
+    def __len__(self) -> int:
+        return len(self.c)
+
+    def take(self, rows: slice) -> Elements:
+        """Return the elements at ``rows``."""
+        return Elements(
+            c=self.c[rows],
+            length=self.length[rows],
+            cap=self.cap[rows],
+            operation=self.operation[rows],
+        )
+
+    def split(self, parts: IntArray) -> Elements:
+        """Return the elements with each cut into as many equal parts as (n,) ``parts`` says."""
+        which = np.repeat(np.arange(len(self)), parts)
+        count = parts[which].astype(np.float64)
+        first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+        return Elements(
+            c=restricted(self.c[which], first / count, 1.0 / count),
+            length=self.length[which] / count,
+            cap=self.cap[which] * count**2,
+            operation=self.operation[which],
+        )
+
+
+def join(parts: list[Elements]) -> Elements:
+    """Return the elements of all ``parts`` in a row."""
+    return Elements(
+        c=np.concatenate([part.c for part in parts]),
+        length=np.concatenate([part.length for part in parts]),
+        cap=np.concatenate([part.cap for part in parts]),
+        operation=np.concatenate([part.operation for part in parts]),
+    )
+
+
+def restricted(c: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArray:
+    """Return (n, order, axes) polynomials on [begin, begin + width] of each, again over [0, 1]."""
+    out = c.astype(np.float64, copy=True)
+    nothing = c == 0.0
+    order = c.shape[1]
+    # Horner's scheme in both directions is the shift of a polynomial.
+    for low in range(order - 1):
+        for k in range(order - 2, low - 1, -1):
+            out[:, k] += begin[:, None] * out[:, k + 1]
+    scale = np.ones(len(c))
+    for k in range(1, order):
+        scale = scale * width
+        out[:, k] *= scale[:, None]
+    # What has no powers above k has none on a part of it either.
+    out[:, 1:][np.logical_and.accumulate(nothing[:, :0:-1], axis=1)[:, ::-1]] = 0.0
+    return out
+
+
+def elements_of(
+    c: FloatArray,
+    ratio: FloatArray,
+    nominal_s: FloatArray,
+    operation: IntArray,
+    length: float,
+    *,
+    from_rest: bool,
+    to_rest: bool,
+) -> Elements:
+    """Return the elements of consecutive pieces of one run.
+
+    Parameters
+    ----------
+    c
+        (n, 4, axes) pieces of the planned path.
+    ratio
+        (n - 1,) rate of u before each joint over that after it, which keeps the velocity.
+    nominal_s
+        (n,) least time of each piece, 0 for none.
+    operation
+        (n,) of each piece.
+    length
+        Parameter length of the first piece.
+    from_rest, to_rest
+        Whether the run starts, or ends, here.
+    """
+    count, order, axes = c.shape
+    full = np.zeros((count, DEGREE + 1, axes))
+    full[:, :order] = c
+    with np.errstate(divide="ignore", over="ignore"):
+        cap = np.where(nominal_s > 0.0, 1.0 / nominal_s**2, np.inf)
+    whole = Elements(
+        c=full,
+        length=length * np.concatenate([[1.0], np.cumprod(ratio)]),
+        cap=cap,
+        operation=operation,
+    )
+    if from_rest:
+        whole = _with_lead_in(whole)
+    if to_rest:
+        whole = reverse(_with_lead_in(reverse(whole)))
+    straight = ~whole.c[:, 2:].any(axis=(1, 2))
+    parts = np.where(straight, _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE)
+    if from_rest:
+        parts[0] = _PARTS_OF_LEAD
+    if to_rest:
+        parts[-1] = _PARTS_OF_LEAD
+    return whole.split(parts.astype(np.int64))
+
+
+def reverse(elements: Elements) -> Elements:
+    """Return the elements run through from their end to their start."""
+    c = elements.c[::-1]
+    ones = np.ones(len(c))
+    return Elements(
+        c=restricted(c, ones, -ones),
+        length=elements.length[::-1],
+        cap=elements.cap[::-1],
+        operation=elements.operation[::-1],
+    )
+
+
+def _with_lead_in(elements: Elements) -> Elements:
+    """Replace the first part of the first element by one that starts from rest.
+
+    Its ends have the position, velocity and acceleration of the path run through as
+    ``w^3 - w^4 / 2`` of its parameter; on a straight piece it is exactly that.
+    """
+    first = elements.take(slice(0, 1))
+    share = np.array([_LEAD_SHARE])
+    head = restricted(first.c, np.zeros(1), share)[0]
+    rest = Elements(
+        c=restricted(first.c, share, 1.0 - share),
+        length=first.length * (1.0 - share),
+        cap=first.cap / (1.0 - share) ** 2,
+        operation=first.operation,
+    )
+    # In u of the head, w runs twice as far: at w = 1 its slope is 1 and g = 1/2.
+    powers = np.arange(DEGREE + 1.0)[:, None]
+    end, slope = head.sum(axis=0), (powers * head).sum(axis=0)
+    bend = (powers * (powers - 1.0) * head).sum(axis=0)
+    lead = Elements(
+        c=_from_rest(head[0], end, 2.0 * slope, 4.0 * bend)[None],
+        length=2.0 * first.length * share,
+        cap=first.cap / (2.0 * share) ** 2,
+        operation=first.operation,
+    )
+    return join([lead, rest, elements.take(slice(1, None))])
+
+
+def _from_rest(
+    start: FloatArray, end: FloatArray, slope: FloatArray, bend: FloatArray
+) -> FloatArray:
+    """Return (6, axes): the quintic from rest at ``start`` to an end with slope and bend."""
+    gone = end - start
+    c = np.zeros((DEGREE + 1, len(start)))
+    c[0] = start
+    c[3] = 10.0 * gone - 4.0 * slope + 0.5 * bend
+    c[4] = -15.0 * gone + 7.0 * slope - bend
+    c[5] = 6.0 * gone - 3.0 * slope + 0.5 * bend
+    # On a straight piece c[5] vanishes but for rounding: g is of fourth degree.
+    size = np.abs(c).max(axis=0)
+    c[np.abs(c) < _ROUNDING * size] = 0.0
+    return c

@@ -1,0 +1,199 @@
+"""The fastest run through elements within velocity, acceleration and jerk limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.trajectory.optimal import barrier
+from threadline.trajectory.optimal.elements import Elements
+from threadline.trajectory.optimal.rows import assemble
+from threadline.trajectory.optimal.start import even, feasible
+from threadline.trajectory.optimal.usage import shares
+
+_COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are made finer
+_VARIED = 1.3  # ratio of y within an element, above which it is cut
+_LOSS = 2e-3  # of the time that the jerk takes to the nearer limit
+_LEAST_RAMP = 0.02  # of the time to the velocity's limit at that of the acceleration
+_ROUNDS, _IDLE_ROUNDS = 12, 5
+_FIRST_WEIGHT = 0.1  # of the duration, over all slacks
+_FALL = 0.35  # of the weight of the barrier from round to round
+_CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
+_STEPS = 60  # at one weight
+_PLACES = np.array([0.0, 0.5, 1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """(axes,) limits of velocity, acceleration and jerk; a jerk may be infinite."""
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+
+    @property
+    def ramp_s(self) -> float:
+        """The time that the jerk takes to the limit of acceleration or velocity, about."""
+        by_jerk = np.minimum(self.acceleration / self.jerk, np.sqrt(self.velocity / self.jerk))
+        by_acceleration = _LEAST_RAMP * self.velocity / self.acceleration
+        return float(np.maximum(by_jerk, by_acceleration).min())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """A motion along elements.
+
+    Parameters
+    ----------
+    elements
+        As fine as the motion asks for.
+    b
+        (n + 2,) coefficients of the quadratic spline x.
+    steps
+        Newton steps that were made.
+    gap
+        What the barrier still costs, as a share of the duration: its weight over all slacks. It
+        bounds how far the least is, on these elements and with these tangents of the jerk's
+        limit, where the last step was centred; the limit itself is not convex.
+    """
+
+    elements: Elements
+    b: FloatArray
+    steps: int
+    gap: float
+
+    @property
+    def y(self) -> FloatArray:
+        """(n, 3) Bernstein coefficients of u'^2 on each element."""
+        return bernstein(self.b, self.elements.length)
+
+    @property
+    def duration_s(self) -> float:
+        """An upper bound of the duration, near it where the elements are fine."""
+        return float(barrier.duration(self.b, self.elements.length))
+
+
+def bernstein(b: FloatArray, length: FloatArray) -> FloatArray:
+    """Return the (n, 3) Bernstein coefficients of u'^2 on elements of ``length``."""
+    before = np.concatenate([[0.0], length[:-1]])
+    after = np.concatenate([length[1:], [0.0]])
+    first = (length * b[:-2] + before * b[1:-1]) / (before + length)
+    last = (after * b[1:-1] + length * b[2:]) / (length + after)
+    return np.asarray(np.stack([first, b[1:-1], last], axis=1) / length[:, None] ** 2)
+
+
+def fastest(elements: Elements, limits: Limits, gap: float = 1e-3) -> Solution:
+    """Return the fastest motion along ``elements`` from their first to their last place.
+
+    Elements are halved where y changes much within them.
+
+    Parameters
+    ----------
+    gap
+        Share of the duration within which the least is to be reached.
+    """
+    problem = _Problem(elements, limits)
+    problem.begin()
+    problem.descend(_COARSE)
+    for _ in range(_ROUNDS):
+        if not problem.refine(problem.varied()):
+            break
+        problem.descend(_COARSE)
+    for _ in range(_IDLE_ROUNDS):
+        problem.descend(max(_FINE, gap))
+        if not problem.refine(np.maximum(problem.idle(), problem.varied())):
+            break
+    problem.descend(gap)
+    return Solution(elements=problem.elements, b=problem.b, steps=problem.steps, gap=problem.gap())
+
+
+class _Problem:
+    """The rows of the elements, and where the solution is."""
+
+    def __init__(self, elements: Elements, limits: Limits) -> None:
+        self.elements, self.limits = elements, limits
+        self.steps = 0
+        self.weight = np.inf
+        self._assemble()
+
+    def _assemble(self) -> None:
+        at, of = self.elements, self.limits
+        self.acc, self.jerk, self.points, self.count, self.top = assemble(
+            at.c, of.velocity, of.acceleration, of.jerk, at.cap
+        )
+        self.slacks = int(2 * self.count.sum() + len(at) + 3 * np.isfinite(self.top).sum())
+
+    def begin(self) -> None:
+        """Start from a slow motion."""
+        at, of = self.elements, self.limits
+        most = even(at.length, at.c, of.velocity, of.acceleration, of.jerk, at.cap)
+        self.b, self.tangent = feasible(
+            at.length, self.acc, self.jerk, self.points, self.count, self.top, most
+        )
+
+    def descend(self, gap: float) -> None:
+        """Lower the weight of the barrier until the duration is within ``gap`` of the least."""
+        length = self.elements.length
+        rows = self.acc, self.jerk, self.points, self.count, self.top
+        unit = float(barrier.duration(self.b, length)) / self.slacks
+        self.weight = min(self.weight, _FIRST_WEIGHT * unit)
+        while True:
+            for _ in range(_STEPS):
+                step, decrement = barrier.newton(self.b, length, rows, self.tangent, self.weight)
+                if not np.isfinite(step).all():
+                    return  # rounding ends it here: b keeps within all limits
+                barrier.advance(self.b, step, length, rows, self.tangent)
+                barrier.follow(self.b, length, rows, self.tangent)
+                self.steps += 1
+                if decrement < _CENTRED * self.weight * np.sqrt(self.slacks):
+                    break
+            unit = float(barrier.duration(self.b, length)) / self.slacks
+            if self.weight <= 1.01 * gap * unit:
+                return
+            self.weight = max(_FALL * self.weight, gap * unit)
+
+    def gap(self) -> float:
+        """Return the share of the duration that the barrier still costs."""
+        return self.weight * self.slacks / float(barrier.duration(self.b, self.elements.length))
+
+    def varied(self) -> IntArray:
+        """Return into how many parts each element is to be cut because y changes much in it."""
+        y = bernstein(self.b, self.elements.length)
+        ratio = y.max(axis=1) / y.min(axis=1)
+        return np.where(ratio > _VARIED**4, 3, np.where(ratio > _VARIED, 2, 1))
+
+    def idle(self) -> IntArray:
+        """Return the same, because no limit is reached at some place in it."""
+        at, of = self.elements, self.limits
+        y = bernstein(self.b, at.length)
+        used = shares(at.c, y, of.velocity, of.acceleration, of.jerk, at.cap, _PLACES)
+        time_s = (y**-0.5).mean(axis=1)
+        lost_s = time_s * (1.0 - used.max(axis=2).min(axis=1))
+        return np.where(lost_s > _LOSS * of.ramp_s, 2, 1)
+
+    def refine(self, parts: IntArray) -> bool:
+        """Cut elements into ``parts``; return whether there is anything to cut."""
+        if (parts == 1).all():
+            return False
+        self._cut(parts.astype(np.int64))
+        return True
+
+    def _cut(self, parts: IntArray) -> None:
+        which = np.repeat(np.arange(len(parts)), parts)
+        x = bernstein(self.b, self.elements.length) * self.elements.length[:, None] ** 2
+        count = parts[which].astype(np.float64)
+        first = (np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)) / count
+        last = first + 1.0 / count
+        # The blossom of the quadratic: coefficient k belongs to the nodes about element k.
+        x = x[which]
+        inner = (
+            (1.0 - first) * (1.0 - last) * x[:, 0]
+            + (first * (1.0 - last) + last * (1.0 - first)) * x[:, 1]
+            + first * last * x[:, 2]
+        )
+        self.b = np.concatenate([[self.b[0]], inner, [self.b[-1]]])
+        self.tangent = self.tangent[which] / count
+        self.elements = self.elements.split(parts)
+        self._assemble()

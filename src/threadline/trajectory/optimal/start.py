@@ -1,0 +1,114 @@
+"""A motion within all limits to begin with: slow, but of about the right shape."""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from threadline.trajectory.optimal.barrier import values
+from threadline.trajectory.optimal.rows import WEIGHTS
+
+_SHARE = 0.25  # of the accelerations, on the way
+_USED = 0.7  # of a limit, at most
+_ROUNDS = 60
+_GROWTH = 3.0  # of x from element to element
+
+
+@njit(cache=True)
+def even(length, c, limit_v, limit_a, limit_j, cap):
+    """Return the (n,) largest even x, in units of the common parameter, that each element allows.
+
+    At an even rate of the parameter the motion keeps within every limit.
+    """
+    n, order, axes = c.shape
+    out = np.empty(n)
+    for i in range(n):
+        y = cap[i]
+        for j in range(axes):
+            v, a, q = 0.0, 0.0, 0.0
+            for k in range(1, order):
+                size = abs(c[i, k, j])
+                v += k * size
+                a += k * (k - 1) * size
+                q += k * (k - 1) * (k - 2) * size
+            if v > 0.0:
+                y = min(y, (limit_v[j] / v) ** 2)
+            if a > 0.0:
+                y = min(y, limit_a[j] / a)
+            if q > 0.0 and limit_j[j] < np.inf:
+                y = min(y, (limit_j[j] / q) ** (2.0 / 3.0))
+        out[i] = y * length[i] ** 2
+    return out
+
+
+@njit(cache=True)
+def used(b, length, acc, jerk, points, count, top, tangent, out):
+    """Write the (n,) largest shares of a limit into ``out``, with each tangent at its best."""
+    y = np.zeros(3)
+    worst = 0.0
+    for i in range(len(length)):
+        y[0], y[1], y[2] = values(b, length, i)
+        share = 0.0
+        if top[i] < np.inf:
+            share = max(y[0], y[1], y[2]) / top[i]
+        for k in range(count[i, 0]):
+            r = acc[i, k]
+            share = max(share, abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2]))
+        tangent[i] = ((y[0] + y[1] + y[2]) / 3.0) ** -0.5
+        t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
+        for k in range(count[i, 1]):
+            r = jerk[i, k]
+            w = WEIGHTS[points[i, k]]
+            room = t0 - t1 * (w[0] * y[0] + w[1] * y[1] + w[2] * y[2])
+            v = abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2])
+            share = max(share, v / room if room > 0.0 else np.inf)
+        out[i] = share
+        worst = max(worst, share)
+    return worst
+
+
+@njit(cache=True)
+def feasible(length, acc, jerk, points, count, top, most):
+    """Return coefficients b and tangents within all limits.
+
+    Parameters
+    ----------
+    most
+        (n,) as of ``even``.
+    """
+    n = len(length)
+    tangent, share = np.empty(n), np.empty(n)
+    node = np.empty(n + 1)
+    gain = np.empty(n)  # largest change of x over an element by its acceleration
+    for i in range(n):
+        steep = 0.0
+        for k in range(count[i, 0]):
+            r = acc[i, k]
+            steep = max(steep, abs(r[0]), abs(r[1]), abs(r[2]))
+        gain[i] = _SHARE / steep * length[i] ** 2 if steep > 0.0 else np.inf
+    cap = most.copy()
+    b = np.empty(n + 2)
+    for _ in range(_ROUNDS):
+        node[0], node[n] = cap[0], cap[n - 1]
+        for i in range(1, n):
+            node[i] = min(cap[i - 1], cap[i])
+        for i in range(n):
+            node[i + 1] = min(node[i + 1], node[i] + gain[i], _GROWTH * node[i])
+        for i in range(n - 1, -1, -1):
+            node[i] = min(node[i], node[i + 1] + gain[i], _GROWTH * node[i + 1])
+        for i in range(n + 2):
+            b[i] = 0.5 * (node[max(i - 1, 0)] + node[min(i, n)])
+        if used(b, length, acc, jerk, points, count, top, tangent, share) < _USED:
+            return b, tangent
+        for i in range(n):
+            if share[i] >= _USED:
+                reach = max(b[i], b[i + 1], b[i + 2])
+                for k in range(max(i - 1, 0), min(i + 2, n)):
+                    cap[k] = min(cap[k], 0.6 * reach)
+    lowest = most[0]
+    for i in range(n):
+        lowest = min(lowest, most[i])
+    b[:] = 0.4 * lowest
+    used(b, length, acc, jerk, points, count, top, tangent, share)
+    return b, tangent

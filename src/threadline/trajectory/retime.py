@@ -1,0 +1,154 @@
+"""The fastest motion through points, for programs that have neither a job nor a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from threadline.arrays import FloatArray, read_only
+from threadline.errors import PlanError
+from threadline.path.auto import auto_pieces
+from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
+from threadline.signals import Stream
+from threadline.trajectory.optimal import Limits
+from threadline.trajectory.optimal.blocks import limited_blocks
+from threadline.trajectory.types import Trajectory
+
+_NEAR_SHARE = 0.01  # of the tolerance: points nearer to each other are one
+_LARGEST = 1e9  # of a coordinate or a limit: beyond, squares and cubes lose their digits
+_LEAST = 1e-9  # of a limit
+
+
+def retime(
+    points: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    jerk: ArrayLike = np.inf,
+    tolerance: float = 1e-4,
+) -> Trajectory:
+    """Return the fastest motion from the first of ``points`` to the last, at rest at both.
+
+    The path runs along the straight lines between the points and rounds the corners; it is never
+    farther than the tolerance from those lines, and they from it. No limit is left at any
+    instant. Of one unit of length and the second, any unit will do.
+
+    Parameters
+    ----------
+    points
+        (n, axes), n at least 1.
+    velocity, acceleration, jerk
+        (axes,) limits, or one number for all axes; above 0. Only the jerk may be infinite.
+    tolerance
+        Largest distance between path and lines, per axis; above 0.
+
+    Raises
+    ------
+    PlanError
+        If points, a limit or the tolerance are not numbers in their range; it names the point.
+
+    Examples
+    --------
+    The example of toppra: five random points of seven axes, with its limits. Here the corners
+    between straight lines are rounded, there a spline runs through the points.
+
+    >>> import numpy as np
+    >>> random = np.random.RandomState(1)
+    >>> points = random.randn(5, 7)
+    >>> velocity, acceleration = 10 + random.rand(7) * 20, 10 + random.rand(7) * 2
+    >>> motion = retime(points, velocity, acceleration, jerk=500.0, tolerance=0.02)
+    >>> times = np.linspace(0.0, motion.duration_s, 1000)
+    >>> bool((np.abs(motion(times, 2)) <= 1.001 * acceleration).all())
+    True
+    >>> np.abs(motion(times[-1]) - points[-1]).max() < 1e-9
+    np.True_
+    """
+    places = _checked_points(points)
+    axes = places.shape[1]
+    limits = Limits(
+        velocity=_checked_limit("velocity", velocity, axes),
+        acceleration=_checked_limit("acceleration", acceleration, axes),
+        jerk=_checked_limit("jerk", jerk, axes, infinite=True),
+    )
+    if not _LEAST <= tolerance <= _LARGEST:
+        raise PlanError(
+            f"the tolerance is {tolerance!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
+            remedy="Give it in the unit of the points.",
+        )
+    programmed = ProgrammedPath(
+        axes=tuple(str(axis) for axis in range(axes)),
+        radius_m=np.ones(axes),
+        blocks=Stream.of([_vertices(places)]),
+    )
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="optimal",
+        timing=Timing.FASTEST,
+        historical=False,
+        blocks=Stream(
+            auto_pieces, programmed, (1.0 - _NEAR_SHARE) * tolerance, _NEAR_SHARE * tolerance
+        ),
+    )
+    # It will be read many times: the motion is worked out once and kept.
+    return Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
+
+
+def _vertices(places: FloatArray) -> VertexBlock:
+    count = len(places)
+    rest = np.zeros(count, dtype=np.int64)
+    rest[-1] = 1
+    return VertexBlock(
+        positions=places,
+        operation=np.maximum(np.arange(count) - 1, 0),
+        nominal_s=np.zeros(count),
+        rest=rest,
+        dwell_s=np.zeros(count),
+        line=np.zeros(count, dtype=np.int64),
+    )
+
+
+def _checked_points(points: ArrayLike) -> FloatArray:
+    try:
+        places = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            "the points are not an array of numbers", remedy="Give n rows of as many axes."
+        ) from error
+    if places.ndim != 2 or 0 in places.shape:
+        raise PlanError(
+            f"the points have shape {places.shape}; they must be n rows of axes, 1 at least",
+            remedy="A single axis is a column: points[:, None].",
+        )
+    wrong = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
+    if len(wrong):
+        raise PlanError(
+            f"point {wrong[0]} is {places[wrong[0]].tolist()}; every coordinate must be a number "
+            f"of at most {_LARGEST:g}",
+            remedy="Correct it, or leave it out.",
+        )
+    return read_only(places, "points", ndim=2)
+
+
+def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = False) -> FloatArray:
+    try:
+        values = np.broadcast_to(np.array(limit, dtype=np.float64), (axes,)).copy()
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            f"{name} is {limit!r}; it must be one number, or one for each of {axes} axes",
+            remedy="Give as many as the points have axes.",
+        ) from error
+    for axis, value in _each(values):
+        if infinite and value == np.inf:
+            continue
+        if not _LEAST <= value <= _LARGEST:
+            raise PlanError(
+                f"{name} of axis {axis} is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
+                remedy="Correct it, or choose another unit.",
+            )
+    return values
+
+
+def _each(values: FloatArray) -> Iterator[tuple[int, float]]:
+    return enumerate(values.tolist())

@@ -1,0 +1,343 @@
+"""The door of the engine: machines that can be run, and runs that can be advanced."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from types import TracebackType
+from typing import NamedTuple
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.machine import Machine
+from threadline.plant.network import piecewise_linear
+from threadline.plant.values import Values
+from threadline.twin.kernel.layout import Layout
+from threadline.twin.kernel.names import ClockEntry, Count, Field
+from threadline.twin.kernel.piece import Piece, prepared
+from threadline.twin.kernel.state import Snapshot, State, new_state
+
+_CACHE_BYTES = 16_000
+"""What a block of variants may take: it should stay in the fastest memory."""
+_WIDTH = 8
+NEVER = 1 << 62
+"""A tick that no run reaches."""
+
+
+class Signal(StrEnum):
+    """What can be read of a run."""
+
+    READ = "read"  # what the axis' own encoder reads, counts from the start
+    VOLTS = "volts"  # at the amplifier's input of the axis, V
+    LOAD = "load"  # of the axis from its start, m or rad
+    FRAME = "frame"  # of the axis, m or rad
+    CURRENT = "current"  # in the motor of the axis, A
+    CURRENT_PEAK = "current peak"  # of largest magnitude since the sample before, A
+    TRIPPED = "tripped"  # 1 from the instant at which a limit switch has cut its drive
+
+
+class Reading(NamedTuple):
+    """A signal, and the axis or limit switch of which it is."""
+
+    signal: Signal
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measures:
+    """What was kept of every axis at every tick; (variants, axes) each, axes as in the file.
+
+    Parameters
+    ----------
+    worst
+        Largest |commanded - load|, m or rad.
+    lowest, highest
+        Load from the first tick of the window on, from the start of the axis, m or rad.
+    last
+        Load at the last tick, from the start of the axis, m or rad.
+    current_peak
+        Current of largest magnitude since the last sample, A.
+    """
+
+    worst: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
+    last: FloatArray
+    current_peak: FloatArray
+
+
+class Engine:
+    """A machine, or many variants of it, that can be run any number of times.
+
+    It owns equations, schedules and, through its runs, compiled code, tables and workspaces; the
+    code for one shape of machine is compiled once in a process and shared by all engines.
+
+    Parameters
+    ----------
+    machine
+        Its structure, and every number that ``values`` does not replace.
+    values
+        The numbers of the variants.
+    start_si
+        (axes,) where the machine stands before the first tick, m or rad.
+
+    Raises
+    ------
+    MachineError
+        If its clocks or parts cannot be simulated.
+    """
+
+    def __init__(self, machine: Machine, values: Values, start_si: FloatArray) -> None:
+        self.machine, self.variants = machine, values.count
+        self._made_of = machine, values, start_si
+        self._pieces = tuple(
+            prepared(machine, equations, values)
+            for equations in piecewise_linear(machine, values, start_si)
+        )
+
+    def __reduce__(self) -> tuple[type[Engine], tuple[Machine, Values, FloatArray]]:
+        # Another process makes its own: code, tables and workspaces cannot be sent.
+        return Engine, self._made_of
+
+    def start(
+        self,
+        phases: FloatArray,
+        *,
+        watch_current: bool = True,
+        quantised: bool = True,
+        threads: int = 1,
+    ) -> Run:
+        """Return a run: the machine at rest, nothing commanded.
+
+        Parameters
+        ----------
+        phases
+            (variants, axes) where between two counts each encoder stands, in [0, 1).
+        watch_current
+            False leaves out what ``CURRENT_PEAK`` tells, for speed.
+        quantised
+            False leaves out the rounding of encoders and DACs (not their limits).
+        threads
+            Cores to use. Results do not depend on it.
+        """
+        machine = self.machine
+        owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
+        states = []
+        for piece in self._pieces:
+            at = [owner.get(c) for c in piece.equations.group.controllers]
+            middle = np.full(self.variants, 0.5)
+            own = np.stack([middle if i is None else phases[:, i] for i in at], 1)
+            lanes, width = _lanes(piece, self.variants, watch_current, quantised)
+            states.append(
+                new_state(
+                    machine, piece, own, lanes, width, peak=watch_current, quantised=quantised
+                )
+            )
+        return Run(self, tuple(states), threads)
+
+    def readings(self) -> tuple[Reading, ...]:
+        """Return everything that can be read of a run."""
+        return tuple(reading for piece in self._pieces for reading in _columns(piece))
+
+
+class Run:
+    """A machine, or its variants, on the way: rows in, samples out, its state kept between.
+
+    A context manager: its threads end with it. Made by ``Engine.start``.
+    """
+
+    def __init__(self, engine: Engine, states: tuple[State, ...], threads: int) -> None:
+        self._engine, self._states, self._threads = engine, states, threads
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    @property
+    def tick(self) -> int:
+        """Ticks so far."""
+        return int(self._states[0].clock[0, ClockEntry.NOW]) if self._states else 0
+
+    def advance(
+        self,
+        travelled: IntArray,
+        wanted: Collection[Reading],
+        *,
+        every: int = 1,
+        window: int = NEVER,
+    ) -> Mapping[Reading, FloatArray]:
+        """Go on for as many ticks as ``travelled`` has rows; return what is wanted.
+
+        The same rows in pieces of any length give the same samples, to the bit, as long as the
+        other arguments stay the same.
+
+        Parameters
+        ----------
+        travelled
+            (ticks, axes) counts commanded at each tick, from the start.
+        wanted
+            What to sample at the ticks that are whole multiples of ``every``.
+        window
+            First tick of which the least and the greatest load are kept.
+
+        Returns
+        -------
+        Mapping
+            (samples, variants) of each reading.
+        """
+        first, names = self.tick, self._engine.machine.axis_names
+        samples = -(-(first + len(travelled)) // every) - -(-first // every)
+        found: dict[Reading, FloatArray] = {}
+        for state in self._states:
+            piece, blocks = state.piece, len(state.clock)
+            columns = {r: at for r, at in _columns(piece).items() if r in wanted}
+            references = np.zeros((len(travelled), len(state.shape.controllers)))
+            for axis, controller in zip(
+                piece.equations.group.axes, piece.axis_controller, strict=True
+            ):
+                references[:, controller] = travelled[:, names.index(axis)]
+            shape = state.shape
+            records = np.zeros(
+                (blocks, samples if columns else 0, shape.sample.columns, shape.lanes)
+            )
+            self._run(state, (references, every if columns else 0, window, records))
+            for reading, at in columns.items():
+                lanes = records[:, :, at].transpose(1, 0, 2).reshape(samples, blocks * shape.lanes)
+                found[reading] = lanes[:, : self._engine.variants]
+        return found
+
+    def _run(self, state: State, given: tuple[FloatArray, int, int, FloatArray]) -> None:
+        blocks = len(state.clock)
+        if self._pool is None:
+            state.run(0, blocks, *given)
+            return
+        # More parts than cores: a core that others use too must not keep the rest waiting.
+        cuts = np.linspace(0, blocks, 8 * self._threads + 1).astype(int)
+        jobs = [
+            self._pool.submit(state.run, int(a), int(b), *given) for a, b in pairwise(cuts) if a < b
+        ]
+        for job in jobs:
+            job.result()
+
+    def sample_bytes(self, wanted: Collection[Reading]) -> int:
+        """Return how much memory one sample of what is wanted takes on the way."""
+        return max(
+            (
+                8 * state.shape.sample.columns * len(state.clock) * state.shape.lanes
+                for state in self._states
+                if any(reading in wanted for reading in _columns(state.piece))
+            ),
+            default=0,
+        )
+
+    def failure(self) -> tuple[tuple[str, ...], str] | None:
+        """Return which axes have no answer and why; None where all have one.
+
+        Raises
+        ------
+        MachineError
+            If modes take too much memory.
+        """
+        for state in self._states:
+            why = state.failure()
+            if why:
+                return state.piece.equations.group.axes, why
+        return None
+
+    def tripped(self, name: str) -> bool:
+        """Return whether a limit switch has cut its drive, in the first variant."""
+        for state in self._states:
+            inputs = state.piece.equations.group.inputs
+            if name in inputs:
+                row = state.layout[Field.TRIPPED, inputs.index(name)]
+                return bool(state.work[0, row, 0])
+        raise ValueError(f"no limit switch {name!r}")
+
+    def measures(self) -> Measures:
+        """Return what was kept of every axis."""
+        machine, variants = self._engine.machine, self._engine.variants
+        shape = (variants, len(machine.axes))
+        found = Measures(
+            worst=np.zeros(shape), lowest=np.zeros(shape), highest=np.zeros(shape),
+            last=np.zeros(shape), current_peak=np.zeros(shape),
+        )  # fmt: skip
+        for state in self._states:
+            piece = state.piece
+            at = [machine.axis_names.index(axis) for axis in piece.equations.group.axes]
+            found.worst[:, at] = state.worst()[:variants]
+            found.lowest[:, at] = state.of_axes(Field.LOWEST)[:variants]
+            found.highest[:, at] = state.of_axes(Field.HIGHEST)[:variants]
+            found.last[:, at] = state.of_axes(Field.LAST)[:variants]
+            drives = piece.control.drive[piece.axis_controller]
+            found.current_peak[:, at] = state.peaks()[:variants][:, drives]
+        return found
+
+    @property
+    def slow_ticks(self) -> int:
+        """Advances of all variants in which a mode changed or might have."""
+        return sum(int(state.counts[:, Count.SLOW].sum()) for state in self._states)
+
+    @property
+    def events(self) -> int:
+        """Changes of modes of all variants."""
+        return sum(int(state.counts[:, Count.EVENTS].sum()) for state in self._states)
+
+    def snapshot(self) -> tuple[Snapshot, ...]:
+        """Return all that has changed so far; it can be pickled."""
+        return tuple(state.snapshot() for state in self._states)
+
+    def restore(self, kept: tuple[Snapshot, ...]) -> None:
+        """Go on from ``kept``, of a run started in the same way, here or in another process.
+
+        Raises
+        ------
+        ValueError
+            If it is of another machine or of other variants.
+        """
+        if len(kept) != len(self._states):
+            raise ValueError(
+                f"the snapshot is of a machine of {len(kept)} connected pieces, this one has "
+                f"{len(self._states)}"
+            )
+        for state, one in zip(self._states, kept, strict=True):
+            state.restore(one)
+
+
+def _columns(piece: Piece) -> dict[Reading, int]:
+    """Return everything that can be read of a piece, and in which column of a sample."""
+    group, at = piece.equations.group, piece.sample
+    found: dict[Reading, int] = {}
+    for x, axis in enumerate(group.axes):
+        controller = int(piece.axis_controller[x])
+        drive = int(piece.control.drive[controller])
+        found[Reading(Signal.READ, axis)] = at.read(controller)
+        found[Reading(Signal.LOAD, axis)] = at.load(x)
+        found[Reading(Signal.FRAME, axis)] = at.frame(x)
+        found[Reading(Signal.VOLTS, axis)] = at.volts(controller)
+        found[Reading(Signal.CURRENT, axis)] = at.current(drive)
+        found[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)
+    for s, name in enumerate(group.inputs):
+        found[Reading(Signal.TRIPPED, name)] = at.tripped(s)
+    return found
+
+
+def _lanes(piece: Piece, variants: int, peak: bool, quantised: bool) -> tuple[int, int]:
+    """Return how many variants in a block, what fits the fastest memory, and in a vector."""
+    if variants < _WIDTH:
+        return 1, 1
+    rows = Layout(piece.shape(1, 1, peak=peak, quantised=quantised)).rows
+    fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
+    return next(fitting, _WIDTH), _WIDTH

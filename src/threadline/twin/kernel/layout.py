@@ -1,0 +1,162 @@
+"""Where each number lies in the workspace of a kernel.
+
+The workspace of a group of variants ("lanes") is rows of ``width`` numbers, so that one vector
+instruction serves all of them; a block is as many groups as fit the fastest memory. Only entries
+of matrices that can differ from zero (and, on the diagonal of a propagator, from one) have rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.twin.kernel.names import (
+    AXIS_CHANGING,
+    CHANGING,
+    NUMBERS,
+    Field,
+    PlanLayout,
+    Row,
+)
+from threadline.twin.kernel.shape import ControllerShape, Shape
+
+_LINE, _PAGE = 64, 4096
+
+
+class Layout:
+    """Rows of the workspace by name; the rows of a mode come last, those of an advance at the end.
+
+    With several distinct advances their rows stay in the tables of the modes: ``SOURCE`` is the
+    address of the first there, while all lanes are in one mode. Where they are not, the rows of one
+    advance at a time are put together in the workspace.
+
+    Attributes
+    ----------
+    fixed
+        Rows that do not belong to a mode.
+    of_mode, copied
+        Rows in the table of a mode, and the first of them that a change of modes copies.
+    per_length
+        Rows of one advance.
+    stride
+        Rows from one group of lanes to the next.
+    plan
+        What the integers of a mode's plan mean.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        self.row: dict[Row, int] = {}
+        self.shape, self.plan = shape, PlanLayout(len(shape.guards))
+        n, size = shape.states, shape.columns
+        for i in range(size - 1):
+            self._add(Field.COLUMN, i)
+        if shape.guards:
+            for i in range(n):
+                self._add(Field.OLD, i)
+        unused = [self._unused(c) for c in shape.controllers]
+        for c in range(len(unused)):
+            for field in CHANGING:
+                if field not in unused[c]:
+                    self._add(field, c)
+        for x in range(len(shape.axes)):
+            for field in AXIS_CHANGING:
+                self._add(field, x)
+        for d in range(len(shape.drives)):
+            self._add(Field.PEAK, d)
+        for s in range(shape.inputs):
+            self._add(Field.TRIPPED, s)
+        self._add(Field.MODE)
+        if shape.lengths > 1:
+            self._add(Field.SOURCE)
+        changing = len(self.row)
+        for c, controller in enumerate(shape.controllers):
+            for field in NUMBERS:
+                if field not in unused[c]:
+                    self._add(field, c)
+            for j in controller.sensor:
+                self._add(Field.SENSOR, c, j)
+        for x, axis in enumerate(shape.axes):
+            self._add(Field.SCALE, x)
+            for j in axis.load:
+                self._add(Field.LOAD, x, j)
+            for j in axis.frame:
+                self._add(Field.FRAME, x, j)
+        self.fixed = len(self.row)
+        reach, _ = shape.reach()
+        for w in range(len(shape.guards)):
+            self._add(Field.LOW, w)
+            self._add(Field.HIGH, w)
+        for w, guard in enumerate(shape.guards):
+            for j in guard.row:
+                self._add(Field.GUARD, w, j)
+        for d, pattern in enumerate(shape.drives):
+            for j in pattern:
+                self._add(Field.CURRENT, d, j)
+        for i, pattern in enumerate(shape.matrix if shape.guards else ()):
+            for j in pattern:
+                self._add(Field.MATRIX, i, j)
+        self.first_length = len(self.row)
+        for i, pattern in enumerate(reach):
+            for j in pattern:
+                self._add(Field.STEP, i, j)
+        for w, pattern in enumerate(shape.rates()):
+            for j in pattern:
+                self._add(Field.THIRD, w, j)
+        for w, pattern in enumerate(shape.nearness()):
+            if pattern:
+                self._add(Field.NEAR_LOW, w)
+                self._add(Field.NEAR_HIGH, w)
+            for j in pattern:
+                self._add(Field.MIDDLE, w, j)
+                self._add(Field.SPREAD, w, j)
+        self.rows = len(self.row)
+        self.per_length = self.rows - self.first_length
+        common = self.first_length - self.fixed
+        self.of_mode = common + shape.lengths * self.per_length
+        self.copied = common + (self.per_length if shape.lengths == 1 else 0)
+
+        # A load waits for an earlier store whose address is alike in its last twelve bits: what
+        # changes must not look like anything that is read of the vector of lanes after it.
+        lines = max(1, 8 * shape.width // _LINE)
+        period = _PAGE // _LINE // lines
+        self.stride = self.rows
+        if shape.lanes > shape.width:
+            self.stride += (changing - self.rows) % period
+
+    def _unused(self, controller: ControllerShape) -> set[Field]:
+        """Return the rows that a controller does without."""
+        unused: set[Field] = set()
+        if not controller.second:
+            unused |= {Field.ERROR_2, Field.OUTPUT_2, Field.B2, Field.A2}
+        if not (controller.second or controller.feedback):
+            unused |= {Field.OUTPUT_1, Field.A1}
+        if not self.shape.delayed:
+            unused.add(Field.HELD)
+        if not controller.limited:
+            unused.add(Field.LIMIT)
+        if not controller.profile:
+            unused |= {Field.POSITION, Field.SPEED, Field.GOAL, Field.ACCELERATION}
+        if controller.profile != "speed":
+            unused |= {Field.SEEN, Field.PER_TICK}
+        if controller.profile != "target":
+            unused.add(Field.FASTEST)
+        return unused
+
+    def _add(self, *row: *Row) -> None:
+        self.row[row] = len(self.row)
+
+    def __getitem__(self, row: Row) -> int:
+        return self.row[row]
+
+    @property
+    def table_rows(self) -> int:
+        """Rows of the whole table of a mode; the values of held states are the last of them."""
+        return self.of_mode + 2 * self.plan.guards
+
+
+def aligned(shape: tuple[int, ...]) -> FloatArray:
+    """Return zeros that begin at a cache line: a vector that straddles two costs twice."""
+    count = int(np.prod(shape))
+    room = np.zeros(8 * count + _LINE, dtype=np.uint8)
+    first = -room.ctypes.data % _LINE
+    return room[first : first + 8 * count].view(np.float64).reshape(shape)

@@ -1,0 +1,104 @@
+"""Which numbers of a machine can differ from zero: the shape of its kernel."""
+
+from __future__ import annotations
+
+from math import ceil, factorial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import IntArray
+from threadline.plant.network import PiecewiseLinear
+from threadline.twin.kernel.shape import AxisShape, ControllerShape, GuardShape, Pattern, Shape
+from threadline.twin.kernel.tables import NET_GUARD, ControlTables, PlantTables
+
+_SECTION_PER_RATE = 0.3
+_REMAINDER = 1e-17
+
+
+def shape_of(
+    piece: PiecewiseLinear,
+    plant: PlantTables,
+    control: ControlTables,
+    axis_controller: IntArray,
+    *,
+    cell: float,
+    **rest: Any,
+) -> Shape:
+    """Return the shape of the kernel of a piece, the same for all of its modes and variants.
+
+    Parameters
+    ----------
+    cell
+        The fastest rate times the longest cell.
+    rest
+        The fields of the shape that are named alike.
+    """
+    matrix = _somewhere(plant.base)
+    for e, count in enumerate(plant.modes):
+        laws = _somewhere(plant.law[:, e, :count]).any(axis=0)
+        matrix = matrix | (_somewhere(plant.direction[:, e])[:, None] & laws)
+    terms = next(k for k in range(4, 40) if cell ** (k + 1) / factorial(k + 1) < _REMAINDER)
+    return Shape(
+        matrix=tuple(_pattern(row) for row in matrix),
+        drives=tuple(
+            _pattern(_somewhere(plant.law[:, e]).any(axis=0)) for e in plant.drive_element
+        ),
+        controllers=tuple(
+            ControllerShape(
+                drive=int(control.drive[k]),
+                sensor=_pattern(_somewhere(control.sensor_row[:, k])),
+                feedback=bool(control.denominator[:, k, 0].any()),
+                second=bool(control.numerator[:, k, 2].any() or control.denominator[:, k, 1].any()),
+                reversal=bool(control.zero_on_reversal[k]),
+                limited=bool(np.isfinite(control.limit[:, k]).any()),
+                encoder=control.encoder[k],
+                dac=control.dac[k],
+                profile=control.profile[k],
+            )
+            for k in range(len(control.drive))
+        ),
+        axes=tuple(
+            AxisShape(
+                controller=int(axis_controller[x]),
+                load=_pattern(_somewhere(piece.load_rows[:, x])),
+                frame=_pattern(_somewhere(piece.frame_rows[:, x])),
+            )
+            for x in range(len(axis_controller))
+        ),
+        guards=_guards(plant, matrix),
+        inputs=len(piece.group.inputs),
+        terms=terms,
+        sections=max(1, ceil(cell / _SECTION_PER_RATE)),
+        **rest,
+    )
+
+
+def _guards(plant: PlantTables, matrix: NDArray[np.bool_]) -> tuple[GuardShape, ...]:
+    found = []
+    for e, count in enumerate(plant.guards):
+        for g in range(int(count)):
+            row = np.array(_somewhere(plant.guard_row[:, e, :, g]).any(axis=0))
+            for m in range(int(plant.modes[e])):
+                if plant.guard_kind[e, m, g] == NET_GUARD:
+                    row = row | matrix[plant.holds[e, m]]
+            row[-1] = False
+            below = bool(np.isfinite(plant.guard_low[:, e, :, g]).any())
+            above = bool(np.isfinite(plant.guard_high[:, e, :, g]).any())
+            if below or above:
+                found.append(
+                    GuardShape(row=_pattern(row), bounded_below=below, bounded_above=above)
+                )
+            else:
+                found.append(GuardShape(row=(), bounded_below=False, bounded_above=True))
+    return tuple(found)
+
+
+def _somewhere(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where any variant, the first index, differs from zero."""
+    return np.asarray((values != 0.0).any(axis=0))
+
+
+def _pattern(row: Any) -> Pattern:
+    return tuple(int(j) for j in np.flatnonzero(row))

@@ -1,0 +1,220 @@
+"""One connected piece of a machine, its equations, instants and tables: ready to be run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.controllers import ProfileController
+from threadline.plant.network import PiecewiseLinear
+from threadline.plant.values import Values
+from threadline.twin.kernel.names import Action, Do, Row, SampleLayout
+from threadline.twin.kernel.patterns import shape_of
+from threadline.twin.kernel.shape import Shape
+from threadline.twin.kernel.tables import (
+    ControlTables,
+    PlantTables,
+    control_tables,
+    plant_tables,
+)
+from threadline.twin.schedule import Schedule, make_schedule
+
+_WATCH_PER_RATE = 1.0
+_CELL_PER_RATE = 0.5
+_MOST_RATE = float(1 << 20)
+_MOST_PIECES = 1 << 12
+_MOST_MODES = 1 << 20
+_MOST_KINDS = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Steps:
+    """One hyperperiod as a kernel sees it.
+
+    Parameters
+    ----------
+    kinds
+        Distinct lists of actions; an advance is the last of one. Those with a tick come first.
+    kind, length
+        (steps,) which of the kinds, and which of the lengths its advance has.
+    lengths_s
+        Distinct advances.
+    cells
+        (lengths,) pieces of each in which the state is a short Taylor series.
+    """
+
+    kinds: tuple[tuple[Action, ...], ...]
+    kind: IntArray
+    length: IntArray
+    lengths_s: tuple[float, ...]
+    cells: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Piece:
+    """A connected piece ready to be run.
+
+    Parameters
+    ----------
+    equations, schedule, plant, control
+        Equations, instants and tables; every array has the variants first.
+    steps
+        The schedule cut so that guards can be watched.
+    axis_controller
+        (axes,) of the piece.
+    shared
+        Whether at every tick each controller, one for each axis in order, reads its axis' load.
+    rate
+        The fastest rate, 1/s.
+    """
+
+    equations: PiecewiseLinear
+    schedule: Schedule
+    plant: PlantTables
+    control: ControlTables
+    steps: Steps
+    axis_controller: IntArray
+    shared: bool
+    rate: float
+
+    @property
+    def sample(self) -> SampleLayout:
+        """Columns of a sample."""
+        group = self.equations.group
+        return SampleLayout(
+            len(group.controllers), len(group.axes), len(group.drives), len(group.inputs)
+        )
+
+    def shape(
+        self,
+        lanes: int,
+        width: int,
+        *,
+        peak: bool,
+        quantised: bool,
+        uniform: tuple[Row, ...] = (),
+    ) -> Shape:
+        """Return the shape of the kernel that runs this piece."""
+        return shape_of(
+            self.equations,
+            self.plant,
+            self.control,
+            self.axis_controller,
+            lanes=lanes,
+            width=width,
+            kinds=self.steps.kinds,
+            lengths=len(self.steps.lengths_s),
+            cell=max(
+                self.rate * s / c
+                for s, c in zip(self.steps.lengths_s, self.steps.cells, strict=True)
+            ),
+            peak=peak,
+            quantised=quantised,
+            delayed=self.schedule.delayed,
+            shared=self.shared,
+            uniform=uniform,
+        )
+
+
+def prepared(machine: Machine, piece: PiecewiseLinear, values: Values) -> Piece:
+    """Return ``piece`` with its schedule and tables.
+
+    Raises
+    ------
+    MachineError
+        If its clocks do not fit together, it has a rate too fast for its ticks, or too many modes.
+    """
+    schedule = make_schedule(machine, piece.group)
+    longest_s = float(schedule.grid_s * int(schedule.lengths.max()))
+    rate = _fastest_rate(piece)
+    plant = plant_tables(piece)
+    guarded = bool(plant.guards.sum())
+    if rate * longest_s > (_MOST_PIECES if guarded else _MOST_RATE):
+        raise MachineError(
+            f"a part of the machine responds at {rate:.4g} 1/s, too fast for ticks of "
+            f"{longest_s:.4g} s",
+            remedy="Join bodies whose link is that stiff, or correct parts that are too light.",
+        )
+    if np.prod(plant.modes, dtype=np.float64) > _MOST_MODES:
+        raise MachineError(
+            f"limits, belts, play and friction combine to {np.prod(plant.modes)} modes, "
+            f"limit {_MOST_MODES}",
+            remedy="Leave out those that do not matter.",
+        )
+    group, axes = piece.group, machine.axes
+    return Piece(
+        equations=piece,
+        schedule=schedule,
+        plant=plant,
+        control=control_tables(machine, piece, values),
+        steps=_steps(schedule, rate if guarded else 0.0),
+        axis_controller=np.array(
+            [group.controllers.index(axes[a].controller) for a in group.axes],
+            dtype=np.int64,
+        ),
+        shared=_shared(machine, piece, values),
+        rate=rate,
+    )
+
+
+def _steps(schedule: Schedule, rate: float) -> Steps:
+    """Cut every advance into equal pieces of at most one period of the fastest rate."""
+    whole = [float(schedule.grid_s * int(x)) for x in schedule.lengths]
+    pieces = [max(1, ceil(rate * s / _WATCH_PER_RATE)) for s in whole]
+    lengths_s = tuple(s / p for s, p in zip(whole, pieces, strict=True))
+    cells = [float(max(1, ceil(rate * s / _CELL_PER_RATE))) for s in lengths_s]
+    bounds = schedule.first_action.tolist()
+    actions = [Action(Do(what), c) for what, c in schedule.actions.tolist()]
+    advance = Action(Do.ADVANCE)
+    steps: list[tuple[tuple[Action, ...], int]] = []
+    for first, last, x in zip(bounds, bounds[1:], schedule.length.tolist(), strict=False):
+        steps.append(((*actions[first:last], advance), x))
+        steps += [((advance,), x)] * (pieces[x] - 1)
+    if len({actions for actions, _ in steps}) > _MOST_KINDS:
+        steps = [((action,), x) for actions, x in steps for action in actions]
+    kinds = sorted({a for a, _ in steps}, key=lambda a: (Do.TICK not in [one.do for one in a], a))
+    return Steps(
+        kinds=tuple(kinds),
+        kind=np.array([kinds.index(a) for a, _ in steps], dtype=np.int64),
+        length=np.array([x for _, x in steps], dtype=np.int64),
+        lengths_s=lengths_s,
+        cells=np.array(cells),
+    )
+
+
+def _shared(machine: Machine, piece: PiecewiseLinear, values: Values) -> bool:
+    group, tick_s = piece.group, machine.tick_clock.period_s
+    if any(f"axes.{axis}.counts" in values.replaced for axis in group.axes):
+        return False
+    return [machine.axes[a].controller for a in group.axes] == list(group.controllers) and all(
+        machine.axes[axis].load is None
+        and not isinstance(machine.controllers[name], ProfileController)
+        and machine.clock(machine.controllers[name].clock).period_s == tick_s
+        for axis, name in zip(group.axes, group.controllers, strict=True)
+    )
+
+
+def _fastest_rate(piece: PiecewiseLinear) -> float:
+    """Return the largest spectral radius over the modes of every element, one at a time, in 1/s."""
+    n = len(piece.states)
+    start = piece.base.copy()
+    for element in piece.elements:
+        start += element.direction[:, :, None] * element.modes[0].law[:, None, :]
+    laws = [(np.zeros((1, n)), np.zeros((1, start.shape[2])))]
+    for element in piece.elements:
+        # Modes that differ in constants alone have the same rates.
+        known = [element.modes[0].law[:, :n]]
+        for mode in element.modes[1:]:
+            if not any(np.array_equal(mode.law[:, :n], law) for law in known):
+                known.append(mode.law[:, :n])
+                laws.append((element.direction, mode.law - element.modes[0].law))
+    fastest = 1e-3
+    for direction, law in laws:
+        generator = (start + direction[:, :, None] * law[:, None, :])[:, :, :n]
+        fastest = max(fastest, float(np.abs(np.linalg.eigvals(generator)).max()))
+    return fastest

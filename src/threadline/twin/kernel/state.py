@@ -1,0 +1,273 @@
+"""Everything that changes while one connected piece runs, and the calls into its machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.machine import Machine
+from threadline.twin.kernel.layout import Layout, aligned
+from threadline.twin.kernel.mode_tables import ModeTables
+from threadline.twin.kernel.names import ClockEntry, Count, Field, Row, Slot
+from threadline.twin.kernel.piece import Piece
+from threadline.twin.kernel.run import kernel
+from threadline.twin.kernel.shape import Shape
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Snapshot:
+    """What a piece needs to go on elsewhere with the same bits; arrays as in ``State``.
+
+    Parameters
+    ----------
+    shape
+        Of the kernel; a state of another shape cannot take it up.
+    """
+
+    shape: Shape
+    work: FloatArray
+    ring: FloatArray
+    clock: IntArray
+    counts: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class State:
+    """Everything that a kernel changes, for all variants; V is padded to whole blocks of lanes.
+
+    Parameters
+    ----------
+    shape, layout
+        What the kernel is written for, and where each row lies.
+    piece
+        Equations, instants and tables.
+    kernel
+        The machine code: first and last block, address of the slots.
+    modes
+        Tables of the modes met so far.
+    work
+        (groups, rows, width), see ``Layout``; a block is some groups.
+    ring
+        (blocks, controllers, K, lanes) levels in the dead times.
+    clock
+        (blocks, entries), see ``ClockEntry``.
+    counts
+        (blocks, 4), see ``Count``.
+    """
+
+    shape: Shape
+    layout: Layout
+    piece: Piece
+    kernel: Callable[[int, int, int], None]
+    modes: ModeTables
+    work: FloatArray
+    ring: FloatArray
+    clock: IntArray
+    counts: IntArray
+
+    def run(
+        self, begin: int, end: int, references: FloatArray, every: int, window: int,
+        records: FloatArray,
+    ) -> None:  # fmt: skip
+        """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references.
+
+        Parameters
+        ----------
+        references
+            (ticks, controllers) counts, contiguous.
+        every
+            Ticks from sample to sample, 0 for none.
+        window
+            First tick of which the least and the greatest load are kept.
+        records
+            (blocks, samples, columns, lanes), filled.
+        """
+        steps, modes = self.piece.steps, self.modes
+        cell_s = np.array(steps.lengths_s) / steps.cells
+        given: dict[Slot, NDArray[Any] | int] = {
+            Slot.WORK: self.work,
+            Slot.CLOCK: self.clock,
+            Slot.COUNTS: self.counts,
+            Slot.TABLES: modes.tables,
+            Slot.PLANS: modes.plans,
+            Slot.CELLS: steps.cells,
+            Slot.CELL_S: cell_s,
+            Slot.MEET: modes.address,
+            Slot.KINDS: steps.kind,
+            Slot.LENGTHS: steps.length,
+            Slot.STEPS: len(steps.kind),
+            Slot.REFERENCES: references,
+            Slot.ROWS: len(references),
+            Slot.EVERY: every,
+            Slot.WINDOW: window,
+            Slot.RECORDS: records,
+            Slot.SAMPLES: records.shape[1],
+            Slot.RING: self.ring,
+            Slot.RING_LENGTH: self.ring.shape[2],
+        }
+        values = (given[slot] for slot in Slot)
+        slots = np.array([v if isinstance(v, int) else v.ctypes.data for v in values], np.int64)
+        self.kernel(begin, end, slots.ctypes.data)
+
+    def failure(self) -> str:
+        """Return why the simulation has no answer, empty when it has one.
+
+        Raises
+        ------
+        MachineError
+            If its modes take too much memory.
+        """
+        if self.counts[:, Count.UNMET].any() and self.modes.failure is not None:
+            raise self.modes.failure
+        if self.counts[:, Count.ENDLESS].any():
+            return "modes change without end"
+        if not np.isfinite(self.work[:, : self.shape.states]).all():
+            return "the motion grows without bound"
+        return ""
+
+    def of_axes(self, field: Field) -> FloatArray:
+        """Return the (V, axes) rows of a field of the axes."""
+        return self._rows([self.layout[field, x] for x in range(len(self.shape.axes))])
+
+    def worst(self) -> FloatArray:
+        """Return (V, axes) the largest |commanded - load|, m or rad."""
+        worst = self.of_axes(Field.WORST)
+        return worst * self.of_axes(Field.SCALE) if self.shape.shared else worst
+
+    def peaks(self) -> FloatArray:
+        """Return (V, drives): the current of largest magnitude."""
+        return self._rows([self.layout[Field.PEAK, d] for d in range(len(self.shape.drives))])
+
+    def _rows(self, rows: list[int]) -> FloatArray:
+        return self.work[:, rows].transpose(0, 2, 1).reshape(-1, len(rows)).copy()
+
+    def snapshot(self) -> Snapshot:
+        """Return a copy of what has changed so far."""
+        return Snapshot(
+            shape=self.shape,
+            work=self.work.copy(),
+            ring=self.ring.copy(),
+            clock=self.clock.copy(),
+            counts=self.counts.copy(),
+        )
+
+    def restore(self, kept: Snapshot) -> None:
+        """Go on from ``kept``, made of the same piece, here or in another process.
+
+        Raises
+        ------
+        ValueError
+            If it is of a piece of another shape.
+        """
+        if kept.shape != self.shape or kept.work.shape != self.work.shape:
+            raise ValueError("the snapshot is of a machine of another shape, or of other variants")
+        for mine, other in (
+            (self.work, kept.work), (self.ring, kept.ring),
+            (self.clock, kept.clock), (self.counts, kept.counts),
+        ):  # fmt: skip
+            mine[:] = other
+        # Code takes the mode that it is in for met.
+        for mode in np.unique(self.work[:, self.layout[Field.MODE,]]):
+            self.modes.meet(int(mode))
+        self._find_sources()
+
+    def _find_sources(self) -> None:
+        """Set where the rows of advances are: in the table of a mode, nowhere for several."""
+        if (Field.SOURCE,) not in self.layout.row:
+            return
+        layout, width = self.layout, self.shape.width
+        modes = self.work[:, layout[Field.MODE,]].astype(np.int64)
+        sources = self.work.view(np.int64)[:, layout[Field.SOURCE,], 0]
+        before = 8 * width * (layout.first_length - layout.fixed)
+        for group, mode in enumerate(modes):
+            table = self.modes.meet(int(mode[0]))
+            alike = bool((mode == mode[0]).all())
+            sources[group] = table[group].ctypes.data + before if alike else 0
+
+
+def _numbers(machine: Machine, piece: Piece, phases: FloatArray) -> dict[Row, FloatArray]:
+    """Return what rows of the workspace hold at the start: (variants,) or (1,) each."""
+    control, equations = piece.control, piece.equations
+    # A phase of a half is a start on a whole count: rounding to the nearest is the floor a half on.
+    offset = {"nearest": 0.0, "floor": 0.5, "truncate": 0.5}
+    found: dict[Row, FloatArray] = {}
+    for c in range(phases.shape[1]):
+        found[Field.B0, c], found[Field.B1, c], found[Field.B2, c] = control.numerator[:, c].T
+        found[Field.A1, c], found[Field.A2, c] = control.denominator[:, c].T
+        found[Field.LEVEL_LOW, c] = control.level_low[:, c]
+        found[Field.LEVEL_HIGH, c] = control.level_high[:, c]
+        found[Field.VOLT, c] = control.volt_per_level[:, c]
+        found[Field.GAIN, c] = control.volt_per_level[:, c] * control.gain[:, c]
+        found[Field.LIMIT, c] = control.limit[:, c]
+        found[Field.PHASE, c] = phases[:, c] - offset[control.encoder[c]]
+        found[Field.ACCELERATION, c] = control.acceleration[:, c]
+        found[Field.FASTEST, c] = control.fastest[:, c]
+        found[Field.PER_TICK, c] = control.per_tick[:, c]
+        for j, values in enumerate(control.sensor_row[:, c].T):
+            found[Field.SENSOR, c, j] = values
+    for x, axis in enumerate(equations.group.axes):
+        found[Field.LOWEST, x], found[Field.HIGHEST, x] = np.full(1, np.inf), np.full(1, -np.inf)
+        found[Field.SCALE, x] = np.full(1, 1.0 / machine.axes[axis].counts.si)
+        for j in range(equations.base.shape[2]):
+            found[Field.LOAD, x, j] = equations.load_rows[:, x, j]
+            found[Field.FRAME, x, j] = equations.frame_rows[:, x, j]
+    return found
+
+
+def new_state(
+    machine: Machine, piece: Piece, phases: FloatArray, lanes: int, width: int, *,
+    peak: bool, quantised: bool,
+) -> State:  # fmt: skip
+    """Return the state at the start: at rest, nothing commanded.
+
+    Parameters
+    ----------
+    phases
+        (variants, controllers) of the encoders, in [0, 1).
+    lanes, width
+        Variants in one block, and in one vector.
+    peak
+        Whether currents are watched.
+    quantised
+        False leaves out the rounding of encoders and DACs.
+    """
+    numbers = _numbers(machine, piece, phases)
+    uniform = tuple(
+        row
+        for row, values in numbers.items()
+        if width > 1 and row[0] not in (Field.LOWEST, Field.HIGHEST) and (values == values[0]).all()
+    )
+    shape = piece.shape(lanes, width, peak=peak, quantised=quantised, uniform=uniform)
+    layout = Layout(shape)
+    variants, steps = piece.equations.variants, piece.steps
+    blocks = -(-variants // lanes)
+    which = np.minimum(np.arange(blocks * lanes), variants - 1)
+    modes = ModeTables(piece.plant, which, layout, steps.lengths_s, piece.rate)
+    work = aligned((blocks * (lanes // width), layout.stride, width))
+    for row, values in numbers.items():
+        if row in layout.row:
+            full = np.broadcast_to(values, (variants,))[which]
+            work[:, layout[row]] = full.reshape(-1, width)
+    table = modes.meet(0)
+    work[:, layout.fixed : layout.fixed + layout.copied] = table[:, : layout.copied]
+    clock = np.zeros((blocks, ClockEntry.HEADS + 2 * len(shape.controllers)), dtype=np.int64)
+    clock[:, ClockEntry.HEADS :: 2] = piece.schedule.in_flight
+    longest = int(piece.schedule.in_flight.max(initial=0)) + 2
+    state = State(
+        shape=shape,
+        layout=layout,
+        piece=piece,
+        kernel=kernel(shape),
+        modes=modes,
+        work=work,
+        ring=aligned((blocks, len(shape.controllers), longest, lanes)),
+        clock=clock,
+        counts=np.zeros((blocks, len(Count)), dtype=np.int64),
+    )
+    state._find_sources()
+    return state

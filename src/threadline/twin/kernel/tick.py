@@ -1,0 +1,186 @@
+"""Kernel code: what happens at one instant, and the advance to the next, for some lanes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from threadline.twin.kernel.code import Value
+from threadline.twin.kernel.lanes import Lanes
+from threadline.twin.kernel.names import Action, Do, Field, Row
+from threadline.twin.kernel.profile import profiled
+
+_ENCODER = {"nearest": "floor", "floor": "floor", "truncate": "trunc"}
+"""What rounds a position of which the phase has been added, see ``state``."""
+_DAC = {"nearest": "rint", "floor": "floor", "truncate": "trunc"}
+
+
+def write_worst(rows: Lanes, references: list[Value]) -> None:
+    """Keep the largest |commanded - load| of every axis whose controller doesn't read its load."""
+    for x, axis in enumerate(rows.shape.axes):
+        load = rows.product(Field.LOAD, x, axis.load)
+        apart = references[axis.controller] * rows[Field.SCALE, x] - load
+        _keep(rows, (Field.WORST, x), rows.code.call("fabs", apart))
+
+
+def _keep(rows: Lanes, row: Row, value: Value) -> None:
+    rows[row] = rows.code.larger(value, rows[row])
+
+
+def write_actions(
+    rows: Lanes,
+    actions: tuple[Action, ...],
+    references: list[Value],
+    sent: dict[Action, Value],
+) -> None:
+    """Write the actions of a step.
+
+    Parameters
+    ----------
+    references
+        Counts commanded to each controller.
+    sent
+        Where the level of a controller goes, and where the one that arrives comes from.
+    """
+    for action in actions:
+        c = action.controller
+        if action.do == Do.CONTROL:
+            _control(rows, c, references[c])
+            if rows.shape.delayed:
+                rows.code.write_lanes(sent[action], 0, rows[Field.LEVEL, c])
+        elif action.do == Do.ARRIVE:
+            if rows.shape.delayed:
+                rows[Field.HELD, c] = rows.code.read_lanes(sent[action], 0)
+            _arrive(rows, c)
+
+
+def _control(rows: Lanes, c: int, reference: Value) -> None:
+    """Write ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''``, rounded and limited."""
+    code, shape = rows.code, rows.shape
+    controller = shape.controllers[c]
+    read = rows.product(Field.SENSOR, c, controller.sensor)
+    if shape.shared:
+        _keep(rows, (Field.WORST, c), code.call("fabs", reference - read))
+    if shape.quantised:
+        read = code.call(_ENCODER[controller.encoder], read + rows[Field.PHASE, c])
+    if controller.profile:
+        reference = profiled(rows, c, reference)
+    e = reference - read
+    value = code.fma(rows[Field.B0, c], e, rows[Field.B1, c] * rows[Field.ERROR_1, c])
+    if controller.feedback:
+        value = value - rows[Field.A1, c] * rows[Field.OUTPUT_1, c]
+    if controller.second:
+        value = code.fma(rows[Field.B2, c], rows[Field.ERROR_2, c], value)
+        value = value - rows[Field.A2, c] * rows[Field.OUTPUT_2, c]
+        rows[Field.ERROR_2, c] = rows[Field.ERROR_1, c]
+        rows[Field.OUTPUT_2, c] = rows[Field.OUTPUT_1, c]
+    rows[Field.ERROR_1, c] = e
+    low, high = rows[Field.LEVEL_LOW, c], rows[Field.LEVEL_HIGH, c]
+    level = code.call(_DAC[controller.dac], value) if shape.quantised else value
+    level = code.larger(low, code.smaller(high, level))
+    if controller.feedback or controller.second:
+        rows[Field.OUTPUT_1, c] = code.larger(low, code.smaller(high, value))
+    if controller.reversal:
+        level = code.choose(level * rows[Field.LEVEL, c] < 0.0, 0.0, level)
+    rows[Field.LEVEL, c] = level
+
+
+def _arrive(rows: Lanes, c: int) -> None:
+    controller = rows.shape.controllers[c]
+    held = rows[Field.HELD if rows.shape.delayed else Field.LEVEL, c] * rows[Field.GAIN, c]
+    if controller.limited:
+        limit = rows[Field.LIMIT, c]
+        held = rows.code.larger(limit * -1.0, rows.code.smaller(limit, held))
+    rows[Field.COLUMN, rows.shape.states + controller.drive] = held
+
+
+def write_peaks(rows: Lanes) -> None:
+    """Keep the current of largest magnitude of every drive."""
+    code = rows.code
+    for d, pattern in enumerate(rows.shape.drives):
+        now, kept = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
+        rows[Field.PEAK, d] = code.choose(
+            code.call("fabs", now) > code.call("fabs", kept), now, kept
+        )
+
+
+def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) -> None:
+    """Write the advance to the next instant.
+
+    Parameters
+    ----------
+    functions
+        For lanes whose modes change, and for those in several modes; None where there are none.
+    call
+        Rows of the lanes, their number among all such groups, length, counts, context.
+    """
+    events, gather = functions
+    code, shape = rows.code, rows.shape
+
+    def leave(mask: Value, whole: int, before: tuple[Value, ...] = ()) -> None:
+        bits = code.bits(mask)
+        with code.when_seldom(~bits.equals(0)):
+            for i, value in enumerate(before):
+                rows.leave_behind((Field.OLD, i), value)
+            code.run(events, *call[:3], bits, code.integer(whole), *call[3:])
+
+    if shape.peak:
+        if events is not None:
+            # Inputs may have jumped: the current belongs to the mode then in force.
+            leave(rows.jumped(), 0)
+            rows.forget()
+        write_peaks(rows)
+    before = tuple(rows[Field.COLUMN, i] for i in range(shape.states))
+    rows.choose_length(gather, call[1], call[2], call[4])
+    after = rows.advanced()
+    if events is None:
+        for i in range(shape.states):
+            rows[Field.COLUMN, i] = after[i]
+    else:
+        near = rows.may_be_near(after)
+        for i in range(shape.states):
+            rows.leave_behind((Field.COLUMN, i), after[i])
+        if near is None:
+            leave(rows.may_leave(after), 1, before)
+        else:
+            with code.when_seldom(code.any(near)):
+                leave(rows.may_leave(after) & near, 1, before)
+        rows.forget()
+    if shape.peak:
+        write_peaks(rows)
+
+
+def write_loads(rows: Lanes, in_window: Value) -> None:
+    """Keep the load of every axis, the last and, in the window, the least and the greatest."""
+    code = rows.code
+    for x, axis in enumerate(rows.shape.axes):
+        load = rows.product(Field.LOAD, x, axis.load)
+        rows[Field.LAST, x] = load
+        lowest, highest = rows[Field.LOWEST, x], rows[Field.HIGHEST, x]
+        rows[Field.LOWEST, x] = code.choose(in_window, code.smaller(load, lowest), lowest)
+        rows[Field.HIGHEST, x] = code.choose(in_window, code.larger(load, highest), highest)
+
+
+def write_sample(rows: Lanes, out: Value) -> None:
+    """Fill a sample of some lanes, column by column of ``SampleLayout``."""
+    code, shape = rows.code, rows.shape
+    at = shape.sample
+    values: dict[int, Value] = {}
+    for c, controller in enumerate(shape.controllers):
+        read = rows.product(Field.SENSOR, c, controller.sensor)
+        if shape.quantised:
+            read = code.call(_ENCODER[controller.encoder], read + rows[Field.PHASE, c])
+        values[at.read(c)] = read
+        values[at.volts(c)] = rows[Field.LEVEL, c] * rows[Field.VOLT, c]
+    for x, axis in enumerate(shape.axes):
+        values[at.load(x)] = rows.product(Field.LOAD, x, axis.load)
+        values[at.frame(x)] = rows.product(Field.FRAME, x, axis.frame)
+    for d, pattern in enumerate(shape.drives):
+        now, kept = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
+        larger = code.call("fabs", now) > code.call("fabs", kept)
+        values[at.current(d)] = now
+        values[at.peak(d)] = code.choose(larger, now, kept)
+        rows[Field.PEAK, d] = 0.0
+    for s in range(shape.inputs):
+        values[at.tripped(s)] = rows[Field.TRIPPED, s]
+    for column, value in values.items():
+        code.write_lanes(out, column * shape.lanes, value)

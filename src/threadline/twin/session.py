@@ -1,0 +1,377 @@
+"""A machine on the way: rows in, samples out, its state kept between; stops and waits are honoured.
+
+A simulated machine that is driven live is a session; ``simulate`` is a loop over one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import MachineError, OptionError
+from threadline.machine import Machine
+from threadline.plant.values import Values
+from threadline.signals import Channel, Ended, Event, EventKind, RecordingBlock, TickBlock
+from threadline.twin.channels import encoder_phases, samples_of, tick_channels
+from threadline.twin.kernel import Engine, Reading, Run
+
+_HALTING = ("stop", "wait")
+_AT_ONCE = 1 << 16
+_REBUILT = frozenset(("channels", "_readings", "_run"))
+_Kind = TypeVar("_Kind", bound=np.generic)
+
+
+class Session:
+    """One machine under commands that arrive piece by piece.
+
+    The machine has its own clock, the tick, which always goes on; rows are taken up one at each
+    tick unless they are halted. While they are halted the command stands still and the plant goes
+    on: loops, springs and friction do what they do. The same rows in pieces of any length give the
+    same samples, to the bit. A session can be pickled, and goes on in another process with the
+    same bits.
+
+    Parameters
+    ----------
+    machine
+        What is driven; it starts at rest.
+    start_counts
+        (axes,) commanded position before the first row; 0 when None.
+    encoder_phase
+        (axes,) where between two counts each encoder stands at the start; 0.5 when None.
+    record_every
+        Ticks from sample to sample.
+    quantised
+        False leaves out the rounding of encoders and DACs: for comparisons.
+    engine
+        Of this machine at this start, where there is one already.
+
+    Attributes
+    ----------
+    channels
+        What the blocks hold.
+
+    Raises
+    ------
+    MachineError
+        If the machine's clocks or parts cannot be simulated.
+    OptionError
+        If an option is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from threadline.machine.load import load_machine
+    >>> from threadline.signals import Event, TickBlock
+    >>> session = Session(load_machine("lathe-winder"))
+    >>> stop = Event(tick=2, kind="stop", operation=0)
+    >>> rows = TickBlock(first_tick=0, counts=np.full((4, 3), 5), operation=np.zeros(4, np.int64),
+    ...                  events=(stop,))
+    >>> len(session.advance(rows).samples["X.load"]), session.halted == stop, session.queued
+    (2, True, 2)
+    >>> len(session.advance(ticks=100).samples["X.load"]), session.queued  # the operator is away
+    (100, 2)
+    >>> session.resume()
+    >>> len(session.advance().samples["X.load"]), session.queued
+    (2, 0)
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        *,
+        start_counts: IntArray | None = None,
+        encoder_phase: FloatArray | None = None,
+        record_every: int = 1,
+        quantised: bool = True,
+        engine: Engine | None = None,
+    ) -> None:
+        if record_every < 1:
+            raise OptionError(f"record_every must be at least 1, got {record_every}")
+        axes = len(machine.axes)
+        start = np.zeros(axes, np.int64) if start_counts is None else np.asarray(start_counts)
+        if start.shape != (axes,):
+            raise OptionError(f"start_counts has shape {start.shape}, expected {(axes,)}")
+        self._machine, self._start = machine, start
+        self._phases = encoder_phases(machine, encoder_phase)
+        self._every, self._quantised = record_every, quantised
+        self._rows: deque[tuple[IntArray, IntArray]] = deque()
+        self._events: deque[Event] = deque()  # of the commands, not met yet
+        self._inputs: dict[str, float] = {}
+        self._position = np.zeros(axes, dtype=np.int64)
+        self._operation = self._row = 0
+        self._halted: Event | None = None
+        self._held = False
+        self._ended: tuple[Ended, str] | None = None
+        self._final = False  # the end has been told
+        self._told: list[Event] = []  # since the last block
+        self._begin(engine)
+
+    def _begin(self, engine: Engine | None) -> None:
+        machine = self._machine
+        if engine is None:
+            start_si = self._start / machine.counts_per_unit
+            engine = Engine(machine, Values.of(machine), start_si)
+        self.channels: tuple[Channel, ...] = tick_channels(machine, self._every)
+        self._readings = engine.readings()
+        self._run: Run = engine.start(self._phases[None], quantised=self._quantised)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in vars(self).items() if name not in _REBUILT}
+        return {**kept, "snapshot": self._run.snapshot()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        snapshot = state.pop("snapshot")
+        vars(self).update(state)
+        self._begin(None)
+        self._run.restore(snapshot)
+
+    # --- what it is doing ------------------------------------------------------------------
+
+    @property
+    def tick(self) -> int:
+        """Ticks of the machine's clock so far."""
+        return self._run.tick
+
+    @property
+    def row(self) -> int:
+        """Rows taken up so far."""
+        return self._row
+
+    @property
+    def queued(self) -> int:
+        """Rows that wait to be taken up."""
+        return sum(len(counts) for counts, _ in self._rows)
+
+    @property
+    def halted(self) -> Event | None:
+        """The stop or wait at which the rows stand, None where they run or are only held."""
+        return self._halted
+
+    @property
+    def held(self) -> bool:
+        """Whether ``hold`` is in force."""
+        return self._held
+
+    @property
+    def ended(self) -> Ended | None:
+        """How it ended; None while it goes on, and while rows are left after ``finish``."""
+        return self._ended[0] if self._ended is not None and self._final else None
+
+    # --- what is done to it ----------------------------------------------------------------
+
+    def hold(self) -> None:
+        """Halt the rows from the next tick on, wherever they are; the plant goes on.
+
+        The command stands still at once. To come to rest within the limits of the machine is for
+        who sends the rows.
+        """
+        if not self._held:
+            self._held = True
+            self._tell("hold")
+
+    def resume(self) -> None:
+        """Let the rows go on, after ``hold``, after a stop, and after a wait that is passed over.
+
+        At a stop at which ``hold`` is in force both end.
+        """
+        if self._held or self._halted is not None:
+            self._held, self._halted = False, None
+            self._tell("resume")
+
+    def set_input(self, name: str, value: float) -> None:
+        """Set what a wait of the job may wait for.
+
+        Raises
+        ------
+        OptionError
+            If it is a limit switch of the machine: the plant decides on that.
+        """
+        if name in self._machine.inputs:
+            raise OptionError(
+                f"{name} is a limit switch of {self._machine.name}: where the load is decides on it"
+            )
+        self._inputs[name] = float(value)
+
+    def finish(self, ended: Ended = Ended.COMPLETED, text: str = "") -> None:
+        """Say that no more rows come.
+
+        Parameters
+        ----------
+        ended
+            ``COMPLETED`` when the rows that wait are all that is left: the recording says so once
+            they are taken up. ``STOPPED`` and ``FAULT`` take effect at once and drop those rows.
+        text
+            Why, for people.
+        """
+        if self._final:
+            return
+        self._ended = (ended, text)
+        if ended is not Ended.COMPLETED:
+            self._rows.clear()
+            self._events.clear()
+            self._halted, self._held = None, False
+        self._meet_events()
+
+    def advance(self, rows: TickBlock | None = None, *, ticks: int | None = None) -> RecordingBlock:
+        """Take up rows and go on; return what happened.
+
+        Parameters
+        ----------
+        rows
+            They follow those that were given before.
+        ticks
+            How many ticks to go on. A tick at which no row is there, after the first and before
+            ``finish``, comes late: the recording counts it. None goes on until the rows are used
+            up, or a stop or a wait halts them.
+
+        Returns
+        -------
+        RecordingBlock
+            Its events carry ticks of the machine's clock. It may have no samples.
+
+        Raises
+        ------
+        OptionError
+            If rows have another number of axes, leave others out, or come after the end.
+        MachineError
+            If the simulation has no answer.
+        """
+        if rows is not None:
+            self._take(rows)
+        first = self.tick
+        end = None if ticks is None else first + max(ticks, 0)
+        parts: list[_Part] = []
+        while end is None or self.tick < end:
+            self._meet_events()
+            part = self._moving(end) or self._still(end)
+            if part is None:
+                break
+            self._run_over(part)
+            parts.append(part)
+        return self._block(first, parts)
+
+    # --- rows and events -------------------------------------------------------------------
+
+    def _take(self, rows: TickBlock) -> None:
+        if rows.counts.shape[1] != len(self._machine.axes):
+            raise OptionError(
+                f"rows of {rows.counts.shape[1]} axes for a machine of {len(self._machine.axes)}"
+            )
+        if self._ended is not None:
+            raise OptionError(f"rows after the commands were {self._ended[0].value}")
+        if rows.first_tick != self._row + self.queued:
+            raise OptionError(
+                f"rows from {rows.first_tick} on, the next is {self._row + self.queued}",
+                remedy="Send every row, in order.",
+            )
+        if len(rows):
+            self._rows.append((rows.counts, rows.operation))
+        self._events.extend(rows.events)
+
+    def _tell(
+        self, kind: EventKind, *, tick: int | None = None, name: str = "", value: float = 0.0
+    ) -> None:
+        at = self.tick if tick is None else tick
+        self._told.append(
+            Event(tick=at, kind=kind, operation=self._operation, name=name, value=value)
+        )
+
+    def _meet_events(self) -> None:
+        """Tell what is due before the next row; halt at a stop, and at a wait that is not met."""
+        waits = self._halted
+        if waits is not None and waits.kind == "wait" and self._met(waits):
+            self._halted = None
+            self._tell("resume")
+        while self._halted is None and self._events and self._events[0].tick <= self._row:
+            event = self._events.popleft()
+            self._told.append(replace(event, tick=self.tick))
+            if event.kind == "stop" or (event.kind == "wait" and not self._met(event)):
+                self._halted = event
+        if self._ended is not None and not self._final and self._halted is None and not self._rows:
+            self._final = True
+            ended, text = self._ended
+            self._tell(ended.value, name=text)
+
+    def _met(self, wait: Event) -> bool:
+        if wait.name in self._machine.inputs:
+            return self._run.tripped(wait.name) == bool(wait.value)
+        return self._inputs.get(wait.name) == wait.value
+
+    def _moving(self, end: int | None) -> _Part | None:
+        """Return rows up to the next halt, as many as are there in one piece."""
+        if self._halted is not None or self._held or not self._rows:
+            return None
+        counts, operation = self._rows.popleft()
+        room = _AT_ONCE if end is None else min(_AT_ONCE, end - self.tick)
+        halts = (e.tick - self._row for e in self._events if e.kind in _HALTING)
+        n = min(room, len(counts), next(halts, room))
+        if n < len(counts):
+            self._rows.appendleft((counts[n:], operation[n:]))
+        after = self._position + np.cumsum(counts[:n], axis=0)
+        travelled = np.concatenate((self._position[None], after[:-1]))
+        while self._events and self._events[0].tick < self._row + n:
+            event = self._events.popleft()
+            self._told.append(replace(event, tick=self.tick + event.tick - self._row))
+        self._position, self._row, self._operation = after[-1], self._row + n, int(operation[n - 1])
+        return _Part(travelled, operation[:n])
+
+    def _still(self, end: int | None) -> _Part | None:
+        """Return ticks at which the command stands still; None where nobody asked for them."""
+        if end is None:
+            return None
+        n = min(_AT_ONCE, end - self.tick)
+        if self._halted is not None and self._halted.name in self._machine.inputs:
+            n = 1  # the plant decides, at any tick
+        if self._row and self._halted is None and not self._held and self._ended is None:
+            self._tell("late", value=float(n))
+        still = np.broadcast_to(self._position, (n, len(self._position)))
+        return _Part(still, np.full(n, self._operation))
+
+    # --- samples ---------------------------------------------------------------------------
+
+    def _run_over(self, part: _Part) -> None:
+        part.read = self._run.advance(part.travelled, self._readings, every=self._every)
+        failure = self._run.failure()
+        if failure is not None:
+            axes, why = failure
+            raise MachineError(
+                f"axes {', '.join(axes)}: the simulation has no answer, {why}",
+                remedy="Check stiffness, friction and gains in the machine file.",
+            )
+
+    def _block(self, first: int, parts: list[_Part]) -> RecordingBlock:
+        begin = -(-first // self._every) * self._every
+        nothing = np.zeros((0, len(self._position)), dtype=np.int64)
+        travelled = _joined([nothing, *(part.travelled for part in parts)])
+        operation = _joined([nothing[:, 0], *(part.operation for part in parts)])
+        read = {
+            reading: _joined([np.zeros((0, 1)), *(part.read[reading] for part in parts)])
+            for reading in self._readings
+        }
+        kept = slice(begin - first, None, self._every)
+        samples = samples_of(self._machine, self._start, read, travelled[kept])
+        samples["operation"] = operation[kept].astype(np.float64)
+        events, self._told = tuple(self._told), []
+        return RecordingBlock(
+            first_tick={self._machine.tick_clock.name: begin}, samples=samples, events=events
+        )
+
+
+@dataclass(slots=True)
+class _Part:
+    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, and what was read."""
+
+    travelled: IntArray
+    operation: IntArray
+    read: Mapping[Reading, FloatArray] = field(default_factory=dict)
+
+
+def _joined(parts: Sequence[NDArray[_Kind]]) -> NDArray[_Kind]:
+    """Return the parts as one; the first is empty and tells what kind of numbers they are."""
+    return parts[1] if len(parts) == 2 else np.concatenate(parts)

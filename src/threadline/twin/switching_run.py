@@ -1,0 +1,317 @@
+"""The PLC and its cylinders, scan by scan: compiled, and driven by instants instead of a grid.
+
+Time is an integer count of a unit in which scan and sample are whole, and of another for each
+cylinder in which its dead time is whole, too: any dead time arrives exactly where it should.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from math import lcm
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.numbers import exact_time_s
+from threadline.twin.switching_cylinder import (
+    SPEED,
+    Bank,
+    Motion,
+    advance_share,
+    frame_of,
+    stroke_of,
+)
+
+RUNNING, CALMING, DONE, STALLED = 0, 1, 2, 3
+TICK, SCAN, STALL, ROW, WAIT, PHASE, LEFT, SAMPLE, LATER, PLC_STATE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+PER_CYLINDER = 4
+"""Columns of a sample for each cylinder: its stroke, what was asked for, level and frame."""
+_MOST_UNIT = 1 << 50
+NEVER = 1e300
+
+
+class Orders(NamedTuple):
+    """What the PLC does, in one variant; R rows, C cylinders, W waits, M contacts.
+
+    Parameters
+    ----------
+    ticks, level
+        (R,) and (R + 1, C): from which scan on, and the level of each cylinder; the first row of
+        ``level`` is that with everything off.
+    wait_tick, wait_contact, wait_value, wait_given
+        (W,) each; the last says whether what is waited for was set from outside.
+    contact_cylinder, contact_at, contact_above
+        (M,) each; a cylinder of -1 is a contact that no cylinder closes, of -2 the light grid.
+    duration, most_stalled, after
+        In scans.
+    break_s, period_s, step_s
+        When the light grid is broken; a scan, and a sample.
+    scan, sample
+        In units of the machine.
+    late, share
+        (C,) in units of each cylinder: its dead time, and how many of them the machine's unit has.
+    """
+
+    ticks: IntArray
+    level: FloatArray
+    wait_tick: IntArray
+    wait_contact: IntArray
+    wait_value: IntArray
+    wait_given: IntArray
+    contact_cylinder: IntArray
+    contact_at: FloatArray
+    contact_above: IntArray
+    duration: int
+    most_stalled: int
+    after: int
+    break_s: float
+    period_s: float
+    step_s: float
+    scan: int
+    sample: int
+    late: IntArray
+    share: IntArray
+
+
+class Progress(NamedTuple):
+    """What changes of the PLC.
+
+    Parameters
+    ----------
+    plc
+        (PLC_STATE,) integers.
+    free
+        (M,) what contacts read that no cylinder closes.
+    asked
+        (C,) where the valves have asked each cylinder to be, m.
+    arrival, coming
+        (C, R + 3) instants and levels that are under way to each cylinder.
+    queue
+        (C, 2) how many have been sent, and how many have arrived.
+    """
+
+    plc: IntArray
+    free: IntArray
+    asked: FloatArray
+    arrival: IntArray
+    coming: FloatArray
+    queue: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Instants of a machine as integers."""
+
+    scan: int
+    sample: int
+    late: IntArray
+    share: IntArray
+
+
+def units_of(
+    machine: Machine, scan_s: Fraction, sample_s: Fraction, delays_s: Mapping[str, float]
+) -> Units:
+    """Return scan, sample and dead times in units in which they are whole.
+
+    Parameters
+    ----------
+    delays_s
+        Dead times of cylinders that are other than those of the machine.
+
+    Raises
+    ------
+    MachineError
+        If a scan or a dead time has so many digits that no 64-bit count holds it.
+    """
+    whole = lcm(scan_s.denominator, sample_s.denominator)
+    late, share = [], []
+    for name, cylinder in machine.cylinders.items():
+        delay = cylinder.delay.exact_s or Fraction(0)
+        if name in delays_s:
+            delay = exact_time_s(delays_s[name])
+        own = lcm(whole, delay.denominator)
+        if own * max(scan_s, sample_s, delay, Fraction(1)) > _MOST_UNIT:
+            raise MachineError(
+                f"cylinders.{name}: a dead time of {float(delay):.6g} s and a scan of "
+                f"{float(scan_s):.6g} s have no common step above 1e-15 s",
+                place=machine.place,
+                remedy="Give them with fewer digits.",
+            )
+        late.append(int(delay * own))
+        share.append(own // whole)
+    return Units(
+        int(scan_s * whole), int(sample_s * whole),
+        np.array(late, dtype=np.int64), np.array(share, dtype=np.int64),
+    )  # fmt: skip
+
+
+def begin(orders: Orders) -> Progress:
+    """Return the progress at the start: nothing switched."""
+    count, rows = len(orders.late), len(orders.ticks)
+    plc = np.zeros(PLC_STATE, dtype=np.int64)
+    plc[ROW] = -1
+    plc[LEFT] = orders.after
+    return Progress(
+        plc,
+        np.ones(len(orders.contact_cylinder), dtype=np.int64),
+        np.zeros(count),
+        np.zeros((count, rows + 3), dtype=np.int64),
+        np.zeros((count, rows + 3)),
+        np.zeros((count, 2), dtype=np.int64),
+    )
+
+
+def _contact(
+    m: int, time_s: float, orders: Orders, progress: Progress, bank: Bank, motion: Motion
+) -> bool:
+    cylinder = orders.contact_cylinder[m]
+    if cylinder == -2:
+        return bool(time_s < orders.break_s)
+    if cylinder == -1:
+        return bool(progress.free[m] != 0)
+    place = stroke_of(cylinder, bank, motion)
+    if orders.contact_above[m]:
+        return bool(place >= orders.contact_at[m])
+    return bool(place <= orders.contact_at[m])
+
+
+def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> int:
+    """Do what the PLC does at the beginning of a scan; return the wait that is over, or -1."""
+    plc = progress.plc
+    if plc[PHASE] == CALMING:
+        plc[ROW] = -1
+        return -1
+    now_s = plc[SCAN] * orders.period_s
+    for m in range(len(orders.contact_cylinder)):
+        if orders.contact_cylinder[m] == -2 and not now_s < orders.break_s:
+            plc[PHASE] = CALMING
+            plc[ROW] = -1
+            return -1
+    while plc[LATER] < len(orders.ticks) and orders.ticks[plc[LATER]] <= plc[TICK]:
+        plc[ROW] = plc[LATER]
+        plc[LATER] += 1
+    w = plc[WAIT]
+    held = w < len(orders.wait_tick) and orders.wait_tick[w] <= plc[TICK]
+    over = -1
+    if held:
+        m = orders.wait_contact[w]
+        if not orders.wait_given[w]:
+            # What no cylinder closes comes, or goes, when it is waited for.
+            progress.free[m] = orders.wait_value[w]
+        if contact(m, now_s, orders, progress, bank, motion) == (orders.wait_value[w] != 0):
+            over = w
+            plc[WAIT] += 1
+            held = False
+            plc[STALL] = 0
+    if held:
+        plc[STALL] += 1
+        if plc[STALL] > orders.most_stalled:
+            plc[PHASE] = STALLED
+    else:
+        plc[TICK] += 1
+    return over
+
+
+def _move(
+    c: int, begin: int, end: int, orders: Orders, progress: Progress, bank: Bank, motion: Motion
+) -> None:
+    """Advance a cylinder from one instant to another, both in its own units."""
+    whole = orders.sample * orders.share[c]
+    now = begin
+    queue = progress.queue[c]
+    while queue[1] < queue[0] and progress.arrival[c, queue[1]] < end:
+        at = progress.arrival[c, queue[1]]
+        if at > now:
+            advance_share(c, (at - now) / whole, orders.step_s, bank, motion)
+            now = at
+        motion.state[c, -2] = progress.coming[c, queue[1]]
+        queue[1] += 1
+    advance_share(c, (end - now) / whole, orders.step_s, bank, motion)
+
+
+def _sample(
+    at: int, time_s: float, out: FloatArray, rows: IntArray, orders: Orders, progress: Progress,
+    bank: Bank, motion: Motion,
+) -> None:  # fmt: skip
+    count = len(orders.late)
+    for c in range(count):
+        out[at, PER_CYLINDER * c] = stroke_of(c, bank, motion)
+        out[at, PER_CYLINDER * c + 1] = progress.asked[c]
+        out[at, PER_CYLINDER * c + 2] = orders.level[progress.plc[ROW] + 1, c]
+        out[at, PER_CYLINDER * c + 3] = frame_of(c, bank, motion)
+    for m in range(len(orders.contact_cylinder)):
+        closed = contact(m, time_s, orders, progress, bank, motion)
+        out[at, PER_CYLINDER * count + m] = 1.0 if closed else 0.0
+    # With everything off the operation stays that of the last row.
+    rows[at, 0], rows[at, 1] = progress.plc[ROW], progress.plc[LATER] - 1
+
+
+def _run(
+    orders: Orders, progress: Progress, bank: Bank, motion: Motion, out: FloatArray,
+    rows: IntArray, over: IntArray,
+) -> tuple[int, int]:  # fmt: skip
+    """Go on scan by scan until ``out`` may be full, or the end; return samples and ended waits.
+
+    Parameters
+    ----------
+    out
+        (samples, columns), with room for the samples of one scan at least.
+    rows
+        (samples, 2) which row of the schedule is on, and which was the last; -1 before the first.
+    over
+        (waits, 2) which wait was over, and at which sample.
+    """
+    plc = progress.plc
+    most = orders.scan // orders.sample + 2
+    filled, ended_waits = 0 * most, 0
+    while plc[PHASE] <= CALMING and filled + most <= len(out):
+        if plc[PHASE] == RUNNING and plc[TICK] >= orders.duration:
+            plc[PHASE] = CALMING
+        done = switch(orders, progress, bank, motion)
+        if plc[PHASE] == STALLED:
+            break
+        start = plc[SCAN] * orders.scan
+        if done >= 0:
+            over[ended_waits, 0], over[ended_waits, 1] = done, start // orders.sample
+            ended_waits += 1
+        for c in range(len(orders.late)):
+            sent = progress.queue[c, 0]
+            level = orders.level[plc[ROW] + 1, c]
+            if level != (progress.coming[c, sent - 1] if sent else 0.0):
+                progress.arrival[c, sent] = start * orders.share[c] + orders.late[c]
+                progress.coming[c, sent] = level
+                progress.queue[c, 0] = sent + 1
+        now, stop = start, start + orders.scan
+        while now < stop:
+            if now == plc[SAMPLE] * orders.sample:
+                time_s = plc[SCAN] * orders.period_s + (now - start) / orders.sample * orders.step_s
+                sample(filled, time_s, out, rows, orders, progress, bank, motion)
+                filled += 1
+                plc[SAMPLE] += 1
+            then = min(stop, plc[SAMPLE] * orders.sample)
+            step_s = (then - now) / orders.sample * orders.step_s
+            for c in range(len(orders.late)):
+                share = orders.share[c]
+                wanted = orders.level[plc[ROW] + 1, c]
+                progress.asked[c] += wanted * step_s * bank.numbers[c, SPEED]
+                move(c, now * share, then * share, orders, progress, bank, motion)
+            now = then
+        plc[SCAN] += 1
+        if plc[PHASE] == CALMING:
+            plc[LEFT] -= 1
+            if plc[LEFT] == 0:
+                plc[PHASE] = DONE
+    return filled, ended_waits
+
+
+contact = njit(cache=True, nogil=True)(_contact)
+switch = njit(cache=True, nogil=True)(_switch)
+move = njit(cache=True, nogil=True)(_move)
+sample = njit(cache=True, nogil=True)(_sample)
+run = njit(cache=True, nogil=True)(_run)

@@ -1,0 +1,59 @@
+"""How the runs ended that are judged: what no run came to was not measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from threadline.signals import Outcome, Recording, RecordingBlock
+from threadline.verdict.types import Result, Status
+
+
+class Heard:
+    """The blocks of a recording; what their events say is known once they have been read."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._outcome: Outcome | None = None
+
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        known = Outcome()
+        for block in self._recording:
+            known = known.after(block.events)
+            yield block
+        self._outcome = known
+
+    def outcome(self) -> Outcome:
+        """Return how the run ended; reads the recording only if nothing else has read all of it."""
+        if self._outcome is None:
+            for _ in self:
+                pass
+        assert self._outcome is not None
+        return self._outcome
+
+
+def heard(recordings: Sequence[Recording]) -> list[tuple[Recording, Heard]]:
+    """Return each recording with who listens to it while it is read."""
+    found = []
+    for recording in recordings:
+        listener = Heard(recording)
+        found.append((replace(recording, blocks=listener), listener))
+    return found
+
+
+def told_end(outcome: Outcome) -> str:
+    """Return what is said of a run that ended before its last row; empty of any other."""
+    if not outcome.incomplete:
+        return ""
+    assert outcome.ended is not None
+    why = f": {outcome.text}" if outcome.text else ""
+    return f"the run ended in operation {outcome.operation}, {outcome.ended.value}{why}"
+
+
+def not_beyond(result: Result, why: str) -> Result:
+    """Return a result of runs of which one ended early: what failed until then has failed."""
+    if not why or result.status in {Status.FAILED, Status.NOT_MEASURED}:
+        return result
+    so_far = "" if result.measured is None else f" ({result.measured:.4g} {result.unit} until then)"
+    note = "; ".join(filter(None, (result.note, f"{why}{so_far}")))
+    return replace(result, status=Status.NOT_MEASURED, measured=None, note=note)

@@ -1,0 +1,202 @@
+"""A recording of axes with a path, laid beside its plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from threadline.plan import Plan
+from threadline.signals import Channel, ChannelKind, Recording
+from threadline.verdict.blocks import (
+    find_first,
+    judged_blocks,
+    master_channel,
+    peak_channels,
+    sample_interval_s,
+)
+from threadline.verdict.by_time import checked_operations, with_operation
+from threadline.verdict.coverage import Coverage, Lack, motion_s
+from threadline.verdict.intended import as_intended
+from threadline.verdict.measure import Finding, MeasureKind, Needs, Running, RunReading, somewhere
+from threadline.verdict.samples import Block, Setting
+from threadline.verdict.window import PathWindow
+
+_ROUNDING = 1e-9
+_ARRIVED_M = 1e-4  # at the tool: a few counts, which is how near a quantised command comes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionRun(Setting):
+    """One run of axes with a path, read block by block in bounded memory.
+
+    Parameters
+    ----------
+    lag_s
+        How far the machine may trail its command.
+    by_time
+        The recording had no operations: it has those of the commands at the same instant.
+    coverage
+        Which instants of each channel the recording holds, once it was read.
+    """
+
+    of: ClassVar[str] = "a machine with axes"
+    absent: ClassVar[str] = "the recording has no such channel"
+
+    lag_s: float
+    by_time: bool
+    coverage: Coverage
+
+    def lacks(self, reading: RunReading, per_axis: bool) -> str:
+        """Say why the recording cannot tell what a measure asks for; empty where it can."""
+        for alternatives in reading.needs:
+            lacking = self._lacking(alternatives)
+            # A measure of single axes takes what there is; one of the tool needs every axis.
+            every = not per_axis or reading.of_every_axis in alternatives
+            if lacking and (every or len(lacking) == len(self.axes)):
+                return (
+                    f"no {' or '.join(alternatives)} channel of {', '.join(lacking)}: "
+                    + _how_to_give(alternatives, lacking[0])
+                )
+        return self._too_coarse(reading.needs) if reading.follows else ""
+
+    def _absent(self, reading: RunReading) -> dict[str, str]:
+        """Return the axes that a measure of single axes cannot measure, each with what it lacks."""
+        return {
+            axis: f"no {' or '.join(alternatives)} channel of {axis}: "
+            + _how_to_give(alternatives, axis)
+            for alternatives in reading.needs
+            for axis in self._lacking(alternatives)
+        }
+
+    def _lacking(self, alternatives: Sequence[ChannelKind]) -> list[str]:
+        """Return the axes of which the recording has none of these channels."""
+        operation = self.recording.find(ChannelKind.OPERATION)
+        if ChannelKind.OPERATION in alternatives and operation is not None:
+            return []  # one for all axes
+        return [a for a in self.axes if find_first(self.recording, alternatives, a) is None]
+
+    def _too_coarse(self, needs: Needs) -> str:
+        """Say which channel is sampled more coarsely than the lag; empty where none is.
+
+        An error may come and go between two samples, and the lag that is free would be a whole
+        sample. A sample at each tick of the commands is as fine as any: a lag may be shorter.
+        """
+        channels = [
+            channel
+            for alternatives in needs
+            for axis in ("", *self.axes)
+            if (channel := find_first(self.recording, alternatives, axis)) is not None
+        ]
+        coarsest = max(channels, key=sample_interval_s)
+        interval_s = sample_interval_s(coarsest)
+        finest_s = max(self.lag_s, float(self.plan.commands.clock.period_s))
+        if interval_s <= finest_s * (1.0 + _ROUNDING):
+            return ""
+        return (
+            f"{coarsest.name} has a sample every {1e3 * interval_s:.4g} ms, the lag of the "
+            f"specification is {1e3 * self.lag_s:.4g} ms: what happens in between is not seen; "
+            f"record every {1e3 * finest_s:.4g} ms at least"
+        )
+
+    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+        """Read the recording once; return what each measure found, as far as it was seen."""
+        if not running:
+            return []
+        path, last = PathWindow(self.plan.motion.programmed), None
+        for last in judged_blocks(self.recording, self.axes, self.lag_samples, path):
+            for one in running:
+                one.measure.feed(last)
+        begin_s, end_s = motion_s(self.plan)
+        if last is not None and self._arrived(last):
+            end_s = float(last.time_s[-1])  # sooner than planned
+        return [self._result(one, begin_s, end_s) for one in running]
+
+    def _result(self, one: Running, begin_s: float, end_s: float) -> list[Finding]:
+        absent = self._absent(one.reading) if one.kind.per_axis else {}
+        found = [Finding(value=None, axis=axis, note=why) for axis, why in absent.items()]
+        for finding in map(somewhere, one.measure.finish()):
+            # What a measure makes of an axis that it never saw is no measurement.
+            if finding.axis not in absent:
+                channels = self._channels(one.reading, finding.axis)
+                lack = self.coverage.lack(channels, begin_s, end_s)
+                found.append(finding if lack is None else _as_seen(finding, one.kind, lack))
+        return found
+
+    def unseen(self, reading: RunReading) -> str:
+        """Say, once the recording was read, what a measure of many runs did not see of it."""
+        lack = self.coverage.lack(self._channels(reading), *motion_s(self.plan))
+        return "" if lack is None else lack.why
+
+    def _channels(self, reading: RunReading, axis: str = "") -> list[Channel]:
+        """Return the channels that a measure reads, of ``axis`` alone or of all.
+
+        The one at whose instants all are taken is among them.
+        """
+        found = [master_channel(self.recording, self.axes)]
+        for alternatives in reading.needs:
+            every = not axis or reading.of_every_axis in alternatives
+            of = ("", *self.axes) if every else ("", axis)
+            found += [
+                c for a in of if (c := find_first(self.recording, alternatives, a)) is not None
+            ]
+        if any(ChannelKind.CURRENT in alternatives for alternatives in reading.needs):
+            found += peak_channels(self.recording, (axis,) if axis else self.axes)
+        return found
+
+    def _arrived(self, block: Block) -> bool:
+        """Say whether the command stands at the end of the path, in the last moving operation."""
+        path, commanded, operation = block.path, block.commanded, block.operation
+        if path is None or commanded is None or operation is None or not path.ended:
+            return False
+        left = np.linalg.norm(path.vertices[-1] - commanded[-1] * self.radius_m)
+        return bool(operation[-1] >= path.operation[-1] and left <= _ARRIVED_M)
+
+
+def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
+    """Return what a finding is worth where samples are missing.
+
+    What was seen before an early end still fails a limit that it exceeds, of measures that are the
+    worst of all samples; else nothing was measured.
+    """
+    seen = finding.seen or finding
+    if seen.value is None:  # it says itself where it ended
+        return replace(seen, note="; ".join(filter(None, (seen.note, lack.why))))
+    if lack.early and kind.of_worst:
+        return replace(seen, seen=None, unseen=lack.why)
+    return Finding(value=None, axis=finding.axis, note=lack.why)
+
+
+def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
+    """Return ``recording`` beside ``plan``: with operations, and commanded where it was meant.
+
+    Raises
+    ------
+    RecordingError
+        If the recording holds no position of any axis of the plan, or, while it is read, an
+        operation that the job does not have.
+    """
+    axes = plan.axes
+    coverage = Coverage(recording)
+    checked = checked_operations(coverage.watched, plan)
+    judged = as_intended(with_operation(checked, plan, axes), plan)
+    interval_s = sample_interval_s(master_channel(judged, axes))
+    return MotionRun(
+        plan=plan,
+        recording=judged,
+        axes=axes,
+        radius_m=plan.motion.programmed.radius_m,
+        interval_s=interval_s,
+        lag_samples=int(np.floor(lag_s / interval_s + _ROUNDING)),
+        lag_s=lag_s,
+        by_time=checked.find(ChannelKind.OPERATION) is None,
+        coverage=coverage,
+    )
+
+
+def _how_to_give(alternatives: Sequence[ChannelKind], axis: str) -> str:
+    if ChannelKind.LOAD in alternatives:
+        return f'name the column "{axis}.load" if it was measured at the load, see docs/files.md'
+    return f'a column "{axis}.{alternatives[0]}" gives it, see docs/files.md'

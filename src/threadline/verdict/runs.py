@@ -1,0 +1,34 @@
+"""Which runs a plan has, by what it intends: how its recordings are read by the measures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from threadline.plan import Motion, Plan, Scheduled
+from threadline.signals import Recording
+from threadline.verdict.measure import Run
+from threadline.verdict.motion_run import motion_run
+from threadline.verdict.switch_run import SwitchRun
+
+
+def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
+    """Return a run that is laid beside its schedule: it waits, and has no lag."""
+    return SwitchRun(recording, plan)
+
+
+RUNS: Mapping[type, Callable[[Recording, Plan, float], Run]] = {
+    Motion: motion_run,
+    Scheduled: _switch_run,
+}
+"""By intent: opens a recording beside its plan with the lag, s, that the specification allows."""
+
+
+def open_run(recording: Recording, plan: Plan, lag_s: float) -> Run:
+    """Return ``recording`` beside ``plan``, as its measures read it.
+
+    Raises
+    ------
+    RecordingError
+        If channels are absent without which nothing at all can be judged.
+    """
+    return RUNS[type(plan.intent)](recording, plan, lag_s)

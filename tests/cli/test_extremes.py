@@ -1,0 +1,70 @@
+"""Numbers at the ends of what can be typed are answered, or refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+FASTEST = ["fastest", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
+
+
+def run(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str, str]:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    told = capsys.readouterr()
+    return caught.value.code or 0, told.out, told.err
+
+
+@pytest.mark.parametrize(
+    ("span", "words"),
+    [
+        (["--low", "20 mm/s", "--high", "10 mm/s"], "from 0.02 m/s to 0.01 m/s"),
+        (["--low", "20 mm/s", "--high", "20 mm/s"], "from 0.02 m/s to 0.02 m/s"),
+        (["--high", "0.5 mm/s"], "to 0.0005 m/s"),
+    ],
+)
+def test_an_empty_range_is_told(
+    span: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run([*FASTEST, "--interpolation", "linear", *span], capsys)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert f"nothing to scan {words}" in err.replace("from 0.00992183 m/s ", "")
+    assert "Give a --low below --high" in err
+
+
+MOVE = ["--move", "10 mm", "--acceleration", "1 m/s^2"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--mode", "5e-324Hz", "--kind", "zv"], "frequency_hz must be from 1e-06 to 1e+09"),
+        (["--mode", "1e300Hz", "--kind", "zv"], "frequency_hz must be from 1e-06 to 1e+09"),
+        (["--mode", "5Hz", "--kind", "si", "--band", "nan"], "nan"),
+        (["--mode", "5Hz", "--kind", "zv", "--band", "inf", *MOVE], "inf"),
+    ],
+)
+def test_shapers_out_of_range_are_refused(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(["shaper", *options], capsys)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+
+
+@pytest.mark.parametrize("mode", ["0.05Hz", "0.01Hz"])
+def test_a_move_much_shorter_than_the_period_is_its_own_robust_optimum(
+    mode: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """2 sqrt(L / a) = 0.2 s: it rings the mode by less than 1 % of a full step.
+
+    That is (omega T / 2)^2 = (2 pi 0.05 0.1)^2 = 0.1 % at most, for T = 0.2 s.
+    """
+    words = ["shaper", "--mode", mode, "--kind", "zv", *MOVE, "--json"]
+    code, out, err = run(words, capsys)
+    assert (code, err) == (0, "")
+    assert '"robust_optimum_s": 0.2' in out

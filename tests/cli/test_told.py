@@ -1,0 +1,180 @@
+"""What is told where: the error alone, warnings after the answer, defects with a status of 70."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from threadline.cli import output, prove, told
+from threadline.cli.main import main
+from threadline.errors import PlanError
+from threadline.kinds import ticks
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+PROVE = ["prove", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
+START = [sys.executable, "-m", "threadline"]
+
+
+def stopped(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[object, str, str]:
+    with pytest.raises(SystemExit) as caught:
+        main([str(word) for word in words])
+    captured = capsys.readouterr()
+    return caught.value.code, captured.out, captured.err
+
+
+def test_a_defect_has_a_status_of_its_own_and_keeps_its_traceback(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Status 1 says that a job is out of specification: no crash may say so."""
+
+    def crashes(*_: object) -> None:
+        raise ValueError("math domain\nerror of two lines")
+
+    monkeypatch.setattr(prove, "prove_job", crashes)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    code, out, err = stopped(capsys, *PROVE)
+    assert (code, out, err.count("\n")) == (70, "", 1)
+    assert "[DEFECT]" in err
+    assert "ValueError at test_told.py:" in err
+    assert "math domain error of two lines" in err
+    (kept,) = tmp_path.iterdir()
+    assert str(kept) in err
+    text = kept.read_text(encoding="utf-8")
+    assert "Traceback" in text
+    assert f"threadline {' '.join(PROVE)}" in text
+
+
+def test_a_defect_without_room_for_its_traceback_is_told_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crashes(*_: object) -> None:
+        raise ValueError
+
+    monkeypatch.setattr(prove, "prove_job", crashes)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    code, out, err = stopped(capsys, *PROVE)
+    assert (code, out, err.count("\n")) == (70, "", 1)
+    assert "could not be kept: No such file" in err
+
+
+def test_too_little_memory_is_no_defect(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def starves(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(prove, "prove_job", starves)
+    code, out, err = stopped(capsys, *PROVE)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "[PLAN-BUDGET] this needs more memory" in err
+
+
+def test_an_error_comes_without_the_warnings_before_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stitcher as built has eight: they were told before the error, and hid it."""
+
+    def refuses(*_: object) -> None:
+        raise PlanError("too fast")
+
+    words = ["compile", EXAMPLES / "stitcher-test-path.seam.toml", "-m", "stitcher"]
+    words += ["--target", "csv", "--interpolation", "linear", "-o", tmp_path / "t.csv"]
+    with monkeypatch.context() as patched:
+        patched.setattr(ticks, "check_limits", refuses)
+        assert stopped(capsys, *words) == (2, "", "error: [PLAN] too fast.\n")
+    monkeypatch.setattr(ticks, "check_limits", lambda *_: None)
+    code, out, err = stopped(capsys, *words)
+    assert code == 0
+    assert out.endswith("t.csv\n")
+    assert 0 < err.count("\n") < 8
+    assert "(likewise axes.Y)" in err
+
+
+def test_warnings_come_after_the_answer(capfd: pytest.CaptureFixture[str]) -> None:
+    held = []
+    with told.telling() as telling:
+        told.warning("later")
+        held += telling.warnings
+    told.warning("now")
+    assert held == ["later"]
+    assert capfd.readouterr().err == "warning: now\n"
+
+
+def test_a_long_run_says_a_word_every_minute(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only where no bar is drawn; the minute is a moment here."""
+    monkeypatch.setattr(told, "_EVERY_S", 0.01)
+    heard = ""
+    with told.telling():
+        told.at_work("simulating", shown=False)
+        while "still at work after" not in heard:
+            heard += capsys.readouterr().err
+    assert re.search(r"still at work after \d+ s: simulating\n", heard)
+
+
+def test_standard_streams_that_are_closed_or_full() -> None:
+    """Closed ones get nothing, and the status is the answer; a full one is an error with a name."""
+    law = [*START, "law", "cubic"]
+    shell = {"out": [*law, ">&-"], "err": [*law, "2>&-", ">", os.devnull]}
+    for words in shell.values():
+        done = subprocess.run(
+            " ".join(words), shell=True, capture_output=True, check=False, timeout=120
+        )
+        assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(law, stdout=full, stderr=subprocess.PIPE, check=False, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"error: [FILE] cannot use standard output: No space left")
+    assert done.stderr.count(b"\n") == 1
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [*START, "law", "none"], stdout=subprocess.PIPE, stderr=writing, check=False, timeout=120
+    )
+    os.close(writing)
+    assert (done.returncode, done.stdout) == (2, b"")
+
+
+def test_a_name_that_is_no_text_is_refused() -> None:
+    """Neither JSON nor a recording could hold it."""
+    done = subprocess.run(
+        [*START, b"prove", b"\xff.prg", b"-m", b"lathe-winder"],
+        capture_output=True,
+        check=False,
+        timeout=120,
+    )
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
+    assert b"is not UTF-8 text. Rename the file." in done.stderr
+
+
+@pytest.mark.parametrize(
+    "text", ["[/b]", "[red]x[/]", ":warning:", "\x1b[2J", "a\nIN SPEC", "\x9b"]
+)
+def test_text_of_the_user_neither_marks_up_nor_drives_the_terminal(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output.print_table(text, [text, "note"], [[text, text]])
+    output.say(text)
+    told.note(text)
+    captured = capsys.readouterr()
+    shown = text.replace("\x1b", "\\x1b").replace("\n", "\\n").replace("\x9b", "\\x9b")
+    assert captured.out.count(shown) == 5
+    assert captured.err == f"{shown}\n"
+    assert "\x1b" not in captured.out
+    assert "\x9b" not in captured.out
+
+
+def test_only_one_file_writes_to_the_streams() -> None:
+    """So that nothing of the user's reaches them unescaped."""
+    cli = Path(output.__file__).parent
+    for file in cli.glob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        if file.name not in {"output.py", "told.py", "main.py", "start.py"}:
+            assert not re.search(r"typer\.echo|sys\.std(out|err)|(?<!\w)print\(", text), file

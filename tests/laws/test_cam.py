@@ -1,0 +1,304 @@
+"""A measured cam to a law: geometry by hand, printed rows, synthetic cams whose law is known."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.cli.main import main
+from threadline.errors import OptionError
+from threadline.laws import law
+from threadline.laws.cam import MeasuredCam, Triangle, read_cam
+from threadline.laws.cam_study import CamStudy, Fairing, study_cam
+from threadline.laws.fairing import differences, rebound
+from threadline.laws.rise import noise_of
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "schiffli-cam.csv"
+TRIANGLE = Triangle(b_m=0.165, c_m=0.135)
+NOISE = 5e-5
+START, END = 7.5, 127.5
+
+
+def true_distances(alpha_deg: np.ndarray, name: str = "modified-sine") -> np.ndarray:
+    """A cam of a known law between the angles of the printed one, with the triangle by hand."""
+    t = np.clip((alpha_deg - START) / (END - START), 0, 1)
+    phi = np.radians(32.6 + (49.68 - 32.6) * law(name)(t))
+    return np.sqrt(0.165**2 + 0.135**2 - 2 * 0.165 * 0.135 * np.cos(phi))
+
+
+def synthetic(
+    folder: Path, seed: int, name: str = "modified-sine", step: float = 1.0
+) -> MeasuredCam:
+    alpha = np.arange(0.0, 135.5, step)
+    noisy = true_distances(alpha, name) + NOISE * np.random.default_rng(seed).standard_normal(
+        len(alpha)
+    )
+    file = folder / f"cam-{seed}.csv"
+    rows = "\n".join(f"{a:g},{1e3 * h:.6f}" for a, h in zip(alpha, noisy, strict=True))
+    file.write_text(f"alpha [deg], h [mm]\n{rows}\n")
+    return read_cam(file, TRIANGLE)
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory: pytest.TempPathFactory) -> list[CamStudy]:
+    folder = tmp_path_factory.mktemp("cams")
+    return [study_cam(synthetic(folder, seed)) for seed in range(6)]
+
+
+def rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def test_the_printed_rows_that_are_wrong_are_flagged_with_the_checked_value() -> None:
+    """phi by math.acos, row by row; the four wrong ones as they were checked before."""
+    cam = read_cam(EXAMPLE, TRIANGLE)
+    assert len(cam.h_m) == 9
+    for h, phi in zip(cam.h_m, cam.follower, strict=True):
+        cosine = (0.165**2 + 0.135**2 - h**2) / (2 * 0.165 * 0.135)
+        assert phi == pytest.approx(math.acos(cosine), abs=1e-14)
+    flagged = {
+        round(math.degrees(cam.alpha_rad[f.row])): (f.printed_rad, f.checked_rad) for f in cam.flags
+    }
+    checked = {5: (32.86, 32.818), 120: (46.16, 49.09), 125: (47.13, 49.42), 130: (48.44, 49.57)}
+    assert set(flagged) == set(checked)
+    for angle, (printed, right) in checked.items():
+        assert math.degrees(flagged[angle][0]) == pytest.approx(printed, abs=1e-9)
+        assert math.degrees(flagged[angle][1]) == pytest.approx(right, abs=5e-3)
+    assert TRIANGLE.distance_m(cam.follower) == pytest.approx(cam.h_m, rel=1e-13)
+
+
+def test_the_slope_of_the_triangle_is_its_derivative() -> None:
+    h = np.linspace(0.09, 0.128, 9)
+    step = 1e-7
+    centred = (TRIANGLE.angle_rad(h + step) - TRIANGLE.angle_rad(h - step)) / (2 * step)
+    assert TRIANGLE.slope_rad_m(h) == pytest.approx(centred, rel=1e-7)
+    with_roller = Triangle(b_m=0.165, c_m=0.135, roller_m=0.01)
+    assert with_roller.angle_rad(h) == pytest.approx(TRIANGLE.angle_rad(h + 0.01), rel=1e-14)
+
+
+def test_few_rows_as_measured_ask_for_a_third_more_of_everything() -> None:
+    """The clamped cubic spline through the nine printed rows has Ca = 36 and more."""
+    study = study_cam(read_cam(EXAMPLE, TRIANGLE), noise_m=NOISE)
+    raw = study.faired(Fairing.NONE)
+    assert raw is not None
+    assert 36 <= raw.peaks[1] < 37
+    assert (study.rise.start_found, study.rise.end_found) == (False, False)
+    said = " ".join(study.warnings)
+    for part in ("at 5, 120, 125, 130 deg", "shows the true start", "shows the true end", "few"):
+        assert part in said
+    with pytest.raises(OptionError, match="the noise cannot be estimated"):
+        study_cam(read_cam(EXAMPLE, TRIANGLE))
+    assert study.faired(Fairing.DIFFERENCES) is None  # the rows are not even
+
+
+def test_the_noise_is_estimated(studies: list[CamStudy]) -> None:
+    """Of 132 differences with 70/252 of their neighbours in common: 10 % each, 5 % of the mean."""
+    found = np.array([study.noise_m for study in studies])
+    assert found.mean() == pytest.approx(NOISE, rel=0.12)
+    assert np.all(np.abs(found / NOISE - 1) < 0.3)
+    x = np.sort(np.random.default_rng(3).uniform(0, 1, 4000))
+    y = np.sin(6 * x) + 1e-3 * np.random.default_rng(4).standard_normal(len(x))
+    assert noise_of(x, y) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_start_and_end_of_the_rise_are_found(studies: list[CamStudy]) -> None:
+    """A rise is flat at its ends: its first degree is less than the noise. 2 degrees are met."""
+    for study in studies:
+        assert math.degrees(study.rise.start_rad) == pytest.approx(START, abs=2.0)
+        assert math.degrees(study.rise.end_rad) == pytest.approx(END, abs=2.0)
+        assert study.rise.start_found and study.rise.end_found
+        assert not study.warnings
+
+
+def test_the_faired_law_is_nearest_to_the_true_one(studies: list[CamStudy]) -> None:
+    """The spline is nearer than the rows and than the rebound, on each of six cams."""
+    true = true_distances(np.arange(0.0, 135.5))
+    for study in studies:
+        off = {each.fairing: rms(each.distances_m - true) for each in study.fairings}
+        assert off[Fairing.SPLINE] < 0.85 * off[Fairing.REBOUND]
+        assert off[Fairing.REBOUND] < 0.75 * off[Fairing.NONE]
+        assert off[Fairing.DIFFERENCES] < 0.85 * off[Fairing.NONE]
+        assert off[Fairing.SPLINE] < 0.45 * NOISE
+        seconds = {each.fairing: each.second_m for each in study.fairings}
+        exact = np.abs(np.diff(true, 2)).max()
+        assert seconds[Fairing.SPLINE] == pytest.approx(exact, rel=0.25)
+        assert seconds[Fairing.NONE] > 10 * exact
+
+
+def test_the_law_and_its_spread(studies: list[CamStudy]) -> None:
+    """Cv, Ca, Cj of modified sine: 1.7596, 5.528, 69.47; the law has its inverse."""
+    for study in studies:
+        assert study.law.velocity == pytest.approx(1.7596, rel=0.04)
+        assert study.law.acceleration == pytest.approx(5.528, rel=0.15)
+        assert study.law.jerk == pytest.approx(69.47, rel=0.35)
+        x = np.linspace(0, 1, 10_001)
+        assert np.abs(study.law(study.law.inverse(x)) - x).max() <= 1e-15
+        raw, faired = study.faired(Fairing.NONE), study.faired(Fairing.SPLINE)
+        assert raw is not None and faired is not None
+        assert raw.peaks[1] > 5 * faired.peaks[1]
+        assert np.all(faired.spread < 0.1 * raw.spread)
+    # The spread is that of the peaks from cam to cam, which have noise of their own each.
+    between = np.std([study.law.velocity for study in studies], ddof=1)
+    told = np.mean([study.faired(Fairing.SPLINE).spread[0] for study in studies])
+    assert 0.3 < between / told < 6
+
+
+def test_an_outlier_is_shown_and_kept(tmp_path: Path) -> None:
+    cam = synthetic(tmp_path, 11)
+    file = tmp_path / "cam-11.csv"
+    lines = file.read_text().splitlines()
+    angle, h = lines[61].split(",")
+    lines[61] = f"{angle},{float(h) + 0.6:.6f}"
+    file.write_text("\n".join(lines))
+    study = study_cam(read_cam(file, TRIANGLE))
+    assert [cam.lines[row] for row in study.outliers] == [62]
+    assert any("at 60 deg; they are kept" in said for said in study.warnings)
+    assert len(study.cam.h_m) == len(cam.h_m)
+
+
+def test_the_rebound_flattens_without_end() -> None:
+    """Twenty passes take a third of the noise away; thousands take the cam away.
+
+    Rows 5 degrees apart: what is left after many passes nears a single cubic, by least squares.
+    """
+    alpha = np.arange(7.5, 128.0, 5.0)
+    true = true_distances(alpha)
+    random = np.random.default_rng(7)
+    before, after, seconds = [], [], []
+    for _ in range(40):
+        noisy = true + NOISE * random.standard_normal(len(alpha))
+        done = rebound(alpha, noisy, np.inf, most_passes=20)
+        assert (done.passes, done.stopped_by) == (20, "passes")
+        before.append(rms(noisy - true))
+        after.append(rms(done.values - true))
+        seconds.append([np.abs(np.diff(y, 2)).max() for y in (noisy, done.values)])
+    assert np.mean(after) / np.mean(before) == pytest.approx(0.031 / 0.050, rel=0.2)
+    raw, faired = np.mean(seconds, axis=0)
+    assert faired < 0.85 * raw
+    flat = rebound(alpha, true, np.inf, most_passes=4000)
+    cubic = np.polynomial.Polynomial.fit(alpha, flat.values, 3)
+    assert np.abs(cubic(alpha) - flat.values).max() < 0.02 * np.ptp(flat.values)
+    assert rms(flat.values - true) > 4 * NOISE
+
+
+def test_the_rebound_stops_at_the_noise_and_warns_of_epsilon(tmp_path: Path) -> None:
+    alpha = np.radians(np.arange(7.5, 128.0, 2.0))
+    noisy = true_distances(np.degrees(alpha)) + NOISE * np.random.default_rng(1).standard_normal(
+        len(alpha)
+    )
+    done = rebound(alpha, noisy, 3e-5, most_passes=5000)
+    assert done.stopped_by == "noise" and done.moved <= 3e-5
+    over = rebound(alpha, noisy, np.inf, most_passes=done.passes + 1)
+    assert over.moved > 3e-5
+    study = study_cam(synthetic(tmp_path, 2), epsilon_m=1e-7, most_passes=100_000)
+    assert study.rebounded.stopped_by == "epsilon"
+    assert any("epsilon alone flattens the cam" in said for said in study.warnings)
+
+
+def test_differences_leave_a_cubic_alone_and_move_by_twice_the_noise_at_most() -> None:
+    x = np.arange(20.0)
+    cubic = 1 + x - 0.2 * x**2 + 0.01 * x**3
+    assert differences(cubic, 1.0) == pytest.approx(cubic, abs=1e-10)
+    spike = cubic.copy()
+    spike[9] += 100.0
+    assert np.abs(differences(spike, 0.5) - spike).max() == pytest.approx(1.0)
+
+
+def ran(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[object, str, str]:
+    with pytest.raises(SystemExit) as caught:
+        main(["cam", *arguments])
+    out, err = capsys.readouterr()
+    return caught.value.code, out, err
+
+
+SIDES = ("--b", "165 mm", "--c", "135 mm")
+
+
+def test_the_command_writes_law_and_report(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    synthetic(tmp_path, 0)
+    out, folder = tmp_path / "law.csv", tmp_path / "report"
+    code, text, err = ran(
+        capsys, str(tmp_path / "cam-0.csv"), *SIDES, "--json", "--out", str(out),
+        "--report", str(folder),
+    )  # fmt: skip
+    content = json.loads(text)
+    assert (code, err) == (0, "")
+    assert content["fairing"] == "spline" and len(content["rows"]) == 136
+    assert content["fairings"]["spline"]["Ca"]["spread"] > 0
+    assert law(str(out)).acceleration == pytest.approx(content["law"]["Ca"], rel=1e-6)
+    for name in ("cam.html", "cam.pdf", "cam-rows.svg", "cam-law.png"):
+        assert (folder / name).stat().st_size > 1000
+    code, text, err = ran(capsys, str(EXAMPLE), *SIDES, "--noise", "0.05 mm")
+    assert code == 0 and "printed 46.16, is 49.092 deg" in text and "4 printed angles" in err
+
+
+@pytest.mark.parametrize("fairing", ["rebound", "differences", "none"])
+def test_the_other_fairings_give_a_law_too(tmp_path: Path, fairing: str) -> None:
+    study = study_cam(synthetic(tmp_path, 4), fairing=Fairing(fairing), draws=10)
+    t = np.linspace(0, 1, 101)
+    assert study.law(t) == pytest.approx(law("modified-sine")(t), abs=0.02)
+    assert study.faired(study.chosen).monotone == (
+        not any("goes back" in w for w in study.warnings)
+    )
+
+
+def rows(*lines: str) -> str:
+    return "alpha [deg], h [mm]\n" + "\n".join(lines) + "\n"
+
+
+GOOD = [f"{a},{89 + 0.3 * a}" for a in range(0, 120, 5)]
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "said"),
+    [
+        (rows(*GOOD[:5], GOOD[4], *GOOD[5:]), SIDES, "bad.csv:7: cam: the angle 20 deg repeats"),
+        (rows(*GOOD[:5], GOOD[3], *GOOD[5:]), SIDES, "bad.csv:7: cam: the angle 15 deg falls"),
+        (rows(*GOOD[:5], "22,301", *GOOD[5:]), SIDES, "bad.csv:7: cam: a distance of 301 mm"),
+        (rows(*GOOD[:5], "22,29", *GOOD[5:]), SIDES, "does not close the triangle"),
+        (rows(*GOOD[:5], "22,x", *GOOD[5:]), SIDES, "bad.csv:7: cam: '22,x' is not a row"),
+        (rows(*GOOD[:5]), SIDES, "5 rows, at least 6"),
+        ("beta,h\n1,2\n", SIDES, "'beta' is no column"),
+        ("alpha [kg],h\n1,2\n", SIDES, "bad.csv:1: cam: column 'alpha [kg]'"),
+        ("alpha,alpha,h\n", SIDES, "comes twice"),
+        ("alpha,phi\n", SIDES, "no column 'h'"),
+        ("", SIDES, "0 rows"),
+        (rows(*GOOD), ("--b", "165 mm"), "needs b and c"),
+        (rows(*GOOD), ("--b", "0 mm", "--c", "1 mm"), "side b must be positive"),
+        (rows(*GOOD), (*SIDES, "--noise", "0 mm"), "the noise must be positive"),
+        (rows(*GOOD), (*SIDES, "--noise", "50 mm"), "which the noise of 50 mm explains"),
+        (rows(*GOOD), (*SIDES, "--noise", "1 mm", "--start", "200 deg"), "is not within the table"),
+        (rows(*GOOD), (*SIDES, "--fairing", "magic"), "unknown fairing 'magic'"),
+        (rows(*GOOD), (*SIDES, "--passes", "0"), "the passes must be positive"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    text: str, arguments: tuple[str, ...], said: str, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    code, out, err = ran(capsys, str(file), *arguments)
+    assert (code, out) == (2, "")
+    assert said in err and err.count("\n") == 1
+
+
+def test_a_cam_without_a_triangle_is_its_own_follower(tmp_path: Path) -> None:
+    """Distances that follow a law themselves, in radians and metres."""
+    t = np.linspace(-0.1, 1.1, 121)
+    h = 0.05 + 0.02 * law("cycloidal")(np.clip(t, 0, 1))
+    h += 2e-6 * np.random.default_rng(9).standard_normal(len(h))
+    file = tmp_path / "way.csv"
+    body = "\n".join(f"{a:.9f},{b:.9f}" for a, b in zip(2 * t + 1, h, strict=True))
+    file.write_text(f"alpha_rad,h_m\n{body}\n")
+    study = study_cam(read_cam(file))
+    assert study.law(np.linspace(0, 1, 51)) == pytest.approx(
+        law("cycloidal")(np.linspace(0, 1, 51)), abs=0.01
+    )
+    assert study.law.acceleration == pytest.approx(2 * np.pi, rel=0.05)

@@ -1,0 +1,105 @@
+"""A machine's numbers have the size of numbers: no overflow, no underflow, no endless clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from threadline.errors import MachineError
+from threadline.machine import load_machine
+from threadline.machine.quantity import LEAST_SI, MOST_SI
+from threadline.plant.analysis import analyse_axis
+from threadline.plant.suspicions import suspicions
+
+PLACER = {
+    "bodies.head.inertia": "1e-300 kg",
+    "bodies.table.damping": "1e30 N s/m",
+    "cylinders.X.air_damping": "1e30 N s/m",
+    "links.feet.stretch.table": "1e30",
+}
+WINDER = {"axes.X.velocity": "1e300 m/s", "axes.A.counts": "-1e-300 count/deg"}
+
+
+def overlaid(folder: Path, base: str, key: str, value: str) -> str:
+    file = folder / "m.toml"
+    file.write_text(f'base = "{base}"\n{key} = "{value} exact, assumed"\n')
+    return str(file)
+
+
+@pytest.mark.parametrize("key", [*PLACER, *WINDER])
+def test_sizes_that_no_machine_has_are_refused_with_their_line(key: str, tmp_path: Path) -> None:
+    base, value = ("letter-placer", PLACER[key]) if key in PLACER else ("lathe-winder", WINDER[key])
+    with pytest.raises(MachineError) as caught:
+        load_machine(overlaid(tmp_path, base, key, value))
+    assert f"m.toml:2: {key}: '{value}" in str(caught.value)
+    assert "a machine's numbers are 0 or from 1e-15 to 1e+15" in str(caught.value)
+
+
+def test_the_ends_of_the_range_are_in_it(tmp_path: Path) -> None:
+    for size in (LEAST_SI, MOST_SI, -MOST_SI):
+        file = overlaid(tmp_path, "letter-placer", "links.feet.stretch.table", repr(size))
+        assert load_machine(file).links["feet"].stretch["table"].si == size
+
+
+@pytest.mark.parametrize(("digits", "fits"), [(15, True), (16, False), (40, False)])
+def test_a_clock_has_as_many_digits_as_can_be_counted(
+    digits: int, fits: bool, tmp_path: Path
+) -> None:
+    """Of milliseconds: 1/1e18 s is the finest part."""
+    file = overlaid(tmp_path, "letter-placer", "clocks.scan", f"1.{'3' * digits} ms")
+    if fits:
+        assert load_machine(file).clocks["scan"].exact_s is not None
+        return
+    with pytest.raises(MachineError, match="has more digits than a time is counted in"):
+        load_machine(file)
+
+
+def test_a_load_or_a_frame_of_nothing_is_refused(tmp_path: Path) -> None:
+    (body, *_) = load_machine("stitcher").axes["X"].load or {}
+    for base, key in (
+        ("stitcher", f"axes.X.load.{body}"),
+        ("letter-placer", "cylinders.X.frame.table"),
+    ):
+        with pytest.raises(MachineError, match="every coefficient is 0"):
+            load_machine(overlaid(tmp_path, base, key, "0"))
+
+
+def test_every_small_number_of_the_stitcher_is_answered_or_refused(tmp_path: Path) -> None:
+    """And every large one, one after the other: loaded, suspected and analysed."""
+    base = load_machine("stitcher")
+    keys = [
+        f"links.{link}.stretch.{body}" for link in base.links for body in base.links[link].stretch
+    ]
+    keys += [
+        f"drives.{drive}.acts_on.{body}"
+        for drive in base.drives
+        for body in base.drives[drive].acts_on
+    ]
+    answered = 0
+    for key in keys:
+        for size in ("0", "1e-15", "1e15"):
+            try:
+                machine = load_machine(overlaid(tmp_path, "stitcher", key, size))
+                found = suspicions(machine)
+                analyse_axis(machine, "X")
+            except MachineError:
+                continue
+            answered += 1
+            assert all("nan" not in text for text in found)
+    assert answered > 3
+
+
+@pytest.mark.parametrize("key", ["lag", "delay"])
+def test_air_that_takes_more_than_minutes_is_refused(key: str, tmp_path: Path) -> None:
+    """A lag of 1e5 s was simulated for hours."""
+    with pytest.raises(MachineError, match="must be at most 100"):
+        load_machine(overlaid(tmp_path, "letter-placer", f"cylinders.X.{key}", "1e5 s"))
+
+
+def test_a_body_that_nothing_holds_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "m.toml"
+    body = '[bodies.loose]\nkind = "linear"\ninertia = "1 kg exact, assumed"\n'
+    file.write_text(f'base = "lathe-winder"\n{body}')
+    with pytest.raises(MachineError, match=r"bodies\.loose: no drive, sensor or axis"):
+        analyse_axis(load_machine(str(file)), "X")

@@ -1,0 +1,194 @@
+"""The twin of an on/off machine: exact instants, streams, and variants beside their machines."""
+
+from __future__ import annotations
+
+import pickle
+import tracemalloc
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from threadline.errors import MachineError
+from threadline.machine import Machine, load_machine
+from threadline.machine.numbers import number_at
+from threadline.machine.variants import drawn, numbers_at, variant
+from threadline.options import Options
+from threadline.pipeline import prove
+from threadline.plant.cylinders import cylinder_equations
+from threadline.signals import Clock, Event, SwitchSchedule
+from threadline.twin.switching import SwitchOptions, simulate_switching, simulate_switchings
+from threadline.verdict import load_spec
+
+OUTPUTS = ("x_right", "x_right_a1", "x_right_a2", "x_left", "x_left_a1", "x_left_a2",
+           "z_down", "z_down_a1", "z_down_a2", "z_up", "z_up_a1", "z_up_a2")  # fmt: skip
+
+
+def schedule(machine: Machine, scan_s: Fraction, rows: list[tuple[int, tuple[str, ...]]],
+             duration: int, events: tuple[Event, ...] = ()) -> SwitchSchedule:  # fmt: skip
+    """Return a schedule of outputs that are on from scans on."""
+    return SwitchSchedule(
+        clock=Clock("scan", scan_s),
+        outputs=OUTPUTS,
+        ticks=np.array([tick for tick, _ in rows]),
+        levels=np.array([[int(name in on) for name in OUTPUTS] for _, on in rows]),
+        operation=np.zeros(len(rows), dtype=np.int64),
+        duration_ticks=duration,
+        job_sha256="",
+        machine_sha256=machine.sha256,
+        events=events,
+    )
+
+
+def plain(machine: Machine, delay_s: str) -> Machine:
+    """Return a machine whose X has no ramp, so that its equations are linear, and a dead time."""
+    cylinder = machine.cylinders["X"]
+    exact = Fraction(delay_s)
+    delay = replace(cylinder.delay, si=float(exact), exact_s=exact)
+    cylinder = replace(cylinder, air_ramp=None, delay=delay)
+    return replace(machine, cylinders={**machine.cylinders, "X": cylinder})
+
+
+@pytest.mark.parametrize("delay_s", ["0.1234567", "1e-7", "0.02", "0.20050000001"])
+@pytest.mark.parametrize("scan_s", [Fraction(1, 100), Fraction(73, 10_000)])
+def test_any_dead_time_arrives_where_it_should(delay_s: str, scan_s: Fraction) -> None:
+    """Against Radau on the plant's own matrices, restarted where each level arrives."""
+    machine = plain(load_machine("letter-placer"), delay_s)
+    half, full = ("x_right", "x_right_a1"), ("x_right", "x_right_a1", "x_right_a2")
+    commands = schedule(machine, scan_s, [(0, half), (11, full), (23, ())], 30)
+    recording = simulate_switching(commands, machine, SwitchOptions(after_s=0.3))
+    times, found = recording.samples("X.load")
+    plant = cylinder_equations(machine, "X")
+    matrix, push = plant.sliding()[0], plant.level[0]
+    arrivals = [float(scan_s * k) + float(Fraction(delay_s)) for k in (0, 11, 23)]
+    bounds, state, expected = [0.0, *arrivals, float(times[-1])], np.zeros(len(push)), []
+    for level, begin, end in zip((0.0, 0.63, 1.0, 0.0), bounds[:-1], bounds[1:], strict=True):
+        inside = times[(times >= begin) & ((times < end) | (end == bounds[-1]))]
+        done = solve_ivp(
+            lambda t, x, level=level: matrix @ x + level * push,
+            (begin, end), state, method="Radau", t_eval=np.union1d(inside, [end]),
+            rtol=1e-9, atol=1e-13, jac=matrix,
+        )  # fmt: skip
+        expected += list(plant.stroke @ done.y[:, : len(inside)])
+        state = done.y[:, -1]
+    assert max(expected) > 0.04
+    # Radau at 1e-9 with a beam of 1.6 kHz: two runs at other tolerances differ by 2e-9 m.
+    assert np.abs(found - np.array(expected)).max() < 2e-8
+
+
+def test_a_dead_time_of_many_digits_costs_nothing_more() -> None:
+    """As many samples as with a round one; one of too many is refused, with both numbers."""
+    base = load_machine("letter-placer")
+    commands = schedule(base, Fraction(1, 100), [(0, ("x_right", "x_right_a1"))], 20)
+    for delay_s in ("0.2", "0.1234567"):
+        machine = plain(base, delay_s)
+        assert len(simulate_switching(commands, machine).samples("X.load")[0]) == 1200
+    beyond = plain(base, "0.12345678901234567890")
+    with pytest.raises(MachineError, match=r"cylinders\.X: a dead time of 0\.123457 s and a scan"):
+        simulate_switching(commands, beyond)
+
+
+def test_a_long_recording_streams() -> None:
+    """Twenty minutes are 1.2 million samples of 36 channels: 340 MB, were they kept."""
+    machine = load_machine("letter-placer")
+    commands = schedule(machine, Fraction(1, 100), [(0, ("x_right", "x_right_a1"))], 120_000)
+    recording = simulate_switching(commands, machine)
+    next(iter(recording))  # compiled
+    tracemalloc.start()
+    samples = sum(len(block.samples["X.load"]) for block in recording)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert samples == 1_201_000
+    assert peak < 30e6
+
+
+def test_the_recording_is_the_same_when_it_is_read_again_and_elsewhere() -> None:
+    machine = load_machine("letter-placer")
+    wait = Event(tick=15, kind="wait", operation=0, name="x_is_left", value=0)
+    rows = [(0, ("x_right", "x_right_a1")), (40, ())]
+    commands = schedule(machine, Fraction(1, 100), rows, 50, (wait,))
+    recording = simulate_switching(commands, machine)
+    first, again = recording.samples("X.frame")[1], recording.samples("X.frame")[1]
+    np.testing.assert_array_equal(first, again)
+    copied = pickle.loads(pickle.dumps(recording.blocks))
+    whole = np.concatenate([block.samples["X.frame"] for block in copied])
+    np.testing.assert_array_equal(first, whole)
+    (event,) = [event for block in recording for event in block.events]
+    # The wait ends with the first scan at which the piston has left its switch at 6 mm.
+    load = recording.samples("X.load")[1]
+    assert load[event.tick] > 6e-3 >= load[event.tick - 10]
+
+
+def test_variants_do_what_machines_with_their_numbers_do() -> None:
+    """Masses, springs, dead times, speeds, flows, air and switches, all drawn at once."""
+    machine = load_machine("letter-placer+hysteresis")
+    wait = Event(tick=60, kind="wait", operation=0, name="x_is_right", value=1)
+    rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (110, ("x_left", "x_left_a2"))]
+    commands = schedule(machine, Fraction(1, 100), rows, 150, (wait,))
+    parts = drawn(machine, 11, np.arange(5))
+    numbers = numbers_at(machine, parts)
+    many = list(simulate_switchings(commands, machine, numbers))
+    ends = set()
+    for k, recording in enumerate(many):
+        own = variant(machine, parts[k])
+        alone = simulate_switching(replace(commands, machine_sha256=own.sha256), own)
+        for channel in ("X.load", "X.frame", "Z.frame", "x_is_right"):
+            np.testing.assert_array_equal(recording.samples(channel)[1], alone.samples(channel)[1])
+        ends.add(len(recording.samples("X.load")[1]))
+    assert len(ends) > 1  # each waits for its own switch
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["cylinders.X.delay", "cylinders.X.lag", "cylinders.X.speed", "cylinders.X.air_stiffness",
+     "cylinders.X.air_damping", "cylinders.X.air_ramp", "cylinders.X.friction",
+     "cylinders.X.stiction", "cylinders.X.stroke", "cylinders.X.forward.flows.x_right_a1",
+     "cylinders.X.cushion.length", "cylinders.X.cushion.flow", "cylinders.X.frame.table",
+     "bodies.head.inertia", "bodies.table.damping", "links.feet.stiffness",
+     "links.air.damping", "contacts.x_is_right.at"],
+)  # fmt: skip
+def test_every_number_of_a_cylinder_can_vary(path: str) -> None:
+    """Another value of each moves something: none is accepted and ignored."""
+    machine = load_machine("letter-placer+hysteresis+data-sheet")
+    wait = Event(tick=15, kind="wait", operation=0, name="x_is_left", value=0)
+    rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (110, ())]
+    commands = schedule(machine, Fraction(1, 100), rows, 130, (wait,))
+    own = number_at(machine, path).si
+    same, other = simulate_switchings(commands, machine, {path: np.array([own, 0.9 * own])})
+    ends = [len(r.samples("X.load")[1]) for r in (same, other)]
+    moved = any(
+        not np.array_equal(a.samples(c)[1][: min(ends)], b.samples(c)[1][: min(ends)])
+        for a, b in [(same, other)]
+        for c in ("X.load", "X.frame", "x_is_right")
+    )
+    assert moved or ends[0] != ends[1]
+
+
+def test_a_cushion_throttles_the_way_in_and_not_the_way_out() -> None:
+    """Standing at its end and told to go back, a piston's exhaust is open: with or without one."""
+    rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (150, ("x_left", "x_left_a1"))]
+    strokes = []
+    for overlay in ("", "+data-sheet"):
+        machine = load_machine(f"letter-placer{overlay}")
+        recording = simulate_switching(schedule(machine, Fraction(1, 100), rows, 190), machine)
+        strokes.append(recording.samples("X.load")[1])
+    assert strokes[0][1490] == pytest.approx(0.2, abs=1e-6)
+    np.testing.assert_allclose(strokes[0][1500:1950], strokes[1][1500:1950], atol=2e-4)
+    assert np.abs(strokes[0][:900] - strokes[1][:900]).max() > 1e-3
+
+
+@pytest.mark.parametrize("step", ["", 'step = "back"\n'])
+def test_moves_before_a_named_step_are_judged(tmp_path: Path, step: str) -> None:
+    """A list that names no step, or its first one late, has a step from its beginning."""
+    file = tmp_path / "list.toml"
+    file.write_text(
+        'name = "list"\n[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { X = "200 mm" }\n'
+        f'[[operation]]\n{step}move = {{ X = "0 mm" }}\n'
+    )
+    machine = load_machine("letter-placer")
+    verdict = prove(file, machine, load_spec(None, machine), Options()).verdict
+    ends = [r for r in verdict.results if r.name == "end_position_error" and r.axis == "X"]
+    assert ends and all(r.measured is not None for r in ends)

@@ -1,0 +1,148 @@
+"""Feed-forward, another machine and tolerances in the search of any job's feed."""
+
+from __future__ import annotations
+
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from threadline.cli.main import main
+from threadline.errors import LimitError
+from threadline.jobs import read_job
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.machine import load_machine
+from threadline.machine.vary import off_tolerance
+from threadline.options import Options
+from threadline.pipeline import plan_job, prove_plan
+from threadline.search import (
+    Fastest,
+    Interval,
+    fastest_feed,
+    feed_over_tolerances,
+    gentle,
+    mismatch,
+)
+from threadline.search.gentle import ignores_limits
+from threadline.verdict import Verdict, load_spec
+
+MACHINE = load_machine("lathe-winder")
+AHEAD = Options(feed_forward_s=0.1)
+
+
+def at(options: Options, feed_m_s: float) -> Options:
+    return replace(options, feed=Feed(FeedMode.FASTEST_AXIS, feed_m_s))
+
+
+def test_the_edge_with_feed_forward_is_where_the_verdict_turns(examples: Path) -> None:
+    """Within 6 %: narrow intervals follow each other just above the edge that is found."""
+    job = read_job(examples / "x-180.prg", MACHINE)
+    spec = load_spec(None, MACHINE)
+    found = fastest_feed(job, MACHINE, spec, AHEAD, low=0.02, high=0.3, points=4, near=0)
+    assert found.best is not None
+    for feed, passes in ((found.best, True), (found.best * 1.06, False)):
+        verdict = prove_plan(plan_job(job, MACHINE, at(AHEAD, feed)), spec).verdict
+        assert verdict.passed is passes
+
+
+def test_a_smoothed_motion_beyond_a_limit_is_out_of_spec_and_no_error(examples: Path) -> None:
+    """Half a metre a second turned about within 20 ms needs some 50 m/s^2; there are 10.5."""
+    job = read_job(examples / "x-180.prg", MACHINE)
+    sharp = Options(feed_forward_s=0.02)
+    with pytest.raises(LimitError):
+        plan_job(job, MACHINE, at(sharp, 0.5))
+    spec = load_spec(None, MACHINE)
+    found = fastest_feed(job, MACHINE, spec, sharp, low=0.4, high=0.5, points=2, near=0)
+    assert found.best is None
+    assert found.limited_by in {"acceleration", "jerk"}
+    # Without feed-forward a plan that cannot be made is an error still.
+    axis = MACHINE.axes["X"]
+    assert axis.travel is not None
+    near = tuple(replace(end, si=si) for end, si in zip(axis.travel, (-1e-3, 1e-3), strict=True))
+    small = replace(MACHINE, axes={**MACHINE.axes, "X": replace(axis, travel=near)})
+    for options in (Options(interpolation="b-spline"), sharp):
+        with pytest.raises(LimitError, match="travel"):
+            fastest_feed(job, small, spec, options, low=0.01, high=0.02, points=2, near=0)
+
+
+def test_another_machine_does_the_job_that_was_planned(examples: Path) -> None:
+    """What is planned for the file and done by a heavier machine is out of spec sooner."""
+    job = read_job(examples / "x-180.prg", MACHINE)
+    spec = load_spec(None, MACHINE)
+    other = off_tolerance(MACHINE, mass=8.0)
+    options = Options(interpolation="linear")
+    seen = [
+        fastest_feed(
+            job, MACHINE, spec, options, low=0.01, high=0.1, points=6, near=0, actual=actual
+        ).best
+        for actual in (None, other)
+    ]
+    assert seen[0] is not None
+    assert seen[1] != seen[0]
+    verdict = prove_plan(plan_job(job, MACHINE, at(options, seen[0])), spec, actual=other).verdict
+    assert verdict.passed is (seen[1] is not None and seen[1] >= seen[0])
+
+
+def test_a_share_of_the_limits_means_nothing_to_programmed_times(examples: Path) -> None:
+    job = read_job(examples / "x-180.prg", MACHINE)
+    assert ignores_limits(job, MACHINE, AHEAD)
+    assert ignores_limits(job, MACHINE, replace(AHEAD, interpolation="linear"))
+    assert not ignores_limits(job, MACHINE, replace(AHEAD, interpolation="quintic"))
+    assert not ignores_limits(job, MACHINE, Options())
+
+
+def canned(calls: list[Any]) -> Any:
+    def search(_job: Any, machine: Any, _spec: Any, options: Options, **more: Any) -> Fastest:
+        calls.append((machine, options, more))
+        slower = 1.0 - 0.1 * len(calls)
+        return Fastest(
+            intervals=(Interval(low=0.01, high=0.05 * slower),),
+            limited_by="contour_error",
+            verdict=Verdict(results=(), simulated=True),
+            tried=3,
+        )
+
+    return search
+
+
+def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans are for the file's machine; nine others do the job."""
+    calls: list[Any] = []
+    monkeypatch.setattr(mismatch, "fastest_feed", canned(calls))
+    job = read_job(examples / "x-180.prg", MACHINE)
+    cells = feed_over_tolerances(job, MACHINE, load_spec(None, MACHINE), AHEAD, high=0.2)
+    ends = [(mass, stiffness) for mass in (-1, 0, 1) for stiffness in (-1, 0, 1)]
+    assert [(c.mass, c.stiffness) for c in cells] == ends
+    assert all(machine is MACHINE and options is AHEAD for machine, options, _ in calls)
+    ran = [more["actual"] for _, _, more in calls]
+    assert ran[4] == MACHINE
+    # X of the winder is rigid: its load is the body that its drive turns, 3.606e-4 kg m^2 +- 5 %.
+    assert ran[0].bodies["x"].inertia.si == pytest.approx(0.95 * 3.606e-4)
+    assert ran[8].bodies["x"].inertia.si == pytest.approx(1.05 * 3.606e-4)
+    assert {(more["low"], more["high"]) for _, _, more in calls} == {(0.05, 0.2)}
+
+
+def test_the_command_takes_them_for_any_job(
+    examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[Any] = []
+    off: list[Any] = []
+    monkeypatch.setattr(gentle, "fastest_feed", canned(searched))
+    monkeypatch.setattr(mismatch, "fastest_feed", canned(off))
+    words = ["fastest", str(examples / "x-180.prg"), "-m", "lathe-winder", "--feed-forward"]
+    words += ["--smoothing", "100 ms", "--mismatch", "--report", str(tmp_path / "r"), "--json"]
+    out = io.StringIO()
+    with redirect_stdout(out), redirect_stderr(io.StringIO()), pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == 0
+    content = json.loads(out.getvalue())
+    assert len(content["mismatch"]) == 9
+    assert content["mismatch"][1]["best"] == pytest.approx(0.04)
+    assert "--feed-forward --smoothing '100 ms'" in content["command"]
+    assert (tmp_path / "r" / "tolerances.svg").is_file()
+    assert "mm/s" in (tmp_path / "r" / "tolerances.svg").read_text()
+    assert all(options.feed_forward_s == pytest.approx(0.1) for _, options, _ in searched + off)

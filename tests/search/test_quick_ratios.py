@@ -1,0 +1,50 @@
+"""What a search asks of many candidates at once, and of placement alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from threadline.machine import load_machine
+from threadline.search.compare import PLACEMENT, placement_spec
+from threadline.search.design_judge import Ratios
+from threadline.verdict import load_spec
+
+
+def ratios(others, length=None) -> Ratios:
+    names = tuple("abc"[: np.shape(others)[1]])
+    return Ratios(
+        names=names,
+        others=np.array(others, dtype=float),
+        length=None if length is None else np.array(length, dtype=float),
+    )
+
+
+def test_the_worst_corner_of_each_candidate_counts() -> None:
+    """Two candidates of three corners each, two criteria, two delays."""
+    found = ratios(
+        [[0.1, 0.9], [0.5, 0.2], [0.3, 0.3], [0.8, 0.1], [0.7, 0.4], [0.6, 0.2]],
+        [[0.2, 0.4], [0.6, 0.1], [0.3, 0.3], [0.9, 0.5], [0.1, 0.7], [0.2, 0.2]],
+    ).worst_of(3)
+    assert found.others.tolist() == [[0.5, 0.9], [0.8, 0.4]]
+    assert found.length is not None
+    assert found.length.tolist() == [[0.6, 0.4], [0.9, 0.7]]
+
+
+def test_the_worse_of_two_is_taken_criterion_by_criterion() -> None:
+    found = ratios([[0.1, 0.9]], [[0.2, 0.4]]).worse(ratios([[0.3, 0.2]], [[0.1, 0.8]]))
+    assert found.others.tolist() == [[0.3, 0.9]]
+    assert found.length is not None and found.length.tolist() == [[0.2, 0.8]]
+
+
+@pytest.mark.parametrize("name", ["lathe-winder", "stitcher"])
+def test_placement_alone_limits_and_requires_nothing_else(name: str) -> None:
+    spec = load_spec(None, load_machine(name))
+    found = placement_spec(spec)
+    assert [c.name for c in found.criteria] == [c.name for c in spec.criteria]
+    for before, after in zip(spec.criteria, found.criteria, strict=True):
+        if before.name in PLACEMENT:
+            assert after == before
+        else:
+            assert (after.limit, after.required) == (None, False)
+    assert any(c.required for c in spec.criteria if c.name not in PLACEMENT)

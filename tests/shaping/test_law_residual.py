@@ -1,0 +1,253 @@
+"""What laws leave swinging: the printed table, scipy's integrator, and laws made for a mode."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from threadline.cli.main import main
+from threadline.errors import OptionError
+from threadline.laws import LAWS, Law, law
+from threadline.shaping import (
+    Demand,
+    FlexibleMode,
+    MadeLaw,
+    ShaperError,
+    design,
+    made_law,
+    outside,
+    residual_m,
+    ringing,
+    shaped_law,
+    shaped_windows,
+    usual_jerk_m_s3,
+)
+
+MOVE, WINDOW, ZETA = 0.0165, 0.120, 0.02
+# Residual amplitude, mm: 16.5 mm in 120 ms at 8, 12, 16, 20, 25 and 40 Hz, damping ratio 0.02.
+PRINTED = {
+    "trapezoid": (5.9, 0.46, 1.27, 0.64, 0.01, 0.14),
+    "double-parabola": (6.8, 1.76, 0.03, 0.35, 0.62, 0.20),
+    "simple-harmonic": (5.8, 0.43, 1.04, 0.22, 0.40, 0.12),
+    "modified-trapezoid": (7.7, 2.58, 0.16, 0.05, 0.43, 0.02),
+    "modified-sine": (7.1, 1.66, 0.71, 0.58, 0.23, 0.04),
+    "4-5-6-7": (9.1, 4.14, 0.94, 0.24, 0.16, 0.03),
+}
+FREQUENCIES = (8.0, 12.0, 16.0, 20.0, 25.0, 40.0)
+
+
+def simulated(motion: Law, frequency_hz: float, window_s: float, zeta: float = ZETA) -> float:
+    """Amplitude after the move by DOP853, restarted at each corner of the law."""
+    omega = 2 * np.pi * frequency_hz
+    state = np.zeros(2)
+    edges = motion.edges * window_s
+    for a, b in pairwise(edges):
+        # Inside a stretch the acceleration is smooth: a corner is seen from its own side.
+        inner = 1e-13 * window_s
+
+        def rates(t, y, a=a, b=b, inner=inner):
+            base = motion(np.clip(t, a + inner, b - inner) / window_s, 2)[0] * MOVE / window_s**2
+            return [y[1], -base - 2 * zeta * omega * y[1] - omega**2 * y[0]]
+
+        state = solve_ivp(rates, (a, b), state, method="DOP853", rtol=1e-11, atol=1e-14).y[:, -1]
+    damped = omega * np.sqrt(1 - zeta**2)
+    return float(np.hypot(state[0], (state[1] + zeta * omega * state[0]) / damped))
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_the_printed_table_is_met(name: str) -> None:
+    """To 0.01 mm, or 1 % where two digits are printed."""
+    for f, printed in zip(FREQUENCIES, PRINTED[name], strict=True):
+        found = 1e3 * residual_m(law(name), FlexibleMode(f, ZETA), MOVE, np.array([WINDOW]))[0]
+        assert abs(found - printed) <= max(0.01, 0.01 * printed), (f, found, printed)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_an_independent_integrator_agrees(name: str) -> None:
+    for f in (12.0, 40.0):
+        found = residual_m(law(name), FlexibleMode(f, ZETA), MOVE, np.array([WINDOW]))[0]
+        assert found == pytest.approx(simulated(law(name), f, WINDOW), rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency", "printed_ms"),
+    [("modified-sine", 12, 471), ("modified-sine", 20, 283), ("cycloidal", 12, 318),
+     ("cycloidal", 20, 191)],
+)  # fmt: skip
+def test_shortest_windows_for_every_longer_one(
+    name: str, frequency: float, printed_ms: float
+) -> None:
+    """The printed windows to 0.5 %; every window of a dense scan behind it is still."""
+    mode = FlexibleMode(frequency, ZETA)
+    found = ringing(law(name), mode, MOVE, WINDOW, residual=5e-5, acceleration=6.33)
+    assert found.window_s == pytest.approx(1e-3 * printed_ms, rel=5e-3)
+    longer = found.window_s * np.linspace(1.0, 3.0, 4001)
+    assert residual_m(law(name), mode, MOVE, longer).max() <= 5e-5 * (1 + 1e-9)
+    assert residual_m(law(name), mode, MOVE, np.array([0.999 * found.window_s]))[0] > 5e-5
+    scanned = residual_m(law(name), mode, MOVE, np.linspace(WINDOW, 1.0, 20_001)).max()
+    assert found.worst_m == pytest.approx(scanned, rel=1e-4)
+
+
+def demand(frequency: float, band: float = 0.1) -> Demand:
+    return Demand(
+        mode=FlexibleMode(frequency, ZETA), band=band, move_m=MOVE, residual_m=5e-5,
+        acceleration_m_s2=6.33, jerk_m_s3=usual_jerk_m_s3(MOVE, 6.33),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[float, MadeLaw]:
+    return {f: made_law(demand(f)) for f in (12.0, 16.0, 20.0, 25.0)}
+
+
+@pytest.mark.parametrize(
+    ("frequency", "most_ms"), [(12.0, 171), (16.0, 135), (20.0, 119), (25.0, 120)]
+)
+def test_a_law_made_for_the_mode_is_short_and_still(
+    made: dict[float, MadeLaw], frequency: float, most_ms: float
+) -> None:
+    """The windows of a quick study; limits by a dense scan, residuals by another integrator."""
+    one = made[frequency]
+    assert 1e3 * one.window_s <= most_ms
+    assert one.demand.rigid_s <= one.time_optimal_s <= one.free_levels_s <= one.window_s
+    t = np.linspace(0, 1, 50_001)
+    for derivative, limit in ((2, 6.33), (3, one.demand.jerk_m_s3)):
+        peak = np.abs(one.law(t, derivative)).max() * MOVE / one.window_s**derivative
+        assert peak <= 1.0005 * limit
+    for f in frequency * np.linspace(0.9, 1.1, 7):
+        assert simulated(one.law, f, one.window_s) <= 5e-5
+    assert np.abs(one.law(one.law.inverse(t)) - t).max() <= 1e-15
+
+
+def test_time_optimal_windows_are_the_printed_ones(made: dict[float, MadeLaw]) -> None:
+    """113 and 102 ms to a grid of 160 levels; below it lies only the rigid machine."""
+    assert 1e3 * made[12.0].time_optimal_s == pytest.approx(113, abs=0.6)
+    assert 1e3 * made[20.0].time_optimal_s == pytest.approx(102, abs=0.6)
+
+
+def test_a_made_law_is_a_notch(made: dict[float, MadeLaw]) -> None:
+    one = made[12.0]
+    inside = outside(one, np.linspace(0.9, 1.1, 41))
+    assert inside.max() <= 5e-5
+    below, above = outside(one, np.array([0.8, 2.0]))
+    assert below > 10 * 5e-5 and above > 10 * 5e-5
+    assert below == pytest.approx(simulated(one.law, 9.6, one.window_s), rel=1e-5)
+
+
+def test_an_impossible_demand_is_refused() -> None:
+    with pytest.raises(ShaperError, match="no window up to"):
+        made_law(
+            Demand(
+                mode=FlexibleMode(12.0, 0.0),
+                band=0.99,
+                move_m=1.0,
+                residual_m=1e-3,
+                acceleration_m_s2=1e3,
+                jerk_m_s3=1e6,
+            )
+        )
+    for wrong in (
+        {"residual_m": 0.0},
+        {"residual_m": 1e-9},
+        {"band": 1.0},
+        {"acceleration_m_s2": -1.0},
+    ):
+        values = {
+            "mode": FlexibleMode(12.0), "band": 0.1, "move_m": MOVE, "residual_m": 5e-5,
+            "acceleration_m_s2": 6.33, "jerk_m_s3": 1e3,
+        } | wrong  # fmt: skip
+        with pytest.raises(OptionError, match="law for a mode"):
+            Demand(**values)
+
+
+def test_a_shaped_law_is_one_law() -> None:
+    """Superposed by hand; its inverse; the printed windows of modified sine + EI, +-20 %."""
+    mode = FlexibleMode(12.0, ZETA)
+    shaper = design("ei", mode)
+    one = shaped_law(law("modified-sine"), shaper, 0.242)
+    own = 0.242 - shaper.duration_s
+    t = np.linspace(0, 0.242, 2001)
+    by_hand = sum(
+        a * law("modified-sine")((t - d) / own)
+        for a, d in zip(shaper.amplitudes, shaper.times_s, strict=True)
+    )
+    assert one(t / 0.242) == pytest.approx(by_hand, abs=1e-14)
+    x = np.linspace(0, 1, 100_001)
+    assert np.abs(one(one.inverse(x)) - x).max() <= 1e-15
+    at = residual_m(one, mode, MOVE, np.array([0.242]))[0]
+    assert at == pytest.approx(simulated(one, 12.0, 0.242), rel=1e-6)
+    with pytest.raises(OptionError, match="the shaper ei takes"):
+        shaped_law(law("cubic"), shaper, 0.08)
+    for frequency, printed in ((12.0, 242), (20.0, 145)):
+        windows = shaped_windows(law("modified-sine"), demand(frequency, 0.2))
+        ei = next(w for w in windows if w.law.name == "modified-sine*ei")
+        assert 1e3 * ei.window_s == pytest.approx(printed, abs=1.5)
+
+
+def ran(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[object, str, str]:
+    with pytest.raises(SystemExit) as caught:
+        main(["law", *arguments])
+    out, err = capsys.readouterr()
+    return caught.value.code, out, err
+
+
+MODE = ("--mode", "12Hz", "--damping", "0.02", "--move", "16.5 mm", "--time", "120 ms")
+MAKE = ("--limit", "6.33 m/s^2", "--residual", "0.05 mm", "--band", "0.1")
+
+
+def test_the_command_ranks_and_makes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The best comes first; modified sine asks 6.33 m/s^2 and 6.3 kN a tonne."""
+    file, folder = tmp_path / "made.csv", tmp_path / "report"
+    code, out, _ = ran(capsys, *MODE, *MAKE, "--out", str(file), "--report", str(folder), "--json")
+    content = json.loads(out)
+    assert code == 0
+    residuals = [each["residual_m"] for each in content["laws"]]
+    assert residuals == sorted(residuals) and len(residuals) == len(LAWS)
+    sine = next(each for each in content["laws"] if each["name"] == "modified-sine")
+    assert sine["residual_m"] == pytest.approx(1.66e-3, abs=1e-5)
+    assert sine["velocity_m_s"] == pytest.approx(0.242, rel=5e-3)
+    assert sine["acceleration_m_s2"] == pytest.approx(6.33, rel=1e-3)
+    assert sine["jerk_m_s3"] == pytest.approx(663, rel=1e-3)
+    assert sine["force_n"] == pytest.approx(6330, rel=1e-3)
+    assert content["made"]["window_s"] <= 0.171
+    assert "notch" in content["made"]["warning"]
+    for name in ("law.html", "law.pdf", "law-laws.svg", "law-residual.png"):
+        assert (folder / name).stat().st_size > 1000
+    read = law(str(file))
+    assert read.acceleration == pytest.approx(content["made"]["Ca"], rel=1e-6)
+    assert simulated(read, 12.0, content["made"]["window_s"]) <= 5e-5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--mode", "0Hz", *MODE[2:]), "frequency_hz must be positive"),
+        (("--mode", "12Hz"), "needs the move"),
+        (MODE[2:], "--move is of a mode"),
+        ((*MODE[:6], "--time", "0 s"), "the time must be positive"),
+        ((*MODE, "--limit", "6 m/s^2"), "--limit makes a law"),
+        ((*MODE, "--band", "0.1"), "--band is of a law that is made"),
+        ((*MODE, "--mass", "0 kg"), "--mass must be positive"),
+        ((*MODE, "--residual", "0 mm"), "the residual must be positive"),
+        ((*MODE, "--residual", "1e-9 mm"), "is reached for certain only after"),
+        ((*MODE[:6], "--time", "1e-300 s"), "periods of the mode, it must be from"),
+        ((*MODE[:6], "--time", "1e300 s"), "periods of the mode, it must be from"),
+        ((*MODE[:4], "--move", "1e300 m", "--time", "1 s"), "the move must be from"),
+        ((*MODE, *MAKE[2:], "--limit", "1e300 m/s^2"), "periods of the mode; it must be from"),
+        ((*MODE, *MAKE[2:], "--limit", "1e-9 m/s^2"), "periods of the mode; it must be from"),
+        (("trapezoid:9",), "ramp must be in"),
+        (("none.csv",), "cannot read"),
+        (("--out", "x.csv"), "is for one law"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = ran(capsys, *arguments)
+    assert (code, out) == (2, "")
+    assert said in err and err.count("\n") == 1

@@ -1,0 +1,44 @@
+"""Into how many chords a piece is divided, against the distance of its chords from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from threadline.targets.planned_job import _parts
+
+ONE = np.ones(2)
+
+
+def strays(c, parts: int) -> float:
+    """Return how far the piece is from ``parts`` chords at equal steps of u, sampled densely."""
+    u = np.linspace(0.0, 1.0, 200 * parts + 1)
+    way = u[:, None] ** np.arange(len(c)) @ c
+    at = np.linspace(0.0, 1.0, parts + 1)[:, None] ** np.arange(len(c)) @ c
+    low = np.minimum((u * parts).astype(int), parts - 1)
+    share = (u * parts - low)[:, None]
+    return float(np.linalg.norm(way - at[low] * (1 - share) - at[low + 1] * share, axis=1).max())
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 3e-6])
+def test_a_parabola_needs_as_many_as_its_sagitta_says(tolerance: float) -> None:
+    """y = 0.02 (u^2 - u) over 0.1 m: n chords are off by 0.02 / (4 n^2), exactly."""
+    c = np.array([[0.0, 0.0], [0.1, -0.02], [0.0, 0.02]])
+    parts = _parts(c, ONE, tolerance)
+    assert parts == int(np.ceil(np.sqrt(0.02 / (4 * tolerance)) - 1e-9))
+    assert strays(c, parts) <= tolerance * (1 + 1e-9)
+    assert strays(c, parts - 1) > tolerance
+
+
+def test_no_piece_strays_farther_than_the_tolerance() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        c = rng.normal(scale=0.01, size=(int(rng.integers(3, 7)), 2))
+        tolerance = float(10.0 ** rng.uniform(-6, -3))
+        parts = _parts(c, ONE, tolerance)
+        # The bound is on each axis: two of them are off by its root of two at most.
+        assert strays(c, parts) <= np.sqrt(2.0) * tolerance, (c, tolerance)
+
+
+def test_a_straight_piece_is_one_chord() -> None:
+    assert _parts(np.array([[0.0, 0.0], [0.1, 0.2], [0.0, 0.0]]), ONE, 1e-9) == 1

@@ -1,0 +1,46 @@
+"""What CI adds to the tests: other processors' rounding, and no test that is skipped."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tools.core_types import CORE_TYPES, NUMERICS, ROOT, WHOLE, flags_of, runs
+
+CPUINFO = "processor\t: 0\nflags\t\t: fpu pni avx fma avx512f\nprocessor\t: 1\nflags\t\t: fpu\n"
+
+
+def test_the_suite_runs_on_one_other_core_type_and_the_numerics_on_three():
+    planned = runs(flags_of(CPUINFO), whole=True)
+    assert planned[0] == (WHOLE, ())
+    assert [core for core, _ in planned[1:]] == list(CORE_TYPES)
+    assert len({WHOLE, *CORE_TYPES}) == 4
+    for _, folders in planned[1:]:
+        assert folders == tuple(f"tests/{name}" for name in NUMERICS)
+
+
+def test_a_core_type_that_would_stop_at_an_illegal_instruction_is_left_out():
+    old = frozenset({"pni", "avx"})
+    assert [core for core, _ in runs(old, whole=True)] == ["Prescott", "Sandybridge"]
+    assert runs(flags_of("model name: none\n"), whole=True) == []
+
+
+def test_the_folders_are_there():
+    assert [name for name in NUMERICS if not (ROOT / "tests" / name).is_dir()] == []
+
+
+@pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
+def test_a_skipped_test_fails_in_ci_alone(tmp_path: Path, ci: str, code: int):
+    case = tmp_path / "test_oracle.py"
+    case.write_text("import pytest\n\ndef test_oracle():\n    pytest.skip('rs274 is absent')\n")
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "tests.conftest", "-p", "no:cacheprovider"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"CI": ci, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"},
+    )  # fmt: skip
+    assert done.returncode == code, done.stdout
+    assert ("skipped, which CI does not allow: rs274 is absent" in done.stdout) == bool(code)

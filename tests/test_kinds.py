@@ -1,0 +1,84 @@
+"""The table of kinds of work is complete, and every kind goes through the same doors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.kinds import KINDS, kind_of, kind_of_commands
+from threadline.machine import Machine, library_names, load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job, prove, simulate, write
+from threadline.report.proof import REPORTS
+from threadline.verdict import judge, load_spec
+from threadline.verdict.measure import OfPlan
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.runs import RUNS
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+WORK = {
+    "ticks": ("x-180.prg", "lathe-winder", "csv"),
+    "switches": ("letter-cycle.toml", "letter-placer", "st"),
+}
+
+
+def test_every_table_has_a_row_for_every_kind() -> None:
+    """What the judge and the reports keep of a kind in their own rooms is there."""
+    assert set(KINDS) == set(WORK)
+    assert {kind.intent for kind in KINDS.values()} == set(RUNS) == set(REPORTS)
+    assert {kind_of(load_machine(name)).name for name in library_names()} <= set(KINDS)
+    names = [name for kind in KINDS.values() for name in kind.targets]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_one_way_leads_through_the_house(name: str, tmp_path: Path) -> None:
+    """Job to verdict and file by the same functions, and step by step as ``prove`` does it."""
+    file, reference, target = WORK[name]
+    machine: Machine = load_machine(reference)
+    options = Options()
+    spec = load_spec(None, machine)
+    proof = prove(EXAMPLES / file, machine, spec, options)
+
+    plan = plan_job(open_job(EXAMPLES / file, machine, options), machine, options)
+    assert kind_of(machine) is kind_of_commands(plan.commands) is KINDS[name]
+    assert isinstance(plan.intent, KINDS[name].intent)
+    assert plan.axes == tuple(machine.moving)
+    recording = simulate(plan.commands, machine)
+    again = judge([recording], plan, spec)
+    assert again.results == proof.verdict.results
+    assert again.passed == proof.verdict.passed
+    assert plan.duration_s == proof.plan.duration_s > 0.0
+    (first, *_) = write(plan, target, tmp_path / f"out.{target}")
+    assert first.path.stat().st_size > 0
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_another_day_is_another_run_of_the_same_commands(name: str) -> None:
+    """The same seed gives the same run, another one another."""
+    file, reference, _ = WORK[name]
+    machine = load_machine(f"{reference}+{'stiction' if name == 'ticks' else 'hysteresis'}")
+    plan = plan_job(open_job(EXAMPLES / file, machine, Options()), machine, Options())
+    kind = KINDS[name]
+
+    def load(seed: int) -> np.ndarray:
+        recording = kind.another_day(plan.commands, machine, np.random.default_rng(seed))
+        return np.sum([recording.samples(f"{axis}.load")[1] for axis in plan.axes], axis=0)
+
+    same, other = load(1), load(2)
+    assert np.array_equal(same, load(1))
+    size = min(len(same), len(other))
+    assert not np.array_equal(same[:size], other[:size])
+
+
+def test_a_measure_reads_one_input() -> None:
+    """The plan alone, one run or many: for every form of it the same, but for the travel."""
+    mixed = {
+        kind.name
+        for kind in MEASURES.values()
+        if len({type(reading) for reading in kind.reads}) != 1
+    }
+    assert mixed == {"travel"}
+    assert any(isinstance(reading, OfPlan) for reading in MEASURES["travel"].reads)

@@ -1,0 +1,46 @@
+"""Slow and long motions are streamed in blocks of bounded size, or refused before they begin."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from threadline.errors import BudgetError
+from threadline.jobs import read_job
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import plan_job
+from threadline.trajectory.follow import SAMPLES
+
+SLOW = Feed(FeedMode.FASTEST_AXIS, 1e-4)  # m/s: 50 s for 5 mm
+
+
+@pytest.mark.parametrize("interpolation", ["cubic", "quintic", "parabolic", "linear", "auto"])
+def test_a_slow_piece_does_not_fill_memory(interpolation: str, tmp_path: Path) -> None:
+    """Its samples come in blocks that follow each other without a gap, and end where it ends."""
+    file = tmp_path / "slow.prg"
+    file.write_text("%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 20 M30;\n%\n")
+    machine = load_machine("lathe-winder")
+    options = Options(interpolation=interpolation, feed=SLOW)
+    trajectory = plan_job(read_job(file, machine), machine, options).motion.trajectory
+    blocks = list(trajectory)
+    assert max(map(len, blocks)) <= SAMPLES
+    for before, after in pairwise(blocks):
+        assert after.start_s[0] == pytest.approx(before.end_s, abs=1e-9)
+    last = blocks[-1].coefficients[-1].sum(axis=0)
+    assert last[machine.axis_names.index("X")] == pytest.approx(5e-3, abs=1e-12)
+
+
+def test_a_limit_that_takes_longer_than_the_budget_is_told_at_once(tmp_path: Path) -> None:
+    """5 mm at 1e-12 m/s are 5e9 s; the budget of 5e8 ticks of 5 ms is 2.5e6 s."""
+    file = tmp_path / "m.toml"
+    file.write_text('base = "lathe-winder"\naxes.X.velocity = "1e-12 m/s exact, assumed"\n')
+    machine = load_machine(str(file))
+    job = tmp_path / "slow.prg"
+    job.write_text("%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 20 M30;\n%\n")
+    told = r"more than 1e\+12 ticks of 5 ms at its feeds and velocity limits"
+    with pytest.raises(BudgetError, match=told):
+        plan_job(read_job(job, machine), machine, Options())

@@ -1,0 +1,218 @@
+"""The fastest motion: against closed forms, against every limit, against what ``auto`` takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.path.builders import job_of, polylines
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
+from threadline.machine import load_machine
+from threadline.path import path_deviation, plan_path, programmed_path
+from threadline.trajectory import limit_peaks, plan_trajectory
+from threadline.trajectory.optimal import Limits, blocks, elements_of, fastest
+
+WINDER = load_machine("lathe-winder")
+RAPID = Feed(FeedMode.RAPID, 0.0)
+
+
+def straight(length, velocity, acceleration, jerk, gap=1e-4):
+    c = np.zeros((1, 4, 1))
+    c[0, 1, 0] = length
+    elements = elements_of(
+        c, np.zeros(0), np.zeros(1), np.zeros(1, int), 1.0, from_rest=True, to_rest=True
+    )
+    limits = Limits(
+        velocity=np.array([velocity]), acceleration=np.array([acceleration]), jerk=np.array([jerk])
+    )
+    return fastest(elements, limits, gap), limits
+
+
+def rest_to_rest_s(length, velocity, acceleration, jerk):
+    """Seven phases of constant jerk, with those that vanish (Biagiotti and Melchiorri, 2008)."""
+    ramp = min(acceleration / jerk, np.sqrt(velocity / jerk))
+    peak = jerk * ramp
+    to_top = velocity / peak + ramp
+    if velocity * to_top <= length:
+        return length / velocity + to_top
+    if np.isfinite(jerk) and length < 2.0 * acceleration**3 / jerk**2:
+        return 4.0 * (length / (2.0 * jerk)) ** (1.0 / 3.0)
+    ramp = acceleration / jerk
+    speed = 0.5 * (
+        -acceleration * ramp + np.sqrt((acceleration * ramp) ** 2 + 4 * acceleration * length)
+    )
+    return 2.0 * (speed / acceleration + ramp)
+
+
+@pytest.mark.parametrize(
+    ("length", "velocity", "acceleration", "jerk", "printed_s"),
+    [
+        (1.0, 1.0, 5.0, 50.0, 1.3),  # reaches velocity and acceleration
+        (0.05, 1.0, 5.0, 50.0, 0.31748),  # jerk alone
+        (0.4, 1.0, 5.0, 50.0, None),  # jerk and acceleration
+        (1.0, 0.2, 5.0, 10.0, None),  # jerk and velocity
+    ],
+)
+def test_rest_to_rest_takes_the_time_of_the_closed_form(
+    length, velocity, acceleration, jerk, printed_s
+):
+    """Never less than the least, and within 0.5 % of it: what the finest elements still lose."""
+    least_s = rest_to_rest_s(length, velocity, acceleration, jerk)
+    if printed_s is not None:
+        assert least_s == pytest.approx(printed_s, abs=6e-6)
+    solution, limits = straight(length, velocity, acceleration, jerk)
+    coefficients, duration_s, _ = blocks.in_time(solution, limits)
+    assert least_s * (1 - 1e-9) <= duration_s.sum() <= least_s * 1.005
+    assert coefficients[0, 0] == pytest.approx(0.0) and coefficients[-1].sum() == pytest.approx(
+        length
+    )
+
+
+def test_finer_elements_come_nearer_to_the_least_time(monkeypatch):
+    """Order, not closeness: with a quarter of the loss of an element about half is lost in all.
+
+    What an element loses goes with the square of its length, and their number with its inverse.
+    """
+    least_s = 1.3
+    lost = []
+    for share in (8e-3, 2e-3, 5e-4):
+        monkeypatch.setattr("threadline.trajectory.optimal.solve._LOSS", share)
+        monkeypatch.setattr("threadline.trajectory.optimal.solve._IDLE_ROUNDS", 9)
+        lost.append(straight(1.0, 1.0, 5.0, 50.0, 1e-5)[0].duration_s - least_s)
+    assert 0 < lost[1] < 0.6 * lost[0] and 0 < lost[2] < 0.6 * lost[1]
+
+
+def test_units_change_nothing():
+    """Metres or micrometres, and another unit of time: the same number of the other unit."""
+    here = straight(0.3, 0.8, 5.0, 70.0)[0].duration_s
+    tiny = straight(0.3e6, 0.8e6, 5.0e6, 70.0e6)[0].duration_s
+    slow = straight(0.3, 0.8e-3, 5.0e-6, 70.0e-9)[0].duration_s
+    assert tiny == pytest.approx(here, rel=1e-6) and slow == pytest.approx(1e3 * here, rel=1e-6)
+
+
+def plan(axes, points, tolerance_m=1e-4, interpolation="optimal", machine=WINDER, **given):
+    programmed = programmed_path(job_of(points, axes, RAPID, **given), machine)
+    path = plan_path(programmed, machine, interpolation, tolerance_m)
+    return programmed, path, plan_trajectory(path, machine)
+
+
+@settings(max_examples=25, deadline=None)
+@given(polylines(), st.sampled_from([1e-3, 1e-4, 1e-5]))
+def test_no_limit_is_left_anywhere_and_auto_is_never_faster(line, tolerance_m):
+    """Exact extremes of every piece and joint; half a percent is for what elements lose."""
+    axes, points = line
+    _, path, trajectory = plan(axes, points, tolerance_m)
+    if trajectory.duration_s == 0.0:
+        return
+    for peak in limit_peaks(trajectory, WINDER):
+        assert peak.ratio <= 1.001, peak
+    assert path.historical is False
+    _, _, auto = plan(axes, points, tolerance_m, "auto")
+    assert trajectory.duration_s <= 1.005 * auto.duration_s
+
+
+def test_a_million_random_instants_are_within_the_limits_and_the_tolerance():
+    """A noisy spiral with corners, reversals and points as close as micrometres."""
+    random = np.random.default_rng(5)
+    turn = np.linspace(0.0, 30.0, 300)
+    points = np.stack([0.2 * turn, 0.1 * np.sin(turn), 0.05 + 0.04 * np.cos(3 * turn)], axis=1)
+    points[:, 1:] += random.normal(scale=2e-4, size=(300, 2))
+    points[100:110] = points[100] + 1e-6 * np.arange(10)[:, None]
+    programmed, path, trajectory = plan(("A", "X", "Y"), points.tolist())
+    times = random.uniform(0.0, trajectory.duration_s, 1_000_000)
+    column = [WINDER.axis_names.index(axis) for axis in ("A", "X", "Y")]
+    for order, limit in enumerate(
+        (WINDER.velocity_limit, WINDER.acceleration_limit, WINDER.jerk_limit), start=1
+    ):
+        assert (np.abs(trajectory(times, order)).max(axis=0) <= 1.001 * limit[column]).all()
+    # The motion stays on the path: the path itself is within the tolerance by its own tests.
+    assert path_deviation(programmed, path).at_tool_m <= 1e-4
+    places = trajectory(np.sort(times[:2000])) * programmed.radius_m
+    pieces = np.concatenate([block.coefficients for block in path])
+    u = np.linspace(0.0, 1.0, 33)[:, None] ** np.arange(pieces.shape[1])
+    line = (np.einsum("uk,nka->nua", u, pieces) * programmed.radius_m).reshape(-1, 3)
+    a, b = line[:-1], line[1:]
+    d = b - a
+    square = np.maximum((d * d).sum(axis=1), 1e-30)
+    for place in places[::20]:
+        t = np.clip(((place - a) * d).sum(axis=1) / square, 0.0, 1.0)
+        assert np.linalg.norm(place - a - t[:, None] * d, axis=1).min() < 2e-6
+
+
+def test_it_rests_where_the_program_rests_and_starts_and_ends_without_acceleration():
+    dwell = Dwell(0.25, Source("job.prg", 2))
+    points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0]]
+    _, _, with_dwell = plan(("X", "Y"), points, extra={1: dwell})
+    _, _, without = plan(("X", "Y"), points)
+    # A stop at the corner costs time beside the dwell itself.
+    assert with_dwell.duration_s > without.duration_s + 0.25
+    still = [b for b in with_dwell if not b.coefficients[:, 1:].any()]
+    assert len(still) == 1 and still[0].duration_s.sum() == pytest.approx(0.25)
+    ends = np.array([0.0, float(still[0].start_s[0]), still[0].end_s, with_dwell.duration_s])
+    for order, limit in ((1, WINDER.velocity_limit[1]), (2, WINDER.acceleration_limit[1])):
+        assert np.abs(with_dwell(ends, order)).max() < 1e-6 * limit
+
+
+def test_no_faster_than_the_feed():
+    """Each chord of a program with feeds takes at least its programmed time."""
+    feed = Feed(FeedMode.FASTEST_AXIS, 0.02)
+    programmed = programmed_path(
+        job_of([[0.0, 0.0], [0.1, 0.03], [0.2, 0.0]], ("X", "Y"), feed), WINDER
+    )
+    trajectory = plan_trajectory(plan_path(programmed, WINDER, "optimal", 1e-4), WINDER)
+    times = np.linspace(0.0, trajectory.duration_s, 20_001)
+    speed = np.abs(trajectory(times, 1)).max(axis=1)
+    assert 0.01999 < speed.max() <= 0.02 * 1.0001
+
+
+def test_a_run_of_more_pieces_than_are_solved_together_rests_in_between(monkeypatch):
+    turn = np.linspace(0.0, 6.0, 60)
+    points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(turn)], axis=1).tolist()
+    whole_s = plan(("X", "Y"), points)[2].duration_s
+    monkeypatch.setattr(blocks, "MOST_PIECES", 25)
+    _, _, parted = plan(("X", "Y"), points)
+    assert parted.duration_s > whole_s
+    assert max(peak.ratio for peak in limit_peaks(parted, WINDER)) <= 1.001
+
+
+def test_a_machine_without_a_jerk_limit_has_the_shorter_time():
+    _, _, limited = plan(("X",), [[0.0], [0.1]])
+    x = replace(WINDER.axes["X"], jerk=replace(WINDER.axes["X"].jerk, si=np.inf))
+    free = replace(WINDER, axes={**WINDER.axes, "X": x})
+    _, _, unlimited = plan(("X",), [[0.0], [0.1]], machine=free)
+    least_s = rest_to_rest_s(0.1, 1.0, 10.5, 1e12)
+    assert least_s <= unlimited.duration_s < min(limited.duration_s, 1.004 * least_s)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0.0], [-0.20236047037544277], [-0.202360473359537], [-0.22595974035623867]],
+        [[0.0], [0.2], [0.2 + 1e-9], [0.2 - 1e-9], [0.3]],
+    ],
+)
+def test_moves_of_nanometres_neither_stop_it_nor_break_a_limit(points):
+    _, _, trajectory = plan(("X",), points, 1e-5)
+    assert max(peak.ratio for peak in limit_peaks(trajectory, WINDER)) <= 1.001
+    _, _, auto = plan(("X",), points, 1e-5, "auto")
+    assert trajectory.duration_s <= 1.005 * auto.duration_s
+
+
+def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
+    """Elements so long that their polynomials in time leave the limits, and no cut to mend it."""
+    points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
+    cut_s = plan(("X", "Y"), points)[2].duration_s
+    monkeypatch.setattr(blocks, "_CUTS", 0)
+    monkeypatch.setattr("threadline.trajectory.optimal.solve._VARIED", 30.0)
+    monkeypatch.setattr("threadline.trajectory.optimal.solve._IDLE_ROUNDS", 0)
+    _, _, coarse = plan(("X", "Y"), points)
+    ratio = max(peak.ratio for peak in limit_peaks(coarse, WINDER))
+    assert 0.5 < ratio <= 1.0 + 1e-9  # the bound that slows it is somewhat above the extremes
+    assert coarse.duration_s > cut_s
+    monkeypatch.setattr(blocks, "_stretch", lambda *_: 1.0)
+    _, _, unmended = plan(("X", "Y"), points)
+    assert max(peak.ratio for peak in limit_peaks(unmended, WINDER)) > 1.001

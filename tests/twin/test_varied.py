@@ -1,0 +1,82 @@
+"""Variants of a batch that differ in dead time or in counts do what a machine of theirs does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from threadline.machine import load_machine
+from threadline.machine.variants import drawn, numbers_at, variant, variant_of
+from threadline.plant.linear_model import linear_model
+from threadline.plant.values import Values
+from threadline.signals import Stream, TickBlock, TickTable
+from threadline.twin.batch import simulate_batch
+from threadline.twin.simulate import simulate
+
+
+def moves(machine, ticks: int = 60) -> TickTable:
+    """All axes out and back."""
+    axes = len(machine.axes)
+    shape = 40 * np.sin(np.linspace(0.0, 2.0 * np.pi, ticks))
+    block = TickBlock(
+        first_tick=0,
+        counts=np.rint(np.repeat(shape[:, None], axes, axis=1)).astype(np.int64),
+        operation=np.zeros(ticks, dtype=np.int64),
+        events=(),
+    )
+    return TickTable(
+        axes=machine.axis_names,
+        counts_per_unit=machine.counts_per_unit,
+        clock=machine.tick_clock,
+        start_counts=np.zeros(axes, dtype=np.int64),
+        blocks=Stream.of([block]),
+        job_sha256="",
+        machine_sha256=machine.sha256,
+    )
+
+
+@pytest.mark.parametrize("name", ["stitcher", "lathe-winder"])
+def test_drawn_variants_equal_their_own_machines(name: str) -> None:
+    """Dead times (stitcher) and counts (winder) vary with all the rest, in mixed order.
+
+    Equal to rounding: a batch cuts its advances by the fastest of its variants.
+    """
+    machine = load_machine(name)
+    table = moves(machine)
+    parts = drawn(machine, 5, np.arange(6))
+    numbers = numbers_at(machine, parts)
+    varied = "drives.x.delay" if name == "stitcher" else "axes.X.counts"
+    assert len(set(numbers[varied].tolist())) == 6
+    loads = tuple(f"{axis}.load" for axis in machine.axes)
+    batch = simulate_batch(table, machine, numbers, channels=loads, settle_s=0.05)
+    for k in range(6):
+        one = simulate(table, variant(machine, parts[k]), settle_s=0.05)
+        for channel in loads:
+            np.testing.assert_allclose(
+                batch.samples[channel][:, k], one.samples(channel)[1], rtol=1e-11, atol=1e-14
+            )
+
+
+def test_a_later_command_moves_later() -> None:
+    """A dead time longer by 1 ms delays the whole answer of an open loop's first instants by it."""
+    machine = load_machine("stitcher")
+    table = moves(machine)
+    delays = np.array([3e-3, 4e-3, 3e-3])
+    batch = simulate_batch(
+        table, machine, {"drives.x.delay": delays}, channels=("X.load",), settle_s=0.0
+    )
+    load = batch.samples["X.load"]
+    np.testing.assert_array_equal(load[:, 0], load[:, 2])
+    tick = int(machine.tick_clock.period_s * 1000)
+    assert tick == 1
+    # Until the sensor reports motion both loops send the same levels, one of them a tick later.
+    early = int(np.flatnonzero(load[:, 0])[0])
+    assert int(np.flatnonzero(load[:, 1])[0]) == early + 1
+    assert load[early, 0] == pytest.approx(load[early + 1, 1], rel=1e-6)
+
+
+def test_the_linear_model_has_the_dead_time_of_its_variant() -> None:
+    machine = load_machine("stitcher")
+    (model, *_) = linear_model(machine, Values.of(machine, {"drives.x.delay": np.array([4e-3])}))
+    assert model.delay_s[model.inputs.index("drives.x")] == 4e-3
+    assert variant_of(machine, {"drives.x.delay": 1.0}).drives["x"].delay.si == 3.3e-3

@@ -1,0 +1,248 @@
+"""A second reading of ``docs/specs.md``: what cannot pass, worked out from the bare samples.
+
+It shares no code with the judge. It reads the specification with ``tomllib``, knows from the tables
+of the document which channels each measure needs, and finds the plainest bounds on what a measure
+can be: the distance of a sample from the whole path is never more than its contour error.
+A criterion that the judge calls passed although it cannot pass is a false proof.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+Floats = np.ndarray
+
+UNIT = {"mm": 1e-3, "um": 1e-6, "m": 1.0, "deg": np.pi / 180.0, "rad": 1.0, "V": 1.0, "mV": 1e-3}
+UNIT |= {"A": 1.0, "mA": 1e-3, "": 1.0, "%": 0.01, "s": 1.0, "ms": 1e-3, "mm/s": 1e-3, "m/s": 1.0}
+UNIT |= {"deg/s": np.pi / 180.0, "rad/s": 1.0, "m/s^2": 1.0, "rad/s^2": 1.0}
+UNIT |= {"m/s^3": 1.0, "rad/s^3": 1.0}
+KIND_UNITS = {"voltage": {"V", "mV"}, "current": {"A", "mA"}, "operation": {""}}
+KIND_UNITS |= {"input": {""}, "output": {""}}
+LENGTHS, ANGLES = {"mm", "um", "m"}, {"deg", "rad"}
+
+# The tables of the document: (alternatives, of every axis) for each measure of a recording.
+NEEDS: dict[str, list[tuple[tuple[str, ...], bool]]] = {
+    "contour_error": [(("tool", "load"), True)],
+    "progress_error": [(("tool", "load"), True)],
+    "turning_point_error": [(("tool", "load"), False)],
+    "repeatability": [(("tool", "load"), True)],
+    "tracking_error": [(("commanded",), False), (("tool", "load", "measured"), False)],
+    "velocity_ripple": [(("tool", "load"), True)],
+    "stitch_length_error": [(("tool", "load"), True)],
+    "stitch_placement_error": [(("tool", "load"), True)],
+    "seam_error": [(("tool", "load"), True)],
+    "needle_time_error": [(("tool", "load"), True)],
+    "residual_vibration": [(("tool", "load"), False), (("commanded",), True)],
+    "settling_time": [(("tool", "load"), True), (("commanded",), True)],
+    "dac_saturation": [(("voltage",), False)],
+    "current_peak": [(("current",), False)],
+    "current_rms": [(("current",), False)],
+}
+SWITCHED: dict[str, tuple[str, bool]] = {
+    "residual_vibration": ("frame", False),
+    "settling_time": ("frame", True),
+    "end_position_error": ("load", False),
+    "travel": ("load", False),
+}
+PER_AXIS = {"turning_point_error", "tracking_error", "residual_vibration", "dac_saturation"}
+PER_AXIS |= {"current_peak", "current_rms", "travel", "velocity", "acceleration", "jerk"}
+PER_AXIS |= {"end_position_error"}
+MACHINE = ("travel", "velocity", "acceleration", "jerk")
+VALVES = ("travel", "switching_order", "switching_dwell", "valve_conflict", "over_level")
+
+
+@dataclass
+class Channel:
+    """A channel as it stands in the file: chunks of (first tick, samples), and its description."""
+
+    kind: str
+    axis: str
+    unit: str
+    period_s: float
+    chunks: list[tuple[int, Floats]]
+
+    def times_s(self) -> Floats:
+        return np.concatenate([self.period_s * (f + np.arange(len(v))) for f, v in self.chunks])
+
+    def values(self) -> Floats:
+        return np.concatenate([v for _, v in self.chunks]) * UNIT[self.unit]
+
+
+@dataclass
+class Facts:
+    """What the plan and the machine say, as plain numbers."""
+
+    axes: Sequence[str]
+    rotary: set[str]
+    switched: bool
+    begin_s: float
+    end_s: float
+    radius_m: Floats = field(default_factory=lambda: np.ones(1))
+    vertices: Floats = field(default_factory=lambda: np.zeros((1, 1)))  # m and rad
+    clamp_v: Mapping[str, float] = field(default_factory=dict)
+    own: Mapping[tuple[str, str], float] = field(default_factory=dict)  # of (measure, axis)
+    planned: Mapping[tuple[str, str], float] = field(default_factory=dict)  # extremes, likewise
+
+
+def refused(channels: Mapping[str, Channel], facts: Facts) -> str:
+    """Say why the recording has to be refused; empty where it does not."""
+    for name, channel in channels.items():
+        units = KIND_UNITS.get(channel.kind, LENGTHS | ANGLES)
+        if channel.unit not in units:
+            return f"{name} is in {channel.unit}"
+        placed = channel.axis in facts.axes and channel.unit in LENGTHS | ANGLES
+        if placed and (channel.unit in ANGLES) != (channel.axis in facts.rotary):
+            return f"{name} is in {channel.unit}"
+        end = None
+        for first, values in channel.chunks:
+            if len(values) and (first < 0 or (end is not None and first < end)):
+                return f"{name} overlaps or goes back"
+            if len(values):
+                end = first + len(values)
+    return ""
+
+
+def lacking(channel: Channel | None, facts: Facts) -> str:
+    """Say what is missing of a channel for the motion; empty where nothing is."""
+    if channel is None:
+        return "absent"
+    chunks = [(f, v) for f, v in channel.chunks if len(v)]
+    if not chunks:
+        return "empty"
+    for (first, values), (after, _) in pairwise(chunks):
+        if after > first + len(values):
+            return "a gap"
+    begin, end = chunks[0][0], chunks[-1][0] + len(chunks[-1][1])
+    if begin * channel.period_s > facts.begin_s + 1.001 * channel.period_s:
+        return "late"
+    if end * channel.period_s < facts.end_s - 1e-6 * channel.period_s:
+        return "early"
+    return ""
+
+
+def find(channels: Mapping[str, Channel], kinds: Sequence[str], axis: str) -> Channel | None:
+    for kind in kinds:
+        for channel in channels.values():
+            if channel.kind == kind and channel.axis == axis:
+                return channel
+    return None
+
+
+def number(text: object) -> float:
+    """Return a limit in SI; a bare number is a share."""
+    match = re.fullmatch(r"\s*(?:\+-)?([0-9.eE+-]+)\s*(.*)", str(text))
+    assert match is not None, text
+    return float(match[1]) * UNIT[match[2].strip()]
+
+
+def asked(spec: str, facts: Facts) -> dict[tuple[str, str], tuple[list[float], bool]]:
+    """Return the limits of each measure and axis, and whether it is required."""
+    found: dict[tuple[str, str], tuple[list[float], bool]] = {}
+    rows = tomllib.loads(spec)["criteria"]
+    # A criterion of one axis goes before one of every axis.
+    for row in sorted(rows, key=lambda r: "axis" in r):
+        name = row["name"]
+        axes = [""] if name not in PER_AXIS else [row["axis"]] if "axis" in row else facts.axes
+        for axis in axes:
+            limits = []
+            if row.get("limit") == "machine":
+                limits = [facts.own[name, axis]] if (name, axis) in facts.own else []
+            elif "limit" in row:
+                limits = [number(row["limit"])]
+            found[name, axis] = (limits, row.get("required", False))
+    for (name, axis), limit in facts.own.items():
+        limits, required = found.get((name, axis), ([], False))
+        found[name, axis] = ([*limits, limit], required)
+    return found
+
+
+def cannot_pass(
+    channels: Mapping[str, Channel], facts: Facts, spec: str
+) -> dict[tuple[str, str], str]:
+    """Return the measures and axes that no honest judge lets pass, each with the reason."""
+    found: dict[tuple[str, str], str] = {}
+    for (name, axis), (limits, _) in asked(spec, facts).items():
+        why = _lack(name, axis, channels, facts)
+        if not why and limits:
+            least = _least(name, axis, channels, facts)
+            if least > min(limits) * 1.001 + 1e-9:
+                why = f"at least {least:.6g}, limit {min(limits):.6g}"
+        if why:
+            found[name, axis] = why
+    return found
+
+
+def _lack(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -> str:
+    if facts.switched:
+        if name not in SWITCHED:
+            return ""
+        kind, every = SWITCHED[name]
+        needs = [((kind,), every)]
+    else:
+        needs = NEEDS.get(name, [])
+    for kinds, every in needs:
+        for one in facts.axes if every or not axis else [axis]:
+            why = lacking(find(channels, kinds, one), facts)
+            # Of an on/off machine what was seen before the end may pass, step by step.
+            if why and not (facts.switched and why in ("early", "late")):
+                return f"{'/'.join(kinds)} of {one}: {why}"
+    return ""
+
+
+def _least(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -> float:
+    """Return what the measure is at least; 0 where nothing simple is known."""
+    if (name, axis) in facts.planned:
+        return facts.planned[name, axis]
+    if facts.switched:
+        return 0.0
+    if name == "dac_saturation":
+        volts = np.abs(find(channels, ("voltage",), axis).values())  # type: ignore[union-attr]
+        return float((volts >= facts.clamp_v[axis]).mean())
+    if name == "current_peak":
+        return float(np.abs(find(channels, ("current",), axis).values()).max())  # type: ignore[union-attr]
+    if name == "tracking_error":
+        actual = find(channels, ("tool", "load", "measured"), axis)
+        told = find(channels, ("commanded",), axis)
+        assert actual is not None and told is not None
+        ours, theirs = _by_tick(actual), _by_tick(told)
+        return max((abs(ours[t] - theirs[t]) for t in ours.keys() & theirs.keys()), default=0.0)
+    if name == "contour_error":
+        return _off_path(channels, facts)
+    return 0.0
+
+
+def _by_tick(channel: Channel) -> dict[int, float]:
+    factor = UNIT[channel.unit]
+    return {f + i: v * factor for f, part in channel.chunks for i, v in enumerate(part.tolist())}
+
+
+def _off_path(channels: Mapping[str, Channel], facts: Facts) -> float:
+    """Return how far the farthest sample is from the whole path, and the reverse, at least."""
+    columns = []
+    for axis in facts.axes:
+        channel = find(channels, ("tool", "load"), axis)
+        assert channel is not None
+        columns.append(_by_tick(channel))
+    ticks = sorted(set.intersection(*(set(c) for c in columns)))
+    points = np.array([[c[t] for c in columns] for t in ticks]) * facts.radius_m
+    path = facts.vertices * facts.radius_m
+    worst = 0.0
+    for point in points[:: max(len(points) // 400, 1)]:
+        worst = max(worst, _to_polyline(point, path))
+    for vertex in path:
+        worst = max(worst, _to_polyline(vertex, points))
+    return worst
+
+
+def _to_polyline(point: Floats, line: Floats) -> float:
+    start, way = line[:-1], np.diff(line, axis=0)
+    square = (way**2).sum(axis=1)
+    along = ((point - start) * way).sum(axis=1)
+    u = np.clip(np.divide(along, square, out=np.zeros_like(square), where=square > 0), 0.0, 1.0)
+    return float(np.linalg.norm(point - start - u[:, None] * way, axis=1).min())

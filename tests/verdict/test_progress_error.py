@@ -1,0 +1,201 @@
+"""The progress error against closed forms, and against a search over all matchings without memory.
+
+A square root is taken of the difference of two squares of up to 1 m^2: what is 0 comes out below
+1e-7 m where the path is slanted, and below 1e-9 m where it lies along an axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from threadline.machine import load_machine
+from threadline.signals import ChannelKind
+from threadline.verdict import Criterion, Status, judge, load_spec
+
+from .builders import TICK_S, follow, plan_through, record, spec_of
+
+XY = ("X", "Y")
+LINE = [[0.0, 0.0], [0.2, 0.0]]
+PER_MOVE = 100  # 2 mm a sample
+STEP_M = 0.2 / PER_MOVE
+LAG = 20
+CRITERIA = (Criterion(name="progress_error", limit=5e-4), Criterion(name="contour_error"))
+
+
+def judged(
+    points, actual, operation, *, lag=LAG, command=None, axes=XY, per_block=64, per_move=PER_MOVE
+):
+    plan = plan_through(points, axes, move_s=per_move * TICK_S)
+    channels = {ChannelKind.LOAD: actual}
+    if command is not None:
+        channels[ChannelKind.COMMANDED] = command
+    recording = record(axes, channels, operation, per_block=per_block)
+    return judge([recording], plan, spec_of(*CRITERIA, lag_s=lag * TICK_S))
+
+
+def progress(points, actual, operation, **more):
+    return judged(points, actual, operation, **more).result("progress_error")
+
+
+def late(positions, samples):
+    return np.vstack([np.repeat(positions[:1], samples, axis=0), positions[:-samples]])
+
+
+@pytest.mark.parametrize(("by", "expected"), [(1, 0.0), (20, 0.0), (21, STEP_M), (30, 10 * STEP_M)])
+def test_trailing_within_the_lag_is_free_and_what_is_beyond_it_is_not(by, expected) -> None:
+    command, operation = follow(LINE, PER_MOVE, standstill=60)
+    result = progress(LINE, late(command, by), operation, command=command)
+    assert result.measured == pytest.approx(expected, abs=1e-9)
+    assert result.note == ("behind" if expected else "")
+
+
+def test_running_ahead_is_not_free() -> None:
+    """3 mm too far in the middle of the stroke: on the path, and 3 mm ahead of the command."""
+    command, operation = follow(LINE, PER_MOVE)
+    actual = command.copy()
+    actual[40:60, 0] += 3e-3
+    verdict = judged(LINE, actual, operation, command=command)
+    result = verdict.result("progress_error")
+    assert result.measured == pytest.approx(3e-3, abs=1e-9)
+    assert (result.note, result.status) == ("ahead", Status.FAILED)
+    assert result.time_s == pytest.approx(40 * TICK_S)
+    assert result.position == pytest.approx((0.08, 0.0))
+    assert verdict.result("contour_error").measured < 1e-12
+
+
+@pytest.mark.parametrize(("back_m", "expected"), [(1e-3, 0.0), (4e-3, 2e-3), (12e-3, 6e-3)])
+def test_a_step_back_within_the_lag_costs_half_of_itself(back_m: float, expected: float) -> None:
+    """The load trails by 10 samples, and once it goes back: between two places, as near to both.
+
+    Less than the way of a sample, 2 mm, may be within one place.
+    """
+    command, operation = follow(LINE, PER_MOVE, standstill=40)
+    actual = late(command, 10)
+    actual[60, 0] = actual[59, 0] - back_m
+    result = progress(LINE, actual, operation, command=command)
+    assert result.measured == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_run_that_rings_along_its_stroke_is_out_of_spec() -> None:
+    """20 mm along the stroke: not a micrometre off the path, but 20 mm off its place."""
+    command, operation = follow(LINE, PER_MOVE, standstill=60)
+    time_s = TICK_S * np.arange(len(command))
+    ring = 0.02 * np.sin(2 * np.pi * time_s / 0.1)
+    actual = command.copy()
+    actual[:, 0] = np.clip(command[:, 0] + np.where(time_s < 0.5, ring, 0.0), 0.0, 0.2)
+    verdict = judged(LINE, actual, operation, command=command)
+    assert verdict.result("contour_error").measured < 1e-12
+    result = verdict.result("progress_error")
+    assert result.status is Status.FAILED
+    assert result.measured == pytest.approx(0.02, abs=1e-3)
+
+
+def test_ringing_along_the_path_at_its_end_counts() -> None:
+    """The command stands; within the lag it was farther back, and after that nowhere else."""
+    command, operation = follow(LINE, PER_MOVE, standstill=60)
+    actual = command.copy()
+    actual[110, 0] -= 2e-3  # 10 samples after the end: the command was there a sample before it
+    actual[140, 0] -= 1e-3
+    result = progress(LINE, actual, operation, command=command)
+    # The tool had arrived before: each is a step back, half of it at least, and the second whole.
+    assert result.measured == pytest.approx(1e-3, abs=1e-9)
+    assert result.note == "behind"
+
+
+def test_what_is_off_the_path_is_no_progress() -> None:
+    command, operation = follow(LINE, PER_MOVE)
+    result = progress(LINE, command + np.array([0.0, 4e-4]), operation, command=command)
+    assert result.measured == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_stroke_there_and_back_is_followed_on_the_right_way() -> None:
+    """Out and back on one line, 6 samples late: the way back is not taken for the way out."""
+    points = [[0.0, 0.0], [0.2, 0.0], [0.0, 0.0]]
+    command, operation = follow(points, PER_MOVE)
+    actual = late(command, 6)
+    assert progress(points, actual, operation, command=command).measured < 1e-9
+    actual[150, 0] -= 7e-3
+    # 6 samples late are 12 mm: 7 mm ahead are within them, and then it steps back by 5 mm, from
+    # between the places 6 and 8 mm on to the one at 2 mm. From 4 to 6 mm is nearest to both.
+    result = progress(points, actual, operation, command=command)
+    assert result.measured == pytest.approx(2e-3, abs=1e-9)
+
+
+def test_rotary_axes_act_at_the_tool_radius() -> None:
+    points = [[0.0, 0.0], [2.0, 0.0]]
+    command, operation = follow(points, PER_MOVE)
+    actual = command.copy()
+    actual[50, 0] += 0.03
+    found = progress(points, actual, operation, command=command, axes=("A", "X"))
+    assert found.measured == pytest.approx(0.1 * 0.03, abs=1e-9)  # 100 mm tool radius
+
+
+@pytest.mark.parametrize("lacking", [None, 0, 1])
+def test_without_a_command_the_plan_at_the_same_instant_counts(lacking: int | None) -> None:
+    command, operation = follow(LINE, PER_MOVE)
+    actual = command.copy()
+    actual[40:60, 0] += 3e-3
+    told = progress(LINE, actual, operation, command=command)
+    half = None
+    if lacking is not None:
+        half = command.copy()
+        half[:, lacking] = np.nan
+    untold = progress(LINE, actual, operation, command=half)
+    assert untold.measured == pytest.approx(told.measured, abs=1e-9)
+    assert untold.note == "ahead; command from the plan by time"
+
+
+def reference(points, actual, command, operation, lag):
+    """Return the least bottleneck of all monotone matchings, worked out on the full matrix."""
+    vertices, command = np.asarray(points, dtype=float), np.asarray(command)
+    count = len(actual)
+
+    def to(p, a, b):
+        way = b - a
+        square = way @ way
+        u = min(max((p - a) @ way / square, 0.0), 1.0) if square > 0.0 else 0.0
+        return float(((p - a - u * way) ** 2).sum())
+
+    cost = np.full((count, count), np.inf)
+    for i in range(count):
+        early, ahead = operation[max(i - lag, 0)], operation[min(i + lag, count - 1)]
+        off = min(
+            to(actual[i], vertices[int(c)], vertices[int(c) + 1])
+            for c in np.arange(early, ahead + 1)
+        )
+        for k in range(max(i - lag, 0), i + 1):
+            first = k if k == max(i - lag, 0) else k - 1
+            cost[i, k] = np.sqrt(max(to(actual[i], command[first], command[k]) - off, 0.0))
+    best = cost[0]
+    for i in range(1, count):
+        best = np.maximum(cost[i], np.minimum.accumulate(best))
+    return best.min()
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    moves=st.integers(1, 5),
+    per_move=st.integers(1, 8),
+    lag=st.integers(1, 9),
+    per_block=st.integers(1, 40),
+)
+def test_random_ways_against_every_matching(seed, moves, per_move, lag, per_block) -> None:
+    """Samples of a random way about a random path, in blocks of any size."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.01, 0.01, size=(moves + 1, 2))
+    command, operation = follow(points, per_move, standstill=int(rng.integers(0, 9)))
+    # Without a command the chords of the operations alone are the path, as in the reference.
+    actual = command + rng.normal(scale=1e-3, size=command.shape)
+    found = progress(points, actual, operation, lag=lag, per_block=per_block, per_move=per_move)
+    expected = reference(points, actual, command, operation, lag)
+    assert found.measured == pytest.approx(expected, abs=1e-8), (points, actual)
+
+
+@pytest.mark.parametrize("name", ["lathe-winder", "stitcher"])
+def test_the_default_specifications_limit_it(name: str) -> None:
+    spec = load_spec(None, load_machine(name))
+    found = [c for c in spec.criteria if c.name == "progress_error"]
+    assert [(c.limit, c.required) for c in found] == [(5e-4, True)]

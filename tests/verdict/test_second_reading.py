@@ -1,0 +1,86 @@
+"""The judge against a second reading of the specification: nothing passes that cannot.
+
+Random subsets of channels are taken away from runs of a winder, a stitcher and an on/off placer,
+their units changed, their blocks cut, overlapped and reordered, and single axes named.
+``tools/fuzz.py`` runs the same classes for long.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from threadline.errors import ThreadlineError
+from threadline.verdict import spec
+from threadline.verdict.coverage import Coverage
+from threadline.verdict.motion_run import MotionRun
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+CASES = 25
+
+
+@pytest.fixture(scope="module")
+def cases() -> Iterator[ModuleType]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(TOOLS)
+        import fuzz_recordings
+
+        yield fuzz_recordings
+        sys.modules.pop("fuzz_recordings")
+
+
+def run(cases: ModuleType, kind: str, folder: Path, count: int, seed: int = 11) -> tuple[int, int]:
+    """Return how many cases were judged, and how many were passed that cannot pass."""
+    judged = wrong = 0
+    path = folder / "case.seed"
+    for index in range(count):
+        path.write_bytes(cases.case(random.Random(f"{seed}/{kind}/{index}")))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                cases.check(kind, path)
+            judged += 1
+        except ThreadlineError as error:
+            assert "\n" not in str(error)
+        except AssertionError:
+            wrong += 1
+    return judged, wrong
+
+
+@pytest.mark.parametrize("kind", ["judge-channels", "judge-blocks", "judge-axes"])
+def test_nothing_passes_that_cannot(cases: ModuleType, kind: str, tmp_path: Path) -> None:
+    judged, wrong = run(cases, kind, tmp_path, CASES)
+    assert wrong == 0
+    assert judged > CASES // 4
+
+
+@pytest.mark.parametrize(
+    ("kind", "owner", "name", "careless"),
+    [
+        ("judge-channels", MotionRun, "_absent", lambda *_: {}),
+        ("judge-channels", MotionRun, "_lacking", lambda *_: []),
+        ("judge-blocks", Coverage, "lack", lambda *_: None),
+        ("judge-blocks", Coverage, "_take", lambda *_: None),
+        ("judge-axes", spec, "_has_unit", lambda _: True),
+    ],
+)
+def test_a_careless_judge_is_found_out(
+    cases: ModuleType, kind, owner, name, careless, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(owner, name, careless)
+    path = tmp_path / "case.seed"
+    for index in range(400):
+        path.write_bytes(cases.case(random.Random(f"11/{kind}/{index}")))
+        try:
+            cases.check(kind, path)
+        except ThreadlineError:
+            continue
+        except Exception:
+            return
+    pytest.fail(f"{kind} passes a judge without {name}")

@@ -1,0 +1,438 @@
+"""Hostile command lines: extreme numbers, odd names, pairs of options, outputs that are inputs.
+
+    python tools/fuzz_commands.py --minutes 10 --seed 1
+
+Every case runs the whole program in this process. It may end with 0, 1 or 2 and, from 2 on, with
+one line on standard error and nothing on standard output. Everything else is a failure: a
+traceback (status 70), a warning of a library, a second line, a number that JSON lacks, an input
+that changed, an output left alone or half-written, or more than a minute. Cases depend on seed,
+class and number only, so that ``--kind machine-number --first 4711 --cases 1`` runs one again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import tomllib
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from threadline.cli.main import main as run_program
+from threadline.machine import overlay_names
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = ROOT / "examples"
+LIBRARY = ROOT / "src" / "threadline" / "machine" / "library"
+HANG_S = 60
+_SHOWN = 40
+
+EXTREMES = """
+0 -0 1 -1 2 1e-3 1e3 1e-6 1e6 1e-12 1e12 1e-30 1e30 1e-300 1e300 5e-324 1.7e308 1e-9 1e9
+0.1234567 3.3333333333333333333333333333333333333333 -1e30 1e15 1e-15 nan inf
+""".split()  # noqa: SIM905 - a table of words
+NAMES = [
+    "$x^$", "[/b]", "a *) b := TRUE; (*", "a\nb", "\x1b[2J", "'\"`", "<script>", "{{ 7 }}", "; M3",
+    "$", "%", "../..", "K\u00e4fig \u7e54", "\u202egrp", "a" * 300, "[red]", ":x:", "-m",
+]  # fmt: skip
+SHORT_PROGRAM = "%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 15 X -5 A 3;\nN 20 M30;\n%\n"
+SHORT_SEAM = """
+[drawing]
+file = "line.csv"
+
+[stitching]
+stitch_length = "2.5 mm"
+needle_speed = "40 stitch/s"
+"""
+SHORT_MOVES = """
+name = "short"
+
+[[operation]]
+step = "start"
+valve = "main_air"
+
+[[operation]]
+step = "descend"
+move = { Z = "100 mm" }
+
+[[operation]]
+wait = "z_is_down"
+
+[[operation]]
+dwell = "100 ms"
+"""
+JOBS = {"lathe-winder": "short.prg", "stitcher": "short.seam.toml", "letter-placer": "short.toml"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command line, and files that are written before it."""
+
+    words: list[str]
+    files: dict[str, str]
+    reads: frozenset[str] | None = None
+    """Files that must stay as they were; None for all."""
+
+
+def lay_out(folder: Path) -> None:
+    """Write what every case may read."""
+    (folder / "short.prg").write_text(SHORT_PROGRAM)
+    (folder / "short.seam.toml").write_text(SHORT_SEAM)
+    (folder / "line.csv").write_text("x [mm],y [mm]\n10,10\n30,10\n30,20\n")
+    (folder / "short.toml").write_text(SHORT_MOVES)
+    for name in JOBS:
+        shutil.copy(LIBRARY / f"{name}.toml", folder / f"{name}-base.toml")
+        shutil.copy(LIBRARY / f"{name}.spec.toml", folder / f"{name}.spec.toml")
+
+
+# --- numbers of machine files, one by one ---
+
+
+def _numbers(table: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _numbers(value, (*at, key))
+        elif isinstance(value, str) and re.match(r"-?[\d.]+(e-?\d+)?( |$)", value):
+            yield (*at, key), value
+
+
+NUMBERS = [
+    (path.stem, keys, value)
+    for path in sorted(LIBRARY.glob("*.toml"))
+    if ".spec." not in path.name and path.stem in JOBS
+    for keys, value in _numbers(tomllib.loads(path.read_text(encoding="utf-8")))
+]
+
+
+def _overlaid(machine: str, keys: tuple[str, ...], value: str, extreme: str) -> str:
+    _, _, rest = value.partition(" ")
+    unit = re.split(r" exact| \+-|, |: ", rest)[0].strip()
+    unit = "" if re.match(r"(exact|\+-)", rest) else unit
+    name = ".".join(f'"{key}"' for key in keys)
+    return f'base = "{machine}"\n{name} = "{extreme} {unit} exact, assumed"\n'
+
+
+def machine_number(rng: random.Random, index: int) -> Case:
+    """Go through every number and every extreme in turn, so that none is left out."""
+    sweep = len(NUMBERS) * len(EXTREMES)
+    at = index % sweep
+    machine, keys, value = NUMBERS[at % len(NUMBERS)]
+    text = _overlaid(machine, keys, value, EXTREMES[at // len(NUMBERS)])
+    job = JOBS[machine]
+    verb = rng.choice(("prove", "prove", "prove", "analyse", "compile", "judge-free"))
+    return Case(_command(rng, verb, job, machine, "m.toml"), {"m.toml": text})
+
+
+def _command(rng: random.Random, verb: str, job: str, machine: str, reference: str) -> list[str]:
+    switched = machine == "letter-placer"
+    if verb == "analyse" and not switched:
+        return ["analyse", reference, *rng.choice(([], ["--json"]))]
+    if verb == "compile":
+        target = rng.choice(("st", "plcopen") if switched else ("csv", "npz", "nc", "ticks"))
+        return ["compile", job, "-m", reference, "--target", target, "-o", "out.x"]
+    words = ["prove", job, "-m", reference, *rng.choice(([], ["--json"]))]
+    if switched:
+        return [*words, *rng.choice(([], ["--shaper", "um-zv"], ["--shaper", "zv"]))]
+    names = ("linear", "auto", "auto", "cubic", "quintic", "b-spline", "parabolic")
+    return [*words, "--interpolation", rng.choice(names)]
+
+
+# --- numbers and pairs of options ---
+
+UNITS = ("mm", "m", "mm/s", "m/s^2", "Hz", "s", "ms", "%", "count/tick", "stitch/s", "")
+KINDS = (
+    "zv", "mzv", "zvd", "zvdd", "ei", "2hump-ei", "3hump-ei", "um-zv", "um-zvd", "um-ei", "um-2ei",
+    "negative-zv", "negative-2ei", "si", "direct", "um-direct",
+)  # fmt: skip
+
+
+def number(rng: random.Random, unit: str, usual: str) -> str:
+    """Return a usual number, a wild or an extreme one, with its unit or now and then another."""
+    if rng.random() < 0.05:
+        unit = rng.choice(UNITS)
+    kind = rng.random()
+    if kind < 0.4:
+        text = usual
+    elif kind < 0.8:
+        text = f"{10.0 ** rng.uniform(-5, 5):.4g}"
+    else:
+        text = rng.choice(EXTREMES)
+    return f"{text} {unit}".strip()
+
+
+def shaper_numbers(rng: random.Random, _index: int) -> Case:
+    """Design shapers of every kind, for one to three modes, with any pair of options."""
+    words = ["shaper", "--kind", rng.choice(KINDS)]
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        words += ["--mode", number(rng, "Hz", rng.choice(("3.04", "0.1", "25", "645")))]
+    options = {
+        "--damping": lambda: number(rng, "", "0.17"),
+        "--tolerance": lambda: number(rng, "", "0.05"),
+        "--band": lambda: number(rng, "", "0.2"),
+        "--tick": lambda: number(rng, "s", "0.01"),
+        "--dwell": lambda: number(rng, "ms", "20"),
+        "--max-impulses": lambda: rng.choice(("0", "1", "3", "-1", "99999")),
+        "--still": lambda: number(rng, "", "0.01"),
+    }
+    for name in rng.sample(sorted(options), rng.choice((0, 1, 2))):
+        words += [name, options[name]()]
+    if rng.random() < 0.25:
+        words += ["--move", number(rng, "mm", "100")]
+        words += ["--acceleration", number(rng, "m/s^2", "1")]
+    if rng.random() < 0.3:
+        words.append(rng.choice(("--free", "--klipper", "--json")))
+    return Case(words, {})
+
+
+def option_pairs(rng: random.Random, _index: int) -> Case:
+    """Take two or three options of a command at random, right and wrong ones."""
+    machine = rng.choice(sorted(JOBS))
+    overlays = overlay_names(machine)
+    reference = machine + (f"+{rng.choice(overlays)}" if overlays and rng.random() < 0.3 else "")
+    verb = rng.choice(("prove", "prove", "compile", "fastest", "compare", "size", "law"))
+    if verb == "law":
+        return Case(["law", rng.choice(("cubic", "trapezoid", "modified-sine", "", "[/b]"))], {})
+    words = [verb] if verb == "size" else [verb, JOBS[machine], "-m", reference]
+    if verb == "compile":
+        words += ["--target", rng.choice(("csv", "nc", "st", "plcopen", "npz", "ticks", "hal"))]
+        words += ["-o", "out.x"]
+    if verb == "fastest":
+        low = 10.0 ** rng.uniform(-4, 1)
+        words += ["--low", f"{low} m/s", "--high", f"{low * rng.choice((0.5, 1.0, 1.001))} m/s"]
+    options = {
+        "--feed": lambda: number(rng, rng.choice(("mm/s", "count/tick")), "10"),
+        "--tolerance": lambda: number(rng, "mm", "0.1"),
+        "--limits": lambda: number(rng, "%", "50"),
+        "--interpolation": lambda: rng.choice(
+            ("auto", "linear", "cubic", "quintic", "parabolic", "b-spline", "b-spline-pulled", "x")
+        ),
+        "--shaper": lambda: rng.choice(
+            ("zv", f"zv:{number(rng, 'Hz', '12')}", f"X=ei:{number(rng, 'Hz', '12')}:0.02", "*")
+        ),
+        "--smoothing": lambda: number(rng, "ms", "40"),
+        "--feed-mode": lambda: rng.choice(("path", "base-axes:A", "base-axes:Q", "x")),
+        "--repeats": lambda: rng.choice(("1", "2", "0", "-3", "1e3")),
+        "--margin": lambda: number(rng, "%", "20"),
+        "--feed-forward": lambda: None,
+        "--json": lambda: None,
+        "--recording": lambda: rng.choice(("r.npz", "r.csv", "r.plt", "r.x", "no/such/r.csv")),
+        "--actual": lambda: rng.choice((*JOBS, "nothing", reference)),
+    }
+    for name in rng.sample(sorted(options), rng.choice((1, 2, 3))):
+        value = options[name]()
+        words += [name] if value is None else [name, value]
+    return Case(words, {})
+
+
+# --- names, and outputs that are inputs ---
+
+
+def names(rng: random.Random, _index: int) -> Case:
+    """Call jobs, machines and files by names that are markup, formulas or program."""
+    name, other = rng.choice(NAMES), rng.choice(NAMES)
+    machine = rng.choice(sorted(JOBS))
+    quoted, title = json.dumps(name), json.dumps(other)
+    files = {"m.toml": f'base = "{machine}"\nname = {quoted}\ntitle = {title}\n'}
+    job = JOBS[machine]
+    if machine == "letter-placer":
+        files["moves.toml"] = SHORT_MOVES.replace('"short"', json.dumps(name))
+        job = "moves.toml"
+    elif rng.random() < 0.5 and len(name) < 200 and "/" not in name:
+        job = f"./{name}.prg" if machine == "lathe-winder" else f"./{name}.seam.toml"
+        files[job] = SHORT_PROGRAM if machine == "lathe-winder" else SHORT_SEAM
+    verb = rng.choice(("prove", "compile", "compile", "report"))
+    if verb == "report":
+        fast = [] if machine == "letter-placer" else ["--interpolation", "linear"]
+        return Case(["prove", job, "-m", "m.toml", "--report", "rep", *fast], files)
+    return Case(_command(rng, verb, job, machine, "m.toml"), files)
+
+
+def outputs(rng: random.Random, _index: int) -> Case:
+    """Write to a file that is read, reached by any way, or to what cannot be written."""
+    machine = rng.choice(sorted(JOBS))
+    base = f"{machine}-base.toml"
+    files = {"m.toml": f'base = "{base}"\n'}
+    out = rng.choice(
+        (JOBS[machine], base, "m.toml", f"{machine}.spec.toml", "line.csv", "soft.csv", "hard.csv",
+         "loop.csv", "folder.csv", "kept.csv", "fifo.csv", "dangling.csv", "new.csv", "no/new.csv",
+         "short.prg/x.csv", "/dev/full", "/dev/null", "/proc/x.csv")
+    )  # fmt: skip
+    fast = [] if machine == "letter-placer" else ["--interpolation", "linear"]
+    reads = frozenset({JOBS[machine], base, "m.toml", f"{machine}.spec.toml", "kept.csv"})
+    reads |= {"line.csv"} if machine == "stitcher" else set()
+    reads |= {"soft.csv", "hard.csv"} if machine == "lathe-winder" else set()
+    if rng.random() < 0.5:
+        target = rng.choice(("st", "plcopen") if machine == "letter-placer" else ("csv", "npz"))
+        return Case(
+            ["compile", JOBS[machine], "-m", "m.toml", "--target", target, "-o", out, *fast],
+            files,
+            reads,
+        )
+    report = rng.choice(([], ["--report", rng.choice(("rep", "m.toml", "folder.csv", "taken"))]))
+    return Case(["prove", JOBS[machine], "-m", "m.toml", "--recording", out, *report, *fast], files)
+
+
+def _links(folder: Path, machine_files: list[str]) -> None:
+    (folder / "soft.csv").symlink_to(machine_files[0])
+    (folder / "hard.csv").hardlink_to(folder / machine_files[-1])
+    (folder / "loop.csv").symlink_to("loop.csv")
+    (folder / "dangling.csv").symlink_to("fresh.csv")
+    (folder / "folder.csv").mkdir()
+    (folder / "taken" / "report.html").mkdir(parents=True)
+    (folder / "kept.csv").write_text("kept")
+    (folder / "kept.csv").chmod(0o444)
+    os.mkfifo(folder / "fifo.csv")
+
+
+KINDS_OF_CASES: dict[str, Callable[[random.Random, int], Case]] = {
+    "machine-number": machine_number,
+    "shaper": shaper_numbers,
+    "options": option_pairs,
+    "names": names,
+    "outputs": outputs,
+}
+
+
+# --- running ---
+
+
+class HangError(BaseException):
+    """A case took too long; nothing in the program catches this."""
+
+
+def _on_alarm(_signal: int, _frame: FrameType | None) -> None:
+    raise HangError
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case: its status, and what is wrong with it (empty where nothing is)."""
+
+    status: int
+    problem: str
+    took_s: float
+
+
+def run_case(case: Case, folder: Path) -> Outcome:
+    """Run a case in a folder of its own."""
+    lay_out(folder)
+    for name, text in case.files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    _links(folder, ["short.prg", "lathe-winder-base.toml"])
+    before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file() and p.name != "fifo.csv"}
+    out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
+    status, hung = 0, False
+    began = time.perf_counter()
+    signal.alarm(HANG_S)
+    try:
+        with (
+            contextlib.chdir(folder),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            run_program(case.words)
+    except SystemExit as stopped:
+        status = stopped.code if isinstance(stopped.code, int) else int(bool(stopped.code))
+    except HangError:
+        hung = True
+    finally:
+        signal.alarm(0)
+    took_s = time.perf_counter() - began
+    out.flush()
+    told = out.buffer.getvalue().decode("utf-8", "replace")  # type: ignore[attr-defined]
+    problem = f"more than {HANG_S} s" if hung else _problem(case, status, told, err.getvalue())
+    if not hung and not problem:
+        problem = _changed(case, before, folder, status)
+    return Outcome(status, problem, took_s)
+
+
+def _problem(case: Case, status: int, out: str, err: str) -> str:
+    if status not in {0, 1, 2}:
+        kept = re.search(r"the file (\S+\.txt)", err)
+        trace = Path(kept[1]).read_text(encoding="utf-8")[-1500:] if kept else ""
+        if kept:
+            Path(kept[1]).unlink()
+        return f"status {status}: {err}{trace}"
+    if status == 2 and (out or err.count("\n") != 1 or not err.startswith("error: [")):
+        return f"an error told otherwise than in one line: {err[:400]!r}, {out[:200]!r}"
+    if set(err + out) & {"\x1b", "\x00", "\u202e", "\x9b"}:
+        return f"controls of a terminal: {err[:400]!r} {out[:400]!r}"
+    if status < 2 and "--json" in case.words:
+        try:
+            json.loads(out, parse_constant=lambda word: word + 1)
+        except (ValueError, TypeError):
+            return f"no JSON: {out[:400]!r}"
+    if any(word in err for word in ("Warning:", "Traceback")):
+        return f"a library speaks: {err[:400]!r}"
+    return ""
+
+
+def _changed(case: Case, before: dict[Path, bytes], folder: Path, status: int) -> str:
+    lost = [
+        p.name
+        for p, data in before.items()
+        if (case.reads is None or p.name in case.reads)
+        and (not p.is_file() or p.read_bytes() != data)
+    ]
+    if lost:
+        return f"files that were there changed: {lost}"
+    left = [p.name for p in folder.rglob(".*") if p.is_file() or p.is_dir()]
+    fresh = [p.name for p in folder.rglob("*") if p.is_file() and p not in before]
+    if left or (status == 2 and [name for name in fresh if name != "fifo.csv"]):
+        return f"left behind: {left + fresh}"
+    return ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=10.0, help="stop after so long")
+    parser.add_argument("--cases", type=int, default=10**9, help="or after so many, of each class")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kind", choices=sorted(KINDS_OF_CASES), help="only this class")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    given = parser.parse_args()
+    signal.signal(signal.SIGALRM, _on_alarm)
+    warnings.simplefilter("error")
+    end = time.monotonic() + 60.0 * given.minutes
+    tally: Counter[tuple[str, int]] = Counter()
+    failures, slowest = 0, (0.0, "")
+    index = given.first
+    while time.monotonic() < end and index < given.first + given.cases:
+        for kind in [given.kind] if given.kind else KINDS_OF_CASES:
+            case = KINDS_OF_CASES[kind](random.Random(f"{given.seed}/{kind}/{index}"), index)
+            with tempfile.TemporaryDirectory() as folder:
+                found = run_case(case, Path(folder))
+            tally[kind, found.status] += 1
+            again = f"--seed {given.seed} --kind {kind} --first {index} --cases 1"
+            slowest = max(slowest, (found.took_s, again))
+            if found.problem:
+                failures += 1
+                if failures <= _SHOWN:
+                    print(f"{again}\n{case.words}\n{found.problem}\n", file=sys.stderr, flush=True)
+        index += 1
+    for kind in KINDS_OF_CASES:
+        counts = {status: n for (which, status), n in sorted(tally.items()) if which == kind}
+        told = ", ".join(f"{n} with status {status}" for status, n in counts.items())
+        if counts:
+            print(f"{kind}: {sum(counts.values())} cases, {told}")
+    print(f"slowest: {slowest[0]:.1f} s, {slowest[1]}")
+    print(f"{tally.total()} cases, {failures} failures")
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,331 @@
+"""Hostile recordings and specifications: what the judge passes, a second reading must let pass.
+
+Three classes. ``judge-channels``: channels taken away, with units that differ. ``judge-blocks``:
+blocks cut out, shortened, overlapped, reordered or moved. ``judge-axes``: specifications that name
+single axes, or give shares without a unit. A fault is often put into the run first, so that hiding
+it would be a false proof. What must come of a case is worked out by
+``tests/verdict/interpreter.py``, which shares no code with the judge.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import random
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from tests.verdict.interpreter import Channel, Facts, asked, cannot_pass, refused  # noqa: E402
+
+from threadline.machine import load_machine  # noqa: E402
+from threadline.options import Options  # noqa: E402
+from threadline.pipeline import Proof, prove  # noqa: E402
+from threadline.signals import Recording, RecordingBlock, Stream  # noqa: E402
+from threadline.signals.files import read_recording, write_recording  # noqa: E402
+from threadline.verdict import judge, load_spec, verdict_json  # noqa: E402
+from threadline.verdict.coverage import motion_s  # noqa: E402
+from threadline.verdict.demands import measure_demands  # noqa: E402
+
+CLASSES = ("judge-channels", "judge-blocks", "judge-axes")
+_FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read again and again
+atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
+_WINDING = "G21\nG91\nG1 X30 Y4 A30 F2400\nX30 Y-4 A30\nX-20\nM30\n"
+_LIMITS = {
+    "contour_error": ("0.5 mm", "5 mm"),
+    "progress_error": ("0.5 mm", "5 mm"),
+    "turning_point_error": ("0.5 mm", "5 mm"),
+    "stitch_length_error": ("5 %", "0.5"),
+    "dac_saturation": ("0 %", "1 %", "0.5"),
+    "current_peak": ("1 A", "30 A"),
+    "settling_time": ("100 ms", "2 s"),
+    "velocity_ripple": ("5 %", "300 %"),
+}
+_OF_AXIS = {
+    "tracking_error": ("1", "30"),
+    "velocity": ("20", "900", "2500"),
+    "acceleration": ("1", "200"),
+}
+_UNITS_OF_AXIS = {
+    "tracking_error": ("mm", "deg"),
+    "velocity": ("mm/s", "deg/s"),
+    "acceleration": ("m/s^2", "rad/s^2"),
+}
+_SHARES = ("stitch_length_error", "dac_saturation", "velocity_ripple")
+_SWITCHED = {
+    "residual_vibration": ("0.1 mm", "1 mm"),
+    "settling_time": ("500 ms",),
+    "end_position_error": ("0.5 mm",),
+    "cycle_time": ("20 s",),
+    "switching_dwell": ("50 ms",),
+    "travel": ("1 mm",),
+}
+
+
+@dataclass(frozen=True)
+class Seed:
+    """A run that is judged, what there is to know of it, and its samples."""
+
+    proof: Proof
+    facts: Facts
+    period_s: float
+    samples: dict[str, np.ndarray]
+
+
+@cache
+def seeds() -> tuple[Seed, ...]:
+    """Return a short run of each kind of machine: winder, stitcher, on/off placer."""
+    found = []
+    job = _FOLDER / "short.prg"
+    job.write_text(_WINDING)
+    for file, name, options in (
+        (job, "lathe-winder", Options()),
+        (ROOT / "examples/strap.seam.toml", "stitcher", Options()),
+        (
+            ROOT / "examples/letter-cycle.toml",
+            "letter-placer+whole-scans+own-damping",
+            Options(shaper="zv"),
+        ),
+    ):
+        machine = load_machine(name)
+        proof = prove(file, machine, load_spec(None, machine), options)
+        blocks = list(proof.recording)
+        samples = {
+            c.name: np.concatenate([b.samples[c.name] for b in blocks])
+            for c in proof.recording.channels
+        }
+        period_s = float(proof.recording.channels[0].clock.period_s)
+        found.append(Seed(proof, _facts(proof), period_s, samples))
+    return tuple(found)
+
+
+def _facts(proof: Proof) -> Facts:
+    plan, machine = proof.plan, proof.plan.machine
+    axes = list(plan.axes)
+    if machine.cylinders:
+        own = {("travel", axis): 0.0 for axis in axes}
+        return Facts(axes, set(), True, 0.0, 0.0, own=own)
+    begin_s, end_s = motion_s(plan)
+    programmed = plan.motion.programmed
+    own, planned = {}, {}
+    for name, rows in measure_demands(plan).items():
+        for row in rows:
+            planned[name, row.axis] = row.value
+    for axis in axes:
+        of = machine.axes[axis]
+        for name, limit in (("velocity", of.velocity), ("acceleration", of.acceleration)):
+            own[name, axis] = limit.si
+        if of.jerk is not None:
+            own["jerk", axis] = of.jerk.si
+    dacs = {axis: machine.controller_of(axis).dac for axis in axes}
+    return Facts(
+        axes,
+        {a for a in axes if machine.axes[a].kind == "rotary"},
+        False,
+        begin_s,
+        end_s,
+        radius_m=programmed.radius_m,
+        vertices=np.concatenate([b.positions for b in programmed]),
+        clamp_v={a: d.range.si - 1.5 * d.volt_per_level for a, d in dacs.items()},
+        own=own,
+        planned=planned,
+    )
+
+
+def _with_fault(rng: random.Random, seed: Seed) -> dict[str, np.ndarray]:
+    """Return the samples, often with something wrong for a while in one channel."""
+    samples = {name: values.copy() for name, values in seed.samples.items()}
+    if rng.random() < 0.7:
+        kind = rng.choice(("load", "voltage", "current", "frame", "commanded"))
+        names = [n for n in samples if n.endswith(f".{kind}")]
+        if names:
+            values = samples[rng.choice(names)]
+            begin = rng.randrange(len(values))
+            end = begin + rng.choice((1, 10, 60))
+            size = {"voltage": 20.0, "current": 100.0}.get(kind, rng.choice((2e-3, 2e-2)))
+            values[begin:end] += size
+    return samples
+
+
+def _described(seed: Seed, samples: dict[str, np.ndarray]) -> dict[str, Channel]:
+    return {
+        c.name: Channel(c.kind.value, c.axis, c.unit, seed.period_s, [(0, samples[c.name])])
+        for c in seed.proof.recording.channels
+        if c.name in samples
+    }
+
+
+def _other_units(rng: random.Random, channels: dict[str, Channel]) -> None:
+    known = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "V": ("mV", 1e3), "A": ("mA", 1e3)}
+    for channel in channels.values():
+        if channel.unit in known and rng.random() < 0.3:
+            unit, factor = known[channel.unit]
+            channel.chunks = [(f, v * factor) for f, v in channel.chunks]
+            channel.unit = unit
+        elif rng.random() < 0.005:
+            channel.unit = rng.choice(("V", "mm", "deg", "", "A"))
+
+
+def channels_taken_away(rng: random.Random, seed: Seed) -> dict[str, Channel]:
+    """Take away channels, one or many, and give others in other units."""
+    samples = _with_fault(rng, seed)
+    share = rng.choice((0.05, 0.3, 0.8))
+    outputs = set(seed.proof.plan.commands.outputs) if seed.facts.switched else set()
+    kept = {n: v for n, v in samples.items() if n in outputs or rng.random() > share}
+    channels = _described(seed, kept or samples)
+    _other_units(rng, channels)
+    return channels
+
+
+def blocks_moved(rng: random.Random, seed: Seed) -> dict[str, Channel]:
+    """Cut the run into blocks; lose, shorten, overlap, swap or move some of them."""
+    samples = _with_fault(rng, seed)
+    channels = _described(seed, samples)
+    count = len(next(iter(samples.values())))
+    edges = sorted({0, count, *(rng.randrange(count) for _ in range(rng.choice((1, 3, 8))))})
+    spans = [(a, a, b) for a, b in pairwise(edges)]  # first tick, rows
+    kind = rng.randrange(7)
+    at = rng.randrange(len(spans))
+    lost: set[str] = set()
+    if kind == 0:
+        del spans[at]
+    elif kind == 1:
+        first, a, b = spans[at]
+        spans[at] = (first, a, max(a, b - rng.choice((1, 5, 40))))
+    elif kind == 2:
+        shift = rng.choice((-1, -20, 1, 20, -(10**6)))
+        spans = [(f + shift if i >= at else f, a, b) for i, (f, a, b) in enumerate(spans)]
+    elif kind == 3 and len(spans) > 1:
+        other = rng.randrange(len(spans))
+        spans[at], spans[other] = spans[other], spans[at]
+    elif kind == 4:
+        lost = set(rng.sample(sorted(channels), rng.choice((1, 2, len(channels) // 2))))
+    elif kind == 5:
+        spans.append(spans[at])
+    for name, channel in channels.items():
+        values = samples[name]
+        channel.chunks = [
+            (first, values[a:b] if name not in lost or i != at else values[:0])
+            for i, (first, a, b) in enumerate(spans)
+        ]
+    return channels
+
+
+def whole_run(rng: random.Random, seed: Seed) -> dict[str, Channel]:
+    """Change nothing but for the fault."""
+    return _described(seed, _with_fault(rng, seed))
+
+
+def spec_of(rng: random.Random, seed: Seed) -> str:
+    """Return a specification of a few criteria, most of them of one axis."""
+    rows, named = [], set()
+    facts = seed.facts
+    for _ in range(rng.randint(1, 6)):
+        table = _SWITCHED if facts.switched else {**_LIMITS, **_OF_AXIS}
+        name = rng.choice(sorted(table))
+        tool = name in ("settling_time", "cycle_time", "switching_dwell")
+        tool = tool or name in ("contour_error", "progress_error", "stitch_length_error")
+        tool = tool or name == "velocity_ripple"
+        axis = "" if tool else rng.choice(list(facts.axes))
+        if (name, axis) in named:
+            continue
+        named.add((name, axis))
+        limit = rng.choice(table[name])
+        if name in _OF_AXIS:
+            limit += f" {_UNITS_OF_AXIS[name][axis in facts.rotary]}"
+        rows.append("[[criteria]]")
+        rows.append(f'name = "{name}"')
+        rows += [f'axis = "{axis}"'] if axis else []
+        if name in _SHARES and rng.random() < 0.1:
+            rows.append("limit = 5")
+        else:
+            rows += [f'limit = "{limit}"'] if rng.random() < 0.9 else []
+        rows += ["required = true"] if rng.random() < 0.5 else []
+    return 'name = "fuzz"\n' + "\n".join(rows) + "\n"
+
+
+def recording_of(seed: Seed, channels: dict[str, Channel]) -> Recording:
+    """Return the channels as a recording; a block for each chunk."""
+    told = seed.proof.recording
+    described = tuple(
+        replace(c, unit=channels[c.name].unit) for c in told.channels if c.name in channels
+    )
+    clock = described[0].clock.name
+    chunks = {name: channel.chunks for name, channel in channels.items()}
+    blocks = [
+        RecordingBlock(
+            first_tick={clock: next(iter(chunks.values()))[i][0]},
+            samples={name: parts[i][1] for name, parts in chunks.items()},
+        )
+        for i in range(len(next(iter(chunks.values()))))
+    ]
+    return replace(told, channels=described, blocks=Stream.of(blocks))
+
+
+MAKERS: dict[str, Callable[[random.Random, Seed], dict[str, Channel]]] = {
+    "judge-channels": channels_taken_away,
+    "judge-blocks": blocks_moved,
+    "judge-axes": whole_run,
+}
+
+
+def check(kind: str, path: Path) -> None:
+    """Judge the case that ``path`` is the seed of, and hold it against the second reading.
+
+    Raises
+    ------
+    AssertionError
+        If what cannot pass has passed, or what had to be refused was not.
+    """
+    rng = random.Random(path.read_bytes())
+    seed = rng.choices(seeds(), weights=(6, 1, 1))[0]
+    channels = MAKERS[kind](rng, seed)
+    spec_file = path.with_name("case.spec.toml")
+    spec_file.write_text(spec_of(rng, seed))
+    spec = load_spec(spec_file, seed.proof.plan.machine)
+    if "limit = 5\n" in spec_file.read_text():
+        raise AssertionError(f"read, although a share of 5 has no unit\n{spec_file.read_text()}")
+    recorded = path.with_name("case.npz")
+    write_recording(recording_of(seed, channels), recorded)
+    must = refused(channels, seed.facts)
+    verdict = judge([read_recording(recorded)], seed.proof.plan, spec)
+    if must:
+        raise AssertionError(f"judged, although {must}")
+    told = json.loads(json.dumps(verdict_json(verdict, seed.proof.plan), allow_nan=False))
+    text = spec_file.read_text()
+    wrong = cannot_pass(channels, seed.facts, text)
+    statuses: dict[tuple[str, str], list[str]] = {}
+    for row in told["criteria"]:
+        statuses.setdefault((row["name"], row["axis"]), []).append(row["status"])
+    for (name, axis), why in wrong.items():
+        found = statuses.get((name, axis), [])
+        if found and all(status == "passed" for status in found):
+            raise AssertionError(f"{name} {axis} passed, although {why}\n{text}")
+    lacking = {
+        (name, axis)
+        for (name, axis), (_, required) in asked(text, seed.facts).items()
+        if required and (name, axis) in wrong
+    }
+    if told["passed"] and lacking:
+        raise AssertionError(f"in spec, although {lacking}: {wrong}\n{text}")
+
+
+def fuzz_recordings() -> dict[str, tuple[str, Callable[..., bytes], Callable[[Path], None], int]]:
+    """Return the readers of this module for the table of ``fuzz.py``."""
+    return {kind: ("case.seed", case, partial(check, kind), 1) for kind in CLASSES}
+
+
+def case(rng: random.Random) -> bytes:
+    """Return the seed of a case; the runs are made before the first, and not while it is timed."""
+    seeds()
+    return rng.randbytes(16)
