@@ -486,3 +486,16 @@ def test_a_recording_that_ends_before_the_cycle_measures_what_it_came_to(
     assert "the recording ends at" in next(
         r.note for r in verdict.results if (r.name, r.axis, r.step) == gone[0]
     )
+
+
+def test_the_travel_of_a_cylinder_is_no_angle(shaped: Proof) -> None:
+    """A frame that is said to turn by 5 mrad would pass for one that moves by 5 mm."""
+    turned = replace(
+        shaped.recording,
+        channels=tuple(
+            replace(c, unit="rad") if c.name == "Z.frame" else c for c in shaped.recording.channels
+        ),
+    )
+    machine = shaped.plan.machine
+    with pytest.raises(RecordingError, match=r"'Z.frame' is in rad.*Z of .* is linear.*mm"):
+        judge([turned], shaped.plan, load_spec(None, machine))

@@ -132,7 +132,7 @@ class Machine:
         for name, switch in self.inputs.items():
             _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             _known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
-        turning = [name for name, axis in self.axes.items() if axis.kind == "rotary"]
+        turning = sorted(self.rotary)
         if turning and self.tool is None:
             raise ValueError(
                 f"'tool' is missing: it says at which radius the rotary axis {turning[0]} acts, "
@@ -227,6 +227,11 @@ class Machine:
         }
         axes = {name: axis.kind for name, axis in self.axes.items()}
         return axes | told | dict.fromkeys(self.cylinders, "cylinder")
+
+    @property
+    def rotary(self) -> frozenset[str]:
+        """Names of the axes that turn; whatever else moves goes along a line."""
+        return frozenset(name for name, axis in self.axes.items() if axis.kind == "rotary")
 
     @property
     def motors(self) -> dict[str, DcMotor]:

@@ -91,14 +91,14 @@ def _check_same_job(recording: Recording, plan: Plan) -> None:
 def _check_units(recording: Recording, plan: Plan) -> None:
     """Refuse angles of a linear axis and lengths of a rotary one: a number would pass for it."""
     for channel in recording.channels:
-        axis = plan.machine.axes.get(channel.axis)
-        if axis is None or channel.unit not in _KIND_OF_UNIT:
+        if channel.axis not in plan.machine.moving or channel.unit not in _KIND_OF_UNIT:
             continue
-        if axis.kind != _KIND_OF_UNIT[channel.unit]:
+        kind = "rotary" if channel.axis in plan.machine.rotary else "linear"
+        if kind != _KIND_OF_UNIT[channel.unit]:
             raise RecordingError(
                 f"channel {channel.name!r} is in {channel.unit}, and axis {channel.axis} of "
-                f"{plan.machine.name} is {axis.kind}",
-                remedy=f"Give it in {'deg or rad' if axis.kind == 'rotary' else 'mm or m'}.",
+                f"{plan.machine.name} is {kind}",
+                remedy=f"Give it in {'deg or rad' if kind == 'rotary' else 'mm or m'}.",
             )
 
 
