@@ -56,7 +56,7 @@ def test_shapers_out_of_range_are_refused(
     assert words in err
 
 
-@pytest.mark.parametrize("mode", ["0.05Hz", "0.01Hz"])
+@pytest.mark.parametrize("mode", ["0.05Hz", "0.01Hz", "0.001Hz", "1e-4Hz"])
 def test_a_move_much_shorter_than_the_period_is_its_own_robust_optimum(
     mode: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

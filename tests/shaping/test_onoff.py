@@ -32,6 +32,31 @@ def test_time_optimal_move_of_the_facts() -> None:
     assert optimum.certificate >= -1e-9
 
 
+@pytest.mark.parametrize("frequency_hz", [0.05, 0.01, 1e-3, 1e-4])
+def test_a_slow_mode_is_silenced_in_the_time_of_its_limit(frequency_hz: float) -> None:
+    """u must have an integral of u v^3 of 6 L / (a w^2) and none of u, u v^2: T^4 / 64 at best.
+
+    Four levels, switched at (1 - 1/sqrt 2) / 2, 1/2 and (1 + 1/sqrt 2) / 2, have it. What is
+    left out are the next terms of sine and cosine, of the order of (w T)^2.
+    """
+    omega = 2.0 * np.pi * frequency_hz
+    mode = FlexibleMode(frequency_hz)
+    command = time_optimal(RestToRest(0.01, 1.0, (mode,))).command
+    limit = (64.0 * 6.0 * 0.01 / omega**2) ** 0.25
+    share = (omega * limit) ** 2
+    assert command.duration_s == pytest.approx(limit, rel=0.01 * share + 1e-9)
+    assert command.switches_s / command.duration_s == pytest.approx(
+        [(1 - 0.5**0.5) / 2, 0.5, (1 + 0.5**0.5) / 2], abs=0.01 * share + 1e-9
+    )
+
+
+def test_a_slow_damped_mode_is_silenced() -> None:
+    """The matrix exponential, and no rows, says that it rests: to 1e-9 of a step and of a metre."""
+    mode = FlexibleMode(0.03, 0.25)
+    command = time_optimal(RestToRest(0.01, 1.0, (mode,))).command
+    assert simulate(command, mode, 1.0) == pytest.approx([0.01, 0.0, 0.0], abs=2e-9)
+
+
 @pytest.mark.parametrize(
     "modes",
     [

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
+from threadline.shaping.crossing import crossing
 from threadline.shaping.types import FlexibleMode, Shaper
 from threadline.shaping.vibration import residual_vibration, vibration_of
 
@@ -113,7 +114,7 @@ def _first_crossing(
     excess: Callable[[float], float], grid: FloatArray, v: FloatArray, limit: float
 ) -> float:
     """Return where V, ``v`` on the (n,) ``grid``, first exceeds the limit; the end if nowhere."""
-    from scipy.optimize import brentq, minimize_scalar
+    from scipy.optimize import minimize_scalar
 
     over = np.flatnonzero(v > limit)
     stop = int(over[0]) if len(over) else len(grid) - 1
@@ -124,7 +125,7 @@ def _first_crossing(
             lambda f: -excess(f), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
         )
         if -found.fun > 0.0:
-            return float(brentq(excess, float(grid[i - 1]), float(found.x), xtol=1e-14))
+            return crossing(excess, float(grid[i - 1]), float(found.x), xtol=1e-14)
     if not len(over):
         return float(grid[-1])
-    return float(brentq(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14))
+    return crossing(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14)
