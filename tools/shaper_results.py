@@ -16,6 +16,7 @@ from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
 from threadline.pipeline import prove
 from threadline.shaping import (
+    ControllerLimits,
     FlexibleMode,
     Requirement,
     Shaper,
@@ -26,6 +27,7 @@ from threadline.shaping import (
     direct_unit_magnitude,
     insensitivity,
     klipper_export,
+    realise,
     specified_insensitivity,
     vibration_of,
 )
@@ -209,6 +211,34 @@ def front() -> None:
     table("Worst residual over +-20 % of 3.04 Hz, of one step, on a 10 ms scan", header, rows)
 
 
+def rounding() -> None:
+    """Trains on whole ticks over the band that the exact ones keep."""
+    cases = (
+        ("um-ei", 0.17, 0.001), ("um-2ei", 0.17, 0.001), ("um-2ei", 0.0089, 0.01),
+        ("zvd", 0.0089, 0.01), ("2hump-ei", 0.0089, 0.01), ("3hump-ei", 0.0089, 0.01),
+        ("zv*um-2ei", 0.0089, 0.01),
+    )  # fmt: skip
+    rows = []
+    for kind, damping, tick_s in cases:
+        mode = FlexibleMode(3.04, damping)
+        shaper = convolve(*(design(one, mode) for one in kind.split("*")))
+        over = realise(shaper, [mode], ControllerLimits(tick_s)).bands[0]
+        rows.append(
+            [
+                f"{kind}, {damping:g}",
+                f"{tick_s * 1e3:g}",
+                f"{over.low_hz:.2f} to {over.high_hz:.2f}",
+                *(f"{worst * 100:.1f} %" for worst in (over.nearest, over.made)),
+                *(f"{w:.3f}" for w in (over.designed_width, over.nearest_width, over.made_width)),
+            ]
+        )
+    header = (
+        "shaper, damping", "tick ms", "band Hz", "worst, nearest ticks", "worst, searched",
+        "insensitivity, exact", "nearest", "searched",
+    )  # fmt: skip
+    table("Trains on whole ticks", header, rows)
+
+
 def moves() -> None:
     """One move on the winder with a swinging eye and one on the stitcher, by the twin."""
     criteria = (
@@ -260,6 +290,7 @@ SECTIONS: dict[str, Callable[[], None]] = {
     "robustness": robustness,
     "optimal": optimal,
     "front": front,
+    "rounding": rounding,
     "moves": moves,
 }
 

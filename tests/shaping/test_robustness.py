@@ -110,12 +110,6 @@ def test_ticks_dwell_and_price() -> None:
     assert made.vibration == pytest.approx(simulated, abs=1e-10)
     assert made.vibration_price == pytest.approx(simulated, abs=1e-9)
     assert made.vibration_price > 1e-4
-    rounded = np.rint(shaper.times_s / 0.01) * 0.01
-    plain = residual_vibration_batch(
-        shaper.amplitudes[None], rounded[None], np.array([3.04]), np.array([0.0089])
-    )[0]
-    without_dwell = realise(shaper, [MODE], ControllerLimits(tick_s=0.01))
-    assert without_dwell.vibration <= plain
 
 
 def test_free_amplitudes_cancel_on_the_tick() -> None:

@@ -16,6 +16,8 @@ from threadline.cli.shaper_text import (
     curve_lines,
     designed,
     modes_of,
+    price_content,
+    price_table,
     suspicions,
 )
 from threadline.cli.told import warning
@@ -65,11 +67,12 @@ def shaper(
     tolerance: Annotated[
         float, typer.Option(help="Vibration allowed, of one unit impulse's: 0.05 is 5 %.")
     ] = 0.05,
-    kind: Annotated[str, typer.Option(help=", ".join(KINDS) + ".")] = "zv",
+    kind: Annotated[str, typer.Option(help=", ".join(KINDS) + '; convolved: "zv*um-2ei".')] = "zv",
     band: Annotated[
         float | None,
         typer.Option(
-            help="Half width of the band of frequency, for si (0.2 unless given) and --tick."
+            help="Half width of the band of frequency, for si (0.2 unless given) and --tick (there "
+            "the band in which the exact shaper keeps its tolerance, unless given)."
         ),
     ] = None,
     tick: Annotated[
@@ -144,7 +147,7 @@ def shaper(
             max_impulses=max_impulses,
             amplitudes_free=free,
         )
-        realised = realise(made, modes, limits, relative=band)
+        realised = realise(made, modes, limits, relative=band, tolerance=tolerance)
         made = realised.shaper
     warnings = list(suspicions(modes))
     for one in modes:
@@ -229,6 +232,7 @@ def _tables(answer: _Answer) -> list[Table]:
             rows=modes,
         ),
         Table(title="Cost", header=("", ""), rows=_cost(answer)),
+        *([] if answer.realised is None else [price_table(answer.realised, answer.tolerance)]),
         *([] if answer.study is None else study_tables(answer.study)),
     ]
 
@@ -248,7 +252,7 @@ def _cost(answer: _Answer) -> list[list[str]]:
             ["on ticks", " ".join(map(str, made.ticks))],
             ["price of the controller in time", f"{made.time_price_s * 1e3:+.3f} ms"],
             [
-                "price of the controller in vibration",
+                "price of the controller in vibration at the modes",
                 f"{without_noise(made.vibration_price) * 100:+.3g} %",
             ],
         ]
@@ -286,6 +290,7 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
         content["ticks"] = list(answer.realised.ticks)
         content["time_price_s"] = answer.realised.time_price_s
         content["vibration_price"] = answer.realised.vibration_price
+        content["bands"] = price_content(answer.realised)
     if answer.study is not None:
         content["move"] = study_content(answer.study)
     if answer.klipper is not None:

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from threadline.errors import OptionError
+from threadline.report.document import Table
 from threadline.shaping import (
     FlexibleMode,
+    Realised,
     Requirement,
     Shaper,
     ShaperKind,
@@ -20,6 +22,7 @@ from threadline.shaping import (
     residual_vibration,
     specified_insensitivity,
 )
+from threadline.units import without_noise
 
 KINDS = (*ShaperKind, "si", "direct", "um-direct")
 SUSPICIOUS_DAMPING = 0.1
@@ -70,9 +73,55 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
         return direct_shaper([Requirement(m) for m in modes])
     if kind == "um-direct":
         return direct_unit_magnitude([Requirement(m) for m in modes])
-    if kind not in list(ShaperKind):
-        raise OptionError(f"shaper kind {kind!r} is unknown", remedy=f"Kinds: {', '.join(KINDS)}.")
-    return convolve(*(design(kind, m, tolerance=tolerance) for m in modes))
+    kinds = [part.strip() for part in kind.split("*")]
+    for one in kinds:
+        if one not in list(ShaperKind):
+            whole = "" if len(kinds) == 1 else f" in {kind!r}"
+            alone = " It cannot be convolved." if one in KINDS else ""
+            raise OptionError(
+                f"shaper kind {one!r}{whole} is unknown"
+                if not alone
+                else f"shaper kind {one!r}{whole} is made for all modes at once and stands alone",
+                remedy=f"Kinds: {', '.join(ShaperKind if alone else KINDS)}.",
+            )
+    return convolve(*(design(one, m, tolerance=tolerance) for m in modes for one in kinds))
+
+
+def price_table(made: Realised, tolerance: float) -> Table:
+    """Return what the ticks of a controller cost over the band of every mode."""
+    rows = []
+    for over in made.bands:
+        for name, worst, width in (
+            ("as designed", over.designed, over.designed_width),
+            ("times to the nearest ticks", over.nearest, over.nearest_width),
+            ("on these ticks", over.made, over.made_width),
+        ):
+            band = f"{over.low_hz:.4g} to {over.high_hz:.4g}"
+            rows.append([band, name, f"{without_noise(worst) * 100:.3g} %", f"{width:.4f}"])
+    return Table(
+        title="Price of the controller over the band",
+        header=("Hz", "train", "vibration at worst", f"insensitivity at {tolerance * 100:g} %"),
+        rows=rows,
+        note="The ticks are chosen for the least vibration over the band.",
+    )
+
+
+def price_content(made: Realised) -> list[dict[str, float]]:
+    """Return the same for ``--json``."""
+    return [
+        {
+            "frequency_hz": over.mode.frequency_hz,
+            "low_hz": over.low_hz,
+            "high_hz": over.high_hz,
+            "designed_worst": over.designed,
+            "nearest_worst": over.nearest,
+            "worst": over.made,
+            "designed_insensitivity": over.designed_width,
+            "nearest_insensitivity": over.nearest_width,
+            "insensitivity": over.made_width,
+        }
+        for over in made.bands
+    ]
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:

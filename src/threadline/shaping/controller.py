@@ -1,27 +1,36 @@
-"""What a real controller makes of a shaper, and what that costs.
+"""What a real controller makes of a shaper, and what that costs over its band.
 
 A PLC switches on its scan, a valve needs time between two switchings, a program has room for so
-many impulses. The train is moved onto the tick by a local search over whole ticks, with the
-amplitudes solved again where the machine can set them, and the price is reported.
+many impulses. The train is moved onto whole ticks by :mod:`threadline.shaping.rounding`, with the
+amplitudes solved again where the machine can set them; what the grid takes is said over the band of
+frequency that the kind was chosen for, beside what rounding to the nearest ticks would leave.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
-from threadline.shaping.response import pole
+from threadline.shaping.amplitudes import with_amplitudes
+from threadline.shaping.designs import DEFAULT_TOLERANCE
+from threadline.shaping.robustness import insensitivity
+from threadline.shaping.rounding import Band, TickGrid, cost, on_ticks, seconds
 from threadline.shaping.types import FlexibleMode, Shaper, ShaperError
-from threadline.shaping.vibration import residual_vibration
+from threadline.shaping.vibration import residual_vibration, vibration_of
 
-_BAND_SAMPLES = 9
-_ROUNDS = 40
+_NONE = 1e-12  # an amplitude that is none
+_ABOUT = 0.1  # of the tolerance, or of the least: trains within it are about alike
+_WIDER = 0.01  # by so much a band has to be wider to be preferred
+_LOOKED_AT = 24
+_FINER = 4
+_CHOICES = 400
+_SILENT = 1e-6
 _LONGEST = 100  # ticks or dwells beyond this many trains leave nothing of the shaping
 _MOST_TICKS = 1e12
 
@@ -66,6 +75,31 @@ class ControllerLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class OverBand:
+    """What the grid costs one mode over the band that the kind was chosen for.
+
+    Parameters
+    ----------
+    mode, low_hz, high_hz
+        The mode, and the band.
+    designed, nearest, made
+        Worst V over it: of the design, of its times rounded to the nearest ticks, of the train.
+    designed_width, nearest_width, made_width
+        Insensitivity of the three at the tolerance.
+    """
+
+    mode: FlexibleMode
+    low_hz: float
+    high_hz: float
+    designed: float
+    nearest: float
+    made: float
+    designed_width: float
+    nearest_width: float
+    made_width: float
+
+
+@dataclass(frozen=True, slots=True)
 class Realised:
     """The train that the controller can play, beside the one that was designed.
 
@@ -77,6 +111,8 @@ class Realised:
         Impulse times as whole ticks.
     vibration, designed_vibration
         Worst V over the modes at their modelled frequencies.
+    bands
+        The price over the band of every mode.
     """
 
     shaper: Shaper
@@ -84,6 +120,7 @@ class Realised:
     ticks: tuple[int, ...]
     vibration: float
     designed_vibration: float
+    bands: tuple[OverBand, ...]
 
     @property
     def time_price_s(self) -> float:
@@ -102,12 +139,14 @@ def realise(
     limits: ControllerLimits,
     *,
     relative: float = 0.0,
+    tolerance: float = DEFAULT_TOLERANCE,
 ) -> Realised:
-    """Fit ``shaper`` to a controller with the least worst V over the modes and their bands.
+    """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
 
-    The search is local: coordinates and pairs of neighbours by one or two ticks, from the
-    rounded times. With ``max_impulses``, positive trains lose their smallest impulse, others
-    the closest pair of opposite ones, one at a time.
+    Never worse over the bands, and within the tolerance over no narrower one, than the times
+    rounded to the nearest ticks. With ``max_impulses``, positive trains lose their smallest
+    impulse, others the closest pair of opposite ones, one at a time. Impulses that round to the
+    same tick are one.
 
     Parameters
     ----------
@@ -118,7 +157,10 @@ def realise(
     limits
         The controller's.
     relative
-        Half width of the band of frequency that counts, in [0, 1).
+        Half width of the band of frequency that counts, in [0, 1); 0 for the band in which the
+        designed train stays within the tolerance.
+    tolerance
+        Of the band, in (0, 1).
 
     Raises
     ------
@@ -129,7 +171,34 @@ def realise(
     """
     if not modes:
         raise OptionError("controller: at least one mode is needed to judge the train by")
+    _check_times(shaper, modes, limits)
     amplitudes, times = _thinned(shaper, limits)
+    gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
+    bands = [_band(shaper, mode, relative, tolerance) for mode in modes]
+    exact = times / limits.tick_s
+    nearest = _merged(amplitudes, np.rint(exact).astype(np.int64), gap)
+    apart = _spaced(np.rint(exact).astype(np.int64), gap)
+    grid = TickGrid(bands, limits.tick_s, int(nearest[1][-1]))
+
+    def train(weights: FloatArray, ticks: IntArray) -> Shaper:
+        return Shaper(amplitudes=weights, times_s=seconds(ticks, limits.tick_s), name=shaper.name)
+
+    if limits.amplitudes_free:
+        silent = [m for m in modes if vibration_of(shaper, m) < _SILENT]
+        starts = [nearest[1], *_fewer(shaper, limits, gap)]
+        positive = bool(np.all(shaper.amplitudes >= 0.0))
+        found = [with_amplitudes(starts, gap, grid, silent, limits.tick_s, positive=positive)]
+    else:
+        of_merged = exact if len(apart) == len(nearest[1]) else nearest[1].astype(np.float64)
+        found = [(nearest[0], t) for t in on_ticks(*nearest, of_merged, gap, grid)]
+        if len(apart) > len(nearest[1]):
+            # Some nearest ticks coincide: such impulses are taken as one, and pushed apart, too.
+            found += [(amplitudes, t) for t in on_ticks(amplitudes, apart, exact, gap, grid)]
+    made = _widest(train(*nearest), [train(*pair) for pair in found], bands, tolerance)
+    return _priced(shaper, train(*nearest), made, bands, tolerance, limits)
+
+
+def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: ControllerLimits) -> None:
     slowest_s = max(mode.damped_period_s for mode in modes)
     longest_s = _LONGEST * (shaper.duration_s + slowest_s)
     for name, value in (("tick_s", limits.tick_s), ("dwell_s", limits.dwell_s)):
@@ -145,37 +214,111 @@ def realise(
             f"{_MOST_TICKS:g} ticks",
             remedy="Check its unit.",
         )
-    gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
-    spread = np.linspace(1.0 - relative, 1.0 + relative, _BAND_SAMPLES) if relative else np.ones(1)
-    f = np.concatenate([m.frequency_hz * spread for m in modes])
-    z = np.concatenate([np.full(len(spread), m.damping_ratio) for m in modes])
 
-    def fit(ticks: IntArray) -> FloatArray:
-        if not limits.amplitudes_free:
-            return amplitudes
-        return _amplitudes(
-            _seconds(ticks, limits.tick_s), f, z, positive=bool(np.all(amplitudes >= 0.0))
-        )
 
-    def cost(ticks: IntArray) -> float:
-        train = Shaper(amplitudes=fit(ticks), times_s=_seconds(ticks, limits.tick_s))
-        return float(residual_vibration(train, f, z).max())
+def _band(shaper: Shaper, mode: FlexibleMode, relative: float, tolerance: float) -> Band:
+    if relative:
+        f = mode.frequency_hz
+        return Band(mode, f * (1.0 - relative), f * (1.0 + relative))
+    own = insensitivity(shaper, mode, tolerance)
+    return Band(mode, own.low_hz, own.high_hz)
 
-    ticks = _search(_spaced(np.rint(times / limits.tick_s).astype(np.int64), gap), gap, cost)
-    made = Shaper(amplitudes=fit(ticks), times_s=_seconds(ticks, limits.tick_s), name=shaper.name)
-    f0 = np.array([m.frequency_hz for m in modes])
-    z0 = np.array([m.damping_ratio for m in modes])
+
+def _widest(
+    nearest: Shaper,
+    trains: Sequence[Shaper],
+    bands: Sequence[Band],
+    tolerance: float,
+) -> Shaper:
+    """Return the train with the widest bands of those that leave about the least over them.
+
+    None that leaves more over the bands than the nearest ticks, or has a narrower one, is taken.
+    """
+
+    def over(train: Shaper) -> FloatArray:
+        return np.concatenate([_over(train, band, nearest.duration_s) for band in bands])
+
+    seen = [over(train) for train in trains]
+    most = float(over(nearest).max()) * (1.0 + 1e-12)
+    least = min([most, *(float(v.max()) for v in seen)])
+    within = min(most, least + _ABOUT * max(tolerance, least))
+    order = sorted(
+        (k for k, v in enumerate(seen) if v.max() <= within), key=lambda k: float(cost(seen[k]))
+    )
+    floor = [insensitivity(nearest, band.mode, tolerance).value for band in bands]
+    best, widest = nearest, 0.0
+    for k in order[:_LOOKED_AT]:
+        widths = [insensitivity(trains[k], band.mode, tolerance).value for band in bands]
+        kept = all(a >= b * (1.0 - 1e-9) for a, b in zip(widths, floor, strict=True))
+        if kept and (best is nearest or min(widths) > widest + _WIDER):
+            best, widest = trains[k], min(widths)
+    return best
+
+
+def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:
+    """Return V over a band, so finely that its worst is right to a thousandth of itself."""
+    f = band.samples_hz(duration_s, finer=_FINER)
+    return residual_vibration(train, f, band.mode.damping_ratio)
+
+
+def _priced(
+    designed: Shaper,
+    nearest: Shaper,
+    made: Shaper,
+    bands: Sequence[Band],
+    tolerance: float,
+    limits: ControllerLimits,
+) -> Realised:
+    modes = [band.mode for band in bands]
+
+    def width(train: Shaper, band: Band) -> float:
+        return insensitivity(train, band.mode, tolerance).value
+
+    def worst(train: Shaper, band: Band) -> float:
+        return float(_over(train, band, designed.duration_s).max())
+
     return Realised(
         shaper=made,
-        designed=shaper,
-        ticks=tuple(int(k) for k in ticks),
-        vibration=float(residual_vibration(made, f0, z0).max()),
-        designed_vibration=float(residual_vibration(shaper, f0, z0).max()),
+        designed=designed,
+        ticks=tuple(int(k) for k in np.rint(made.times_s / limits.tick_s)),
+        vibration=max(vibration_of(made, mode) for mode in modes),
+        designed_vibration=max(vibration_of(designed, mode) for mode in modes),
+        bands=tuple(
+            OverBand(
+                band.mode,
+                band.low_hz,
+                band.high_hz,
+                worst(designed, band),
+                worst(nearest, band),
+                worst(made, band),
+                width(designed, band),
+                width(nearest, band),
+                width(made, band),
+            )
+            for band in bands
+        ),
     )
 
 
-def _seconds(ticks: IntArray, tick_s: float) -> FloatArray:
-    return ticks.astype(np.float64) * tick_s
+def _fewer(shaper: Shaper, limits: ControllerLimits, gap: int) -> list[IntArray]:
+    """Return the ticks of every choice of as many impulses as there may be; none if all may."""
+    most, n = limits.max_impulses, len(shaper.times_s)
+    if most is None or most >= n or math.comb(n - 1, most - 1) > _CHOICES:
+        return []
+    ticks = np.rint(shaper.times_s / limits.tick_s).astype(np.int64)
+    chosen = (ticks[[0, *rest]] for rest in itertools.combinations(range(1, n), most - 1))
+    return [some for some in chosen if np.diff(some).min() >= gap]
+
+
+def _merged(amplitudes: FloatArray, ticks: IntArray, gap: int) -> tuple[FloatArray, IntArray]:
+    """Return impulses that fall on one tick as one; where they must keep apart, pushed later."""
+    if gap > 1:
+        return amplitudes, _spaced(ticks, gap)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(ticks)) + 1))
+    sums, kept = np.add.reduceat(amplitudes, starts), ticks[starts]
+    some = np.abs(sums) > _NONE
+    some[0] = True
+    return sums[some], kept[some]
 
 
 def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, FloatArray]:
@@ -206,46 +349,3 @@ def _spaced(ticks: IntArray, gap: int) -> IntArray:
     ramp = np.arange(len(ticks)) * gap
     spaced: IntArray = np.maximum.accumulate(ticks - ramp) + ramp
     return spaced
-
-
-def _search(ticks: IntArray, gap: int, cost: Callable[[IntArray], float]) -> IntArray:
-    best, value = ticks, cost(ticks)
-    singles = [(i,) for i in range(1, len(ticks))]
-    pairs = list(itertools.combinations(range(1, len(ticks)), 2))
-    for _ in range(_ROUNDS):
-        found = None
-        for moved in [*singles, *pairs]:
-            for shift in itertools.product((-2, -1, 1, 2), repeat=len(moved)):
-                trial = best.copy()
-                trial[list(moved)] += shift
-                if np.diff(trial).min() < gap:
-                    continue
-                tried = cost(trial)
-                if tried < value * (1.0 - 1e-12):
-                    found, value = trial, tried
-        if found is None:
-            break
-        best = found
-    return best
-
-
-def _amplitudes(
-    times_s: FloatArray, frequency_hz: FloatArray, damping_ratio: FloatArray, *, positive: bool
-) -> FloatArray:
-    """Amplitudes of sum 1 with the least sum of V squared for given times."""
-    from scipy.optimize import lsq_linear
-
-    delay = times_s - times_s[-1]
-    rows = np.array(
-        [
-            np.exp(pole(float(z)) * f * delay)
-            for f, z in zip(frequency_hz, damping_ratio, strict=True)
-        ]
-    )
-    weight = 1e4
-    matrix = np.vstack((rows.real, rows.imag, weight * np.ones((1, len(times_s)))))
-    target = np.append(np.zeros(2 * len(rows)), weight)
-    low = 0.0 if positive else -np.inf
-    found = lsq_linear(matrix, target, bounds=(low, np.inf), tol=1e-14).x
-    solved: FloatArray = found / found.sum()
-    return solved

@@ -18,6 +18,7 @@ from threadline.shaping import (
     Shaper,
     realise,
 )
+from threadline.shaping.designs import DEFAULT_TOLERANCE
 from threadline.units import parse_quantity
 
 _LEAST_TOLERANCE = 0.005
@@ -35,12 +36,16 @@ class AxisShaping:
     modes
         What the train is judged by when it is moved onto the scan; the worst counts.
     relative
-        Half width of the band of frequency that counts then.
+        Half width of the band of frequency that counts then; 0 for the band in which the exact
+        train stays within the tolerance.
+    tolerance
+        Of that band.
     """
 
     shaper: Shaper
     modes: tuple[FlexibleMode, ...]
     relative: float = 0.0
+    tolerance: float = DEFAULT_TOLERANCE
 
 
 def shaping_words(shaping: AxisShaping | None) -> str:
@@ -189,6 +194,7 @@ def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realise
         shaping.modes,
         ControllerLimits(tick_s=tick_s, dwell_s=dwell_s),
         relative=shaping.relative,
+        tolerance=shaping.tolerance,
     )
 
 

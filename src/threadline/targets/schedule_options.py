@@ -72,6 +72,7 @@ def shaping_of(
             made[tuple(key)] = AxisShaping(
                 shaper=convolve(*trains),
                 modes=tuple(dict.fromkeys(used for _, used, _ in key)),
+                tolerance=max(tolerance for _, _, tolerance in key),
             )
         shaping[axis] = made[tuple(key)]
     return shaping
