@@ -28,7 +28,8 @@ from threadline.jobs.operations import Move
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import plan_job
-from threadline.report.document import Document, Table, write_document
+from threadline.report.document import Document, Table
+from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.signals import Stream
 from threadline.signals.files import read_table, write_table_csv, write_table_npz

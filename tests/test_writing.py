@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from threadline.errors import OptionError
 from threadline.opening import noting_inputs, open_binary
-from threadline.report.document import Document, write_document
+from threadline.report.document import Document
+from threadline.report.publish import write_document
 from threadline.writing import check_output, remove_with, staged_file, staging_folder, together
 
 

@@ -11,7 +11,7 @@ import pytest
 from threadline.cli import prove
 from threadline.cli.main import main
 from threadline.cli.output import print_table
-from threadline.report import document
+from threadline.report import pdf
 
 JOB = Path(__file__).resolve().parents[2] / "examples" / "x-180.prg"
 
@@ -85,7 +85,7 @@ def test_a_full_disk_names_what_was_asked_for(
 ) -> None:
     """And not the temporary file beside it, which is gone."""
     file, folder = tmp_path / "run.npz", tmp_path / "report"
-    monkeypatch.setattr(document, "_pdf", full)
+    monkeypatch.setattr(pdf, "write_pdf", full)
     assert stopped(capsys, "--report", folder) == (
         2,
         f"error: [FILE] cannot use {folder}: No space left on device. Give another path.\n",

@@ -152,7 +152,7 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert "counted from the last input" in page
     for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
         assert words in page
-    facts = re.findall(r"<tr><td>([^<]*)</td><td class=\"left\">", page)
+    facts = re.findall(r"<tr><td class=\"left\">([^<]*)</td><td class=\"left fact\">", page)
     assert {"job", "job file", "machine", "shaper"} <= set(facts)
     assert len(facts) == len(set(facts))
     assert not {"feed", "interpolation", "limits", "tolerance", "machine file"} & set(facts)

@@ -13,8 +13,9 @@ from threadline.plant.analysis import HERTZ, AxisAnalysis
 from threadline.plant.locus import root_locus
 from threadline.plant.measured import MeasuredResponse, speed_response
 from threadline.plant.without_loop import Analysis, CylinderAnalysis, ToldAnalysis
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import Document, Table, origin_facts
 from threadline.report.experiments import NOTHING_TRIED, experiment_figure, experiment_table
+from threadline.report.publish import write_document
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
 from threadline.search.campaign import Campaign
 

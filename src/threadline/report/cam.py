@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from threadline.laws.cam_study import CamStudy, Fairing, second_differences
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import Document, Table, origin_facts
+from threadline.report.publish import write_document
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
 
 if TYPE_CHECKING:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from threadline.pipeline import Proof
-from threadline.report.document import Document, Printed, Table, write_document
+from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.motion import shared_facts, summary_facts
 from threadline.report.overlay import Case, overlays
+from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
 from threadline.search import Comparison

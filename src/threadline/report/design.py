@@ -11,7 +11,8 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine.numbers import number_at
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import Document, Table, origin_facts
+from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.search.design import Candidate, DesignResult, Found
 from threadline.verdict import verdict_rows

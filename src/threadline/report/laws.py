@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from threadline.laws import Law
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import Document, Table, origin_facts
+from threadline.report.publish import write_document
 from threadline.report.style import AXES, LIMIT, figure_style
 from threadline.shaping import FlexibleMode, residual_m
 

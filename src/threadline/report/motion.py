@@ -13,9 +13,9 @@ from threadline.report.document import (
     Table,
     options_facts,
     origin_facts,
-    write_document,
 )
 from threadline.report.figures import all_figures
+from threadline.report.publish import write_document
 from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.report.document import Document, Table, origin_facts, write_document
+from threadline.report.document import Document, Table, origin_facts
+from threadline.report.publish import write_document
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_style
 from threadline.shaping import FlexibleMode, Shaper, residual_vibration
 

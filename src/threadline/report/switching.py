@@ -14,9 +14,9 @@ from threadline.report.document import (
     Table,
     options_facts,
     origin_facts,
-    write_document,
 )
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
+from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import (
     cycle_figure,

@@ -1,0 +1,202 @@
+"""A document as PDF: upright A4 pages, each with the verdict and its number."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
+
+from pypdf import PdfReader, PdfWriter, Transformation
+from reportlab.lib.colors import black
+from reportlab.lib.utils import simpleSplit
+from reportlab.pdfgen.canvas import Canvas
+from reportlab.platypus import (
+    BaseDocTemplate,
+    Flowable,
+    Frame,
+    KeepTogether,
+    PageTemplate,
+    Paragraph,
+    Spacer,
+)
+from reportlab.platypus import Table as Cells
+
+from threadline.report.document import Document, Table
+from threadline.report.pdf_tables import table_parts
+from threadline.report.pdf_text import BOLD, FONT, heading_style, shortened, text_style, width_pt
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+WIDTH_PT, HEIGHT_PT = 595.2756, 841.8898
+"""Of a page of A4, upright: 210 by 297 mm."""
+_SIDE_PT, _TOP_PT, _BOTTOM_PT = 37.0, 48.0, 46.0
+_ROOM_PT = WIDTH_PT - 2 * _SIDE_PT  # 7.24 inches: a figure of 7.2 stands as it is
+_TALL_PT = HEIGHT_PT - _TOP_PT - _BOTTOM_PT - 12.0  # what a page holds below its verdict
+_GAP_PT = 10.0  # below a caption
+_HEAD_PT = 8.0
+_HEAD_LINES = 2  # of the verdict above a page; the first page has all of it
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a figure stands: its name, page from 0, lower left corner in points, and scale."""
+
+    name: str
+    page: int
+    x_pt: float
+    y_pt: float
+    scale: float
+
+
+class _Picture(Flowable):
+    """Room for a figure, which is laid into it once the page is there: it tells its place."""
+
+    def __init__(
+        self, name: str, size_pt: tuple[float, float], scale: float, places: list[_Place]
+    ) -> None:
+        super().__init__()
+        self.width, self.height = size_pt
+        self._name, self._scale, self._places = name, scale, places
+
+    def draw(self) -> None:
+        x_pt, y_pt = self.canv.absolutePosition(0.0, 0.0)
+        page = self.canv.getPageNumber() - 1
+        self._places.append(_Place(self._name, page, x_pt, y_pt, self._scale))
+
+
+def write_pdf(document: Document, file: Path) -> None:
+    """Write ``document``, whose texts are drawn as they are, into ``file``.
+
+    The same document gives the same bytes.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    figures = {name: _figure_page(figure) for name, figure in document.figures.items()}
+    # Only once all pages are there does any of them know how many there are.
+    text, _ = _text_pages(document, 0)
+    text, places = _text_pages(document, len(PdfReader(io.BytesIO(text)).pages))
+    writer = PdfWriter(clone_from=io.BytesIO(text))
+    for place in places:
+        page = writer.pages[place.page]
+        drawn = PdfReader(io.BytesIO(figures[place.name])).pages[0]
+        at = Transformation().scale(place.scale).translate(place.x_pt, place.y_pt)
+        page.merge_transformed_page(drawn, at)
+        page.compress_content_streams()
+    with file.open("wb") as stream:
+        writer.write(stream)
+
+
+def _figure_page(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
+    return buffer.getvalue()
+
+
+def _text_pages(document: Document, pages: int) -> tuple[bytes, list[_Place]]:
+    """Return the pages without their figures, ``pages`` in all, and where figures belong."""
+    places: list[_Place] = []
+    buffer = io.BytesIO()
+    made = BaseDocTemplate(
+        buffer,
+        pagesize=(WIDTH_PT, HEIGHT_PT),
+        title=document.title,
+        creator="Threadline",
+        invariant=1,
+    )
+    frame = Frame(
+        _SIDE_PT,
+        _BOTTOM_PT,
+        _ROOM_PT,
+        HEIGHT_PT - _TOP_PT - _BOTTOM_PT,
+        leftPadding=0,
+        rightPadding=0,
+        topPadding=0,
+        bottomPadding=0,
+    )
+
+    def head_and_foot(canvas: Canvas, template: BaseDocTemplate) -> None:
+        _head_and_foot(canvas, document, template.page, pages)
+
+    made.addPageTemplates([PageTemplate(frames=[frame], onPage=head_and_foot)])
+    made.build(_story(document, places))
+    return buffer.getvalue(), places
+
+
+def _head_and_foot(canvas: Canvas, document: Document, page: int, pages: int) -> None:
+    verdict = "; ".join(text for text, _ in document.verdicts)
+    if page > 1 and verdict:
+        canvas.setFont(BOLD, _HEAD_PT)
+        lines = simpleSplit(verdict, BOLD, _HEAD_PT, _ROOM_PT)
+        if len(lines) > _HEAD_LINES:
+            rest = " ".join(lines[_HEAD_LINES - 1 :])
+            lines = [*lines[: _HEAD_LINES - 1], shortened(rest, BOLD, _HEAD_PT, _ROOM_PT)]
+        y_pt = HEIGHT_PT - _TOP_PT + 8.0 + 1.25 * _HEAD_PT * (len(lines) - 1)
+        for number, line in enumerate(lines):
+            canvas.drawString(_SIDE_PT, y_pt - 1.25 * _HEAD_PT * number, line)
+    counted = f"page {page} of {pages}"
+    room_pt = _ROOM_PT - width_pt(counted, FONT, _HEAD_PT) - 12.0
+    canvas.setFont(FONT, _HEAD_PT)
+    title = shortened(document.title, FONT, _HEAD_PT, room_pt)
+    canvas.drawString(_SIDE_PT, _BOTTOM_PT - 20.0, title)
+    canvas.drawRightString(WIDTH_PT - _SIDE_PT, _BOTTOM_PT - 20.0, counted)
+
+
+def _story(document: Document, places: list[_Place]) -> list[Flowable]:
+    small = text_style(9.0, space_before_pt=3.0)
+    story: list[Flowable] = [
+        Paragraph(escape(document.title), text_style(15.0, bold=True)),
+        Paragraph(escape(document.subtitle), small),
+        *(_verdict_box(text, good=good) for text, good in document.verdicts),
+    ]
+    warned = [Paragraph(f"• {escape(text)}", small) for text in document.warnings]
+    if warned:
+        story += [KeepTogether([Paragraph("Warnings", heading_style()), warned[0]]), *warned[1:]]
+    for table in document.tables:
+        story += table_parts(table, _ROOM_PT)
+    for number, (name, figure) in enumerate(document.figures.items()):
+        caption = Paragraph(escape(document.captions.get(name, "")), text_style(8.0))
+        heading = Paragraph("Figures", heading_style())
+        above = [] if number else [heading]
+        story.append(_with_caption(name, figure, caption, above, places))
+    facts = Table(title="What this was made from", header=("", ""), rows=document.facts)
+    story += table_parts(facts, _ROOM_PT)
+    return story
+
+
+def _verdict_box(text: str, *, good: bool) -> Flowable:
+    """Return a verdict in a frame, which is dashed for bad news."""
+    words = text_style(10.0, bold=True)
+    wide_pt = min(width_pt(text, BOLD, 10.0) + 18.0, _ROOM_PT)
+    look: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
+        ("BOX", (0, 0), (-1, -1), 1.4, black, None, None if good else (4, 2)),
+        ("BOTTOMPADDING", (0, 0), (-1, -1), 5.0),
+    ]
+    return Cells(
+        [[Paragraph(escape(text), words)]],
+        colWidths=[wide_pt],
+        style=look,
+        hAlign="LEFT",
+        spaceBefore=8.0,
+    )
+
+
+def _with_caption(
+    name: str,
+    figure: Figure,
+    caption: Flowable,
+    above: Sequence[Flowable],
+    places: list[_Place],
+) -> Flowable:
+    """Return a figure with what stands above and below it, as large as a page allows."""
+    taken_pt = sum(part.wrap(_ROOM_PT, 1e6)[1] + part.getSpaceAfter() for part in (*above, caption))
+    inches = figure.get_size_inches()
+    wide_pt, tall_pt = 72.0 * float(inches[0]), 72.0 * float(inches[1])
+    scale = min(1.0, _ROOM_PT / wide_pt, (_TALL_PT - taken_pt - 2.0 * _GAP_PT) / tall_pt)
+    picture = _Picture(name, (scale * wide_pt, scale * tall_pt), scale, places)
+    return KeepTogether([*above, picture, caption, Spacer(1.0, _GAP_PT)])

@@ -1,0 +1,173 @@
+"""Tables on paper: every column is there, wrapped where it is wide, or in a second table below."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+from xml.sax.saxutils import escape
+
+from reportlab.lib.colors import Color
+from reportlab.platypus import CondPageBreak, Flowable, LongTable, Paragraph
+
+from threadline.report.document import Table, failing
+from threadline.report.pdf_text import BOLD, FONT, heading_style, text_style, width_pt
+
+_SIZES_PT = (8.0, 7.5, 7.0, 6.5)
+_PADDING_PT = 5.0  # of a cell, left and right together
+_NOTE_PT = 120.0  # a narrower column breaks a note too often
+_LEFT_PT = 6.0  # before words, so that they stand apart from the figures on their left
+_WITH_HEADING = 5  # rows that are worth beginning a table at the foot of a page
+_ANY_PT = 1e6  # a height that leaves room for everything
+_MOST_PT = 600.0  # that may be asked of a page: every page has it
+_SHORT_PT = 260.0  # a table no higher than this, a third of a page, is not torn apart
+
+
+def table_parts(table: Table, room_pt: float) -> Iterator[Flowable]:
+    """Yield what draws a table: its heading, itself, its note.
+
+    Parameters
+    ----------
+    table
+        Its texts are drawn as they are.
+    room_pt
+        The width of the page between its margins, points.
+    """
+    for number, (columns, size_pt, widths_pt) in enumerate(columns_of(table, room_pt)):
+        title = table.title + (", continued" if number else "")
+        heading = Paragraph(escape(title), heading_style())
+        lines = ([table.header] if table.headed else []) + list(table.rows)
+        drawn = _drawn(table, lines, columns, size_pt, widths_pt)
+        begun = _drawn(table, lines[: _WITH_HEADING + 1], columns, size_pt, widths_pt)
+        height_pt = 0.0 if drawn is None else drawn.wrap(room_pt, _ANY_PT)[1]
+        if begun is not None and height_pt > _SHORT_PT:
+            height_pt = begun.wrap(room_pt, _ANY_PT)[1]
+        height_pt += heading.wrap(room_pt, _ANY_PT)[1]
+        height_pt += heading.getSpaceBefore() + heading.getSpaceAfter()
+        yield CondPageBreak(min(height_pt + 1.0, _MOST_PT))
+        yield heading
+        if drawn is not None:
+            yield drawn
+    if table.note:
+        yield Paragraph(escape(table.note), text_style(8.0, space_before_pt=3.0))
+
+
+def columns_of(
+    table: Table, room_pt: float
+) -> list[tuple[tuple[int, ...], float, tuple[float, ...]]]:
+    """Return which columns stand in one table, in which size of letters, and how wide each is.
+
+    The largest size that lets every word stand in its column is taken. Where none does, the table
+    is cut into several; each begins with the first column.
+    """
+    every = tuple(range(len(table.header)))
+    for size_pt in _SIZES_PT:
+        natural, least = _extents(table, size_pt)
+        if sum(least) <= room_pt:
+            if not table.headed:
+                natural[-1] = max(natural[-1], room_pt - sum(natural[:-1]))
+            return [(every, size_pt, shared_widths(natural, least, room_pt))]
+    groups: list[list[int]] = []
+    for column in every[1:]:
+        taken = sum(least[c] for c in groups[-1]) + least[column] if groups else room_pt + 1.0
+        if taken > room_pt:
+            groups.append([0])
+        groups[-1].append(column)
+    parts = []
+    for group in groups or [[0]]:
+        wide = [natural[c] for c in group]
+        narrow = [least[c] for c in group]
+        if sum(narrow) > room_pt:  # of one column beside the first: a word is broken
+            narrow = [min(c, room_pt / len(group)) for c in narrow]
+        parts.append((tuple(group), size_pt, shared_widths(wide, narrow, room_pt)))
+    return parts
+
+
+def shared_widths(
+    natural: Sequence[float], least: Sequence[float], room: float
+) -> tuple[float, ...]:
+    """Return a width for each column, all of them together as wide as ``room``.
+
+    Where there is more room than needed it is shared evenly. Where there is less, the columns that
+    ask for most are cut to one width, none below the least that it takes.
+
+    >>> shared_widths([10.0, 30.0, 90.0], [10.0, 20.0, 20.0], 100.0)
+    (10.0, 30.0, 60.0)
+    >>> shared_widths([10.0, 20.0], [10.0, 20.0], 50.0)
+    (20.0, 30.0)
+    """
+    spare = room - sum(natural)
+    if spare >= 0.0:
+        return tuple(width + spare / len(natural) for width in natural)
+    low, high = 0.0, max(natural)
+    for _ in range(60):
+        level = 0.5 * (low + high)
+        taken = sum(min(n, max(m, level)) for n, m in zip(natural, least, strict=True))
+        low, high = (level, high) if taken <= room else (low, level)
+    return tuple(round(min(n, max(m, low)), 6) for n, m in zip(natural, least, strict=True))
+
+
+def _extents(table: Table, size_pt: float) -> tuple[list[float], list[float]]:
+    """Return, column by column, the width of the longest text and of the longest word."""
+    natural, least = [], []
+    for column, name in enumerate(table.header):
+        rows = ((row[column], BOLD if failing(row)[column] else FONT) for row in table.rows)
+        cells = [(name, BOLD), *rows]
+        whole = max(width_pt(text, font, size_pt) for text, font in cells)
+        word = max(width_pt(w, font, size_pt) for text, font in cells for w in text.split() or [""])
+        if name == "note":
+            word = max(word, min(whole, _NOTE_PT))
+        beside_pt = 0.5 + _PADDING_PT + (_LEFT_PT if column and table.left_aligned[column] else 0.0)
+        natural.append(whole + beside_pt)
+        least.append(word + beside_pt)
+    return natural, least
+
+
+def _drawn(
+    table: Table,
+    lines: Sequence[Sequence[str]],
+    columns: Sequence[int],
+    size_pt: float,
+    widths_pt: Sequence[float],
+) -> Flowable | None:
+    if not lines:
+        return None
+    rule, shade = Color(0.75, 0.75, 0.75), Color(0.93, 0.93, 0.93)
+    left = table.left_aligned
+    look: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
+        ("VALIGN", (0, 0), (-1, -1), "TOP"),
+        ("LINEBELOW", (0, 0), (-1, -1), 0.4, rule),
+        ("LEFTPADDING", (0, 0), (-1, -1), _PADDING_PT / 2),
+        ("RIGHTPADDING", (0, 0), (-1, -1), _PADDING_PT / 2),
+        ("TOPPADDING", (0, 0), (-1, -1), 1.8),
+        ("BOTTOMPADDING", (0, 0), (-1, -1), 2.2),
+    ]
+    look += [
+        ("LEFTPADDING", (at, 0), (at, -1), _LEFT_PT + _PADDING_PT / 2)
+        for at, c in enumerate(columns)
+        if at and left[c]
+    ]
+    cells = []
+    for number, line in enumerate(lines):
+        head = table.headed and number == 0
+        bold = (True,) * len(line) if head else failing(line)
+        look += [
+            ("BACKGROUND", (at, number), (at, number), shade)
+            for at, c in enumerate(columns)
+            if bold[c] and not head
+        ]
+        cells.append(
+            [
+                Paragraph(
+                    escape(line[c]),
+                    text_style(size_pt, bold=bold[c], right=not left[c]),
+                )
+                for c in columns
+            ]
+        )
+    return LongTable(
+        cells,
+        colWidths=list(widths_pt),
+        repeatRows=1 if table.headed and len(lines) > 1 else 0,
+        splitInRow=1,
+        style=look,
+    )

@@ -1,0 +1,56 @@
+"""One self-contained HTML page, the same as PDF, and every figure as SVG and PNG."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from threadline.report.document import Document
+from threadline.report.html_page import html_page, svg_text
+from threadline.writing import remove_with, staging_folder, together
+
+_PNG_DPI = 160
+
+
+def write_document(document: Document, folder: Path, stem: str) -> Path:
+    """Write the document into ``folder`` and return the path of its HTML page.
+
+    All files appear together once they are complete, so that a failure leaves nothing half-written,
+    and no new folder either. Figures that an earlier page of that name had are removed with it.
+
+    Raises
+    ------
+    OptionError, OSError
+        If the folder cannot be written.
+    """
+    from threadline.report.pdf import write_pdf  # its libraries are heavy, and rarely wanted
+
+    document = document.shown()
+    with together():
+        old = _figure_files(folder, stem)
+        with staging_folder(folder) as temporary:
+            svgs = {}
+            for name, figure in document.figures.items():
+                svgs[name] = svg_text(figure)
+                (temporary / f"{stem}-{name}.svg").write_text(svgs[name], encoding="utf-8")
+                figure.savefig(
+                    temporary / f"{stem}-{name}.png", dpi=_PNG_DPI, metadata={"Software": None}
+                )
+            page = temporary / f"{stem}.html"
+            page.write_text(html_page(document, svgs), encoding="utf-8")
+            write_pdf(document, temporary / f"{stem}.pdf")
+            made = {file.name for file in temporary.iterdir()}
+        for name in old - made:
+            remove_with(folder / name)
+    return folder / f"{stem}.html"
+
+
+def _figure_files(folder: Path, stem: str) -> set[str]:
+    """Return the figures that the page in ``folder`` names as its own and that are files there."""
+    try:
+        page = (folder / f"{stem}.html").read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return set()
+    names = re.findall(r'<figure id="([A-Za-z0-9_-]+)">', page)
+    files = {f"{stem}-{name}.{ending}" for name in names for ending in ("svg", "png")}
+    return {name for name in files if (folder / name).is_file()}
