@@ -18,6 +18,21 @@ def test_a_copy_is_locked(lock) -> None:
         kept[0] = 5
 
 
+@pytest.mark.parametrize("lock", [read_only, read_only_int])
+def test_what_nobody_can_change_is_not_copied(lock) -> None:
+    """A block cut out of a locked one shares its memory; a view of what can be written does not."""
+    whole = lock([1, 2, 3, 4], "whole", ndim=1)
+    assert np.shares_memory(lock(whole[1:3], "part", ndim=1), whole)
+    source = np.array([1, 2, 3, 4], dtype=whole.dtype)
+    view = source[1:3]
+    view.flags.writeable = False
+    kept = lock(view, "kept", ndim=1)
+    source[:] = 99
+    assert kept.tolist() == [2, 3]
+    stretched = np.broadcast_to(whole[:1], (3,))  # read-only, but no array that code may walk along
+    assert lock(stretched, "stretched", ndim=1).strides == whole.strides
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_the_place_of_a_number_that_is_not_finite_is_told(bad: float) -> None:
     with pytest.raises(ValueError, match=r"speed must be finite, found .* at index \[1, 0\]"):

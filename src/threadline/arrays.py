@@ -15,12 +15,13 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 
 def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
-    """Return a locked float64 copy of ``values``.
+    """Return a locked float64 array of ``values``: a copy, unless nobody can change them any more.
 
     Parameters
     ----------
     values
-        Anything that numpy turns into an array of finite numbers.
+        Anything that numpy turns into an array of finite numbers. An array that is locked
+        already, with all that it is a view of, is taken as it is.
     name
         Named in the error.
     ndim
@@ -31,7 +32,7 @@ def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
     ValueError
         If the number of dimensions differs or a value is not finite.
     """
-    array = np.array(values, dtype=np.float64)
+    array = _taken(values, np.float64)
     _check_ndim(array.ndim, name, ndim)
     if not np.isfinite(array).all():
         at = np.argwhere(~np.isfinite(array))[0].tolist()
@@ -41,7 +42,7 @@ def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
 
 
 def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
-    """Return a locked int64 copy of ``values``; refuse fractions instead of truncating them.
+    """Return a locked int64 array as ``read_only`` does; refuse fractions, do not truncate them.
 
     Raises
     ------
@@ -51,10 +52,21 @@ def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
         raise ValueError(f"{name} must hold whole numbers, got {source.dtype}")
-    array = np.array(source, dtype=np.int64)
+    array = _taken(source, np.int64)
     _check_ndim(array.ndim, name, ndim)
     array.flags.writeable = False
     return array
+
+
+def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
+    """Return a copy of ``values``, or themselves where nothing can write to them any more."""
+    if type(values) is np.ndarray and values.dtype == dtype and values.flags.c_contiguous:
+        part: Any = values
+        while isinstance(part, np.ndarray) and not part.flags.writeable:
+            part = part.base
+        if part is None:
+            return values
+    return np.array(values, dtype=dtype)
 
 
 def _check_ndim(found: int, name: str, wanted: int) -> None:

@@ -95,6 +95,20 @@ def test_blocks_do_not_matter(table, there_and_back):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.parametrize("every", [1, 20])
+def test_a_long_block_is_recorded_piece_by_piece(every, table):
+    """100 000 rows in one block: bounded blocks of samples, and no bit differs from small rows."""
+    machine = load_machine("lathe-winder")
+    x = np.resize([30] * 90 + [0] * 20 + [-30] * 90 + [0] * 20, 100_000)
+    long = list(simulate(table(machine, {"X": x}), machine, record_every=every))
+    samples = [len(block.samples["X.load"]) for block in long]
+    assert max(samples) <= 16_384 and sum(samples) == -(-100_101 // every)
+    small = simulate(table(machine, {"X": x}, 777), machine, record_every=every)
+    for name in long[0].samples:
+        found = np.concatenate([block.samples[name] for block in long])
+        np.testing.assert_array_equal(found, small.samples(name)[1], err_msg=name)
+
+
 def test_reading_twice_is_the_same(table, there_and_back):
     machine = load_machine("lathe-winder")
     recording = simulate(table(machine, {"Y": there_and_back(20)}), machine)

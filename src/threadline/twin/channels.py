@@ -55,15 +55,17 @@ def samples_of(
         (n, axes) counts commanded since then.
     """
     samples: dict[str, FloatArray] = {}
-    commanded = travelled + start_counts
     for at, (name, axis) in enumerate(machine.axes.items()):
-        scale, start = axis.counts.si, int(start_counts[at])
+        scale, start = axis.counts.si, float(start_counts[at])
 
         def of(signal: Signal, name: str = name) -> FloatArray:
             return read[Reading(signal, name)][:, 0]
 
-        samples[f"{name}.commanded"] = commanded[:, at] / scale
-        samples[f"{name}.measured"] = (start + of(Signal.READ)) / scale
+        # Counts below 2^53 are exact as floats: one new array for a channel, divided in place.
+        for channel, counts in (("commanded", travelled[:, at]), ("measured", of(Signal.READ))):
+            whole = (counts + start).astype(np.float64, copy=False)
+            whole /= scale
+            samples[f"{name}.{channel}"] = whole
         samples[f"{name}.load"] = start / scale + of(Signal.LOAD)
         if axis.frame is not None:
             samples[f"{name}.frame"] = of(Signal.FRAME)

@@ -6,12 +6,11 @@ A simulated machine that is driven live is a session; ``simulate`` is a loop ove
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, OptionError
@@ -23,8 +22,7 @@ from threadline.twin.kernel import Engine, Reading, Run
 
 _HALTING = ("stop", "wait")
 _AT_ONCE = 1 << 16
-_REBUILT = frozenset(("channels", "_readings", "_run"))
-_Kind = TypeVar("_Kind", bound=np.generic)
+_REBUILT = frozenset(("channels", "_clock", "_readings", "_run"))
 
 
 class Session:
@@ -118,6 +116,7 @@ class Session:
             start_si = self._start / machine.counts_per_unit
             engine = Engine(machine, Values.of(machine), start_si)
         self.channels: tuple[Channel, ...] = tick_channels(machine, self._every)
+        self._clock = machine.tick_clock.name
         self._readings = engine.readings()
         self._run: Run = engine.start(self._phases[None], quantised=self._quantised)
 
@@ -313,12 +312,15 @@ class Session:
         n = min(room, len(counts), next(halts, room))
         if n < len(counts):
             self._rows.appendleft((counts[n:], operation[n:]))
-        after = self._position + np.cumsum(counts[:n], axis=0)
-        travelled = np.concatenate((self._position[None], after[:-1]))
+        travelled = np.empty((n, len(self._position)), dtype=np.int64)
+        travelled[0] = self._position
+        np.cumsum(counts[: n - 1], axis=0, out=travelled[1:])
+        travelled[1:] += self._position
         while self._events and self._events[0].tick < self._row + n:
             event = self._events.popleft()
             self._told.append(replace(event, tick=self.tick + event.tick - self._row))
-        self._position, self._row, self._operation = after[-1], self._row + n, int(operation[n - 1])
+        self._position = travelled[-1] + counts[n - 1]
+        self._row, self._operation = self._row + n, int(operation[n - 1])
         return _Part(travelled, operation[:n])
 
     def _still(self, end: int | None) -> _Part | None:
@@ -347,19 +349,23 @@ class Session:
 
     def _block(self, first: int, parts: list[_Part]) -> RecordingBlock:
         begin = -(-first // self._every) * self._every
-        nothing = np.zeros((0, len(self._position)), dtype=np.int64)
-        travelled = _joined([nothing, *(part.travelled for part in parts)])
-        operation = _joined([nothing[:, 0], *(part.operation for part in parts)])
-        read = {
-            reading: _joined([np.zeros((0, 1)), *(part.read[reading] for part in parts)])
-            for reading in self._readings
-        }
+        whole = parts[0] if len(parts) == 1 else self._joined(parts)
         kept = slice(begin - first, None, self._every)
-        samples = samples_of(self._machine, self._start, read, travelled[kept])
-        samples["operation"] = operation[kept].astype(np.float64)
+        samples = samples_of(self._machine, self._start, whole.read, whole.travelled[kept])
+        samples["operation"] = whole.operation[kept].astype(np.float64)
         events, self._told = tuple(self._told), []
-        return RecordingBlock(
-            first_tick={self._machine.tick_clock.name: begin}, samples=samples, events=events
+        return RecordingBlock(first_tick={self._clock: begin}, samples=samples, events=events)
+
+    def _joined(self, parts: list[_Part]) -> _Part:
+        """Return parts that follow each other as one; without any, one of no ticks."""
+        nothing = np.zeros((0, len(self._position)), dtype=np.int64)
+        return _Part(
+            np.concatenate([nothing, *(part.travelled for part in parts)]),
+            np.concatenate([nothing[:, 0], *(part.operation for part in parts)]),
+            {
+                reading: np.concatenate([np.zeros((0, 1)), *(part.read[reading] for part in parts)])
+                for reading in self._readings
+            },
         )
 
 
@@ -370,8 +376,3 @@ class _Part:
     travelled: IntArray
     operation: IntArray
     read: Mapping[Reading, FloatArray] = field(default_factory=dict)
-
-
-def _joined(parts: Sequence[NDArray[_Kind]]) -> NDArray[_Kind]:
-    """Return the parts as one; the first is empty and tells what kind of numbers they are."""
-    return parts[1] if len(parts) == 2 else np.concatenate(parts)

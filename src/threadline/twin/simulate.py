@@ -29,6 +29,8 @@ from threadline.twin.session import Session
 
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
+_MOST_SAMPLES = 1 << 14
+"""In one block: more of them leave the processor's cache and are paged in anew for each block."""
 
 
 def simulate(
@@ -140,6 +142,11 @@ class _Options:
     quantised: bool
     answers: Iterable[float] | None
 
+    @property
+    def most_rows(self) -> int:
+        """How many rows make one block."""
+        return min(_MOST_ROWS, _MOST_SAMPLES * self.record_every)
+
 
 def _blocks(engine: Engine, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
     """Run a session over the commands and its settling; every reading starts anew."""
@@ -154,28 +161,25 @@ def _blocks(engine: Engine, commands: TickTable, options: _Options) -> Iterator[
     )
     tick_s = float(machine.tick_clock.period_s)
     owed: tuple[Event, ...] = ()
-    parts = _parts(session, commands, options.answers, tick_s)
     # One more than the settling ticks: the instant at which the last of them ends.
-    settling = _pause(session, ceil(options.settle_s / tick_s) + 1)
-    for block in chain(parts, settling):
+    settling = _pause(session, ceil(options.settle_s / tick_s) + 1, options.most_rows)
+    for block in chain(_parts(session, commands, options), settling):
         owed += block.events
         if len(block.samples["operation"]):
             yield replace(block, events=owed)
             owed = ()
 
 
-def _pause(session: Session, ticks: int) -> Iterator[RecordingBlock]:
-    """Let the plant go on while no rows are taken up."""
-    for at in range(0, ticks, _MOST_ROWS):
-        yield session.advance(ticks=min(_MOST_ROWS, ticks - at))
+def _pause(session: Session, ticks: int, most: int) -> Iterator[RecordingBlock]:
+    """Let the plant go on while no rows are taken up, ``most`` ticks in one block."""
+    for at in range(0, ticks, most):
+        yield session.advance(ticks=min(most, ticks - at))
 
 
-def _parts(
-    session: Session, commands: TickTable, given: Iterable[float] | None, tick_s: float
-) -> Iterator[RecordingBlock]:
+def _parts(session: Session, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
     """Yield blocks of the commands, halted where they halt."""
-    answers = None if given is None else iter(given)
-    for block in _pieces(commands):
+    answers = None if options.answers is None else iter(options.answers)
+    for block in _pieces(commands, options.most_rows):
         parts = [session.advance(block)]
         while session.halted is not None:
             delay_s = 0.0 if answers is None else next(answers, None)
@@ -186,10 +190,10 @@ def _parts(
                 return
             if not delay_s >= 0.0:
                 raise OptionError(f"answers must be delays of 0 s or more, got {delay_s}")
-            ticks = ceil(delay_s / tick_s)
+            ticks = ceil(delay_s / float(commands.clock.period_s))
             if ticks:
                 yield _joined(parts)
-                yield from _pause(session, ticks)
+                yield from _pause(session, ticks, options.most_rows)
                 parts = []
             session.resume()
             parts.append(session.advance())
@@ -197,14 +201,14 @@ def _parts(
     session.finish()
 
 
-def _pieces(commands: TickTable) -> Iterator[TickBlock]:
-    """Yield the commands in blocks of a bounded size."""
+def _pieces(commands: TickTable, most: int) -> Iterator[TickBlock]:
+    """Yield the commands in blocks of ``most`` rows at most."""
     for block in commands:
-        if len(block) <= _MOST_ROWS:
+        if len(block) <= most:
             yield block
             continue
-        for at in range(0, len(block), _MOST_ROWS):
-            rows = slice(at, at + _MOST_ROWS)
+        for at in range(0, len(block), most):
+            rows = slice(at, at + most)
             first, last = block.first_tick + at, rows.stop >= len(block)
             yield TickBlock(
                 first_tick=first,
@@ -212,7 +216,7 @@ def _pieces(commands: TickTable) -> Iterator[TickBlock]:
                 operation=block.operation[rows],
                 events=tuple(
                     e for e in block.events
-                    if (not at or e.tick >= first) and (last or e.tick < first + _MOST_ROWS)
+                    if (not at or e.tick >= first) and (last or e.tick < first + most)
                 ),
             )  # fmt: skip
 

@@ -98,6 +98,7 @@ class Engine:
             prepared(machine, equations, values)
             for equations in piecewise_linear(machine, values, start_si)
         )
+        self._wired = tuple(_Wiring(machine, piece) for piece in self._pieces)
 
     def __reduce__(self) -> tuple[type[Engine], tuple[Machine, Values, FloatArray]]:
         # Another process makes its own: code, tables and workspaces cannot be sent.
@@ -137,11 +138,11 @@ class Engine:
                     machine, piece, own, lanes, width, peak=watch_current, quantised=quantised
                 )
             )
-        return Run(self, tuple(states), threads)
+        return Run(self, tuple(zip(states, self._wired, strict=True)), threads)
 
     def readings(self) -> tuple[Reading, ...]:
         """Return everything that can be read of a run."""
-        return tuple(reading for piece in self._pieces for reading in _columns(piece))
+        return tuple(reading for wiring in self._wired for reading in wiring.columns)
 
 
 class Run:
@@ -150,8 +151,11 @@ class Run:
     A context manager: its threads end with it. Made by ``Engine.start``.
     """
 
-    def __init__(self, engine: Engine, states: tuple[State, ...], threads: int) -> None:
-        self._engine, self._states, self._threads = engine, states, threads
+    def __init__(
+        self, engine: Engine, wired: tuple[tuple[State, _Wiring], ...], threads: int
+    ) -> None:
+        self._engine, self._wired, self._threads = engine, wired, threads
+        self._states = tuple(state for state, _ in wired)
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def __enter__(self) -> Run:
@@ -198,24 +202,20 @@ class Run:
         Mapping
             (samples, variants) of each reading.
         """
-        first, names = self.tick, self._engine.machine.axis_names
+        first = self.tick
         samples = -(-(first + len(travelled)) // every) - -(-first // every)
         found: dict[Reading, FloatArray] = {}
-        for state in self._states:
-            piece, blocks = state.piece, len(state.clock)
-            columns = {r: at for r, at in _columns(piece).items() if r in wanted}
-            references = np.zeros((len(travelled), len(state.shape.controllers)))
-            for axis, controller in zip(
-                piece.equations.group.axes, piece.axis_controller, strict=True
-            ):
-                references[:, controller] = travelled[:, names.index(axis)]
-            shape = state.shape
-            records = np.zeros(
-                (blocks, samples if columns else 0, shape.sample.columns, shape.lanes)
-            )
+        for state, wiring in self._wired:
+            shape, blocks = state.shape, len(state.clock)
+            columns = {r: at for r, at in wiring.columns.items() if r in wanted}
+            references = np.zeros((len(travelled), len(shape.controllers)))
+            for axis, controller in wiring.references:
+                references[:, controller] = travelled[:, axis]
+            # The code fills every column of every sample.
+            records = np.empty((blocks, samples if columns else 0, wiring.width, shape.lanes))
             self._run(state, (references, every if columns else 0, window, records))
             for reading, at in columns.items():
-                lanes = records[:, :, at].transpose(1, 0, 2).reshape(samples, blocks * shape.lanes)
+                lanes = records[0, :, at] if blocks == 1 else _side_by_side(records[:, :, at])
                 found[reading] = lanes[:, : self._engine.variants]
         return found
 
@@ -237,8 +237,8 @@ class Run:
         return max(
             (
                 8 * state.shape.sample.columns * len(state.clock) * state.shape.lanes
-                for state in self._states
-                if any(reading in wanted for reading in _columns(state.piece))
+                for state, wiring in self._wired
+                if any(reading in wanted for reading in wiring.columns)
             ),
             default=0,
         )
@@ -316,22 +316,41 @@ class Run:
             state.restore(one)
 
 
-def _columns(piece: Piece) -> dict[Reading, int]:
-    """Return everything that can be read of a piece, and in which column of a sample."""
-    group, at = piece.equations.group, piece.sample
-    found: dict[Reading, int] = {}
-    for x, axis in enumerate(group.axes):
-        controller = int(piece.axis_controller[x])
-        drive = int(piece.control.drive[controller])
-        found[Reading(Signal.READ, axis)] = at.read(controller)
-        found[Reading(Signal.LOAD, axis)] = at.load(x)
-        found[Reading(Signal.FRAME, axis)] = at.frame(x)
-        found[Reading(Signal.VOLTS, axis)] = at.volts(controller)
-        found[Reading(Signal.CURRENT, axis)] = at.current(drive)
-        found[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)
-    for s, name in enumerate(group.inputs):
-        found[Reading(Signal.TRIPPED, name)] = at.tripped(s)
-    return found
+class _Wiring:
+    """How a piece hangs together with the axes of its machine.
+
+    Attributes
+    ----------
+    columns
+        Everything that can be read of the piece, and in which column of a sample.
+    width
+        Columns of a sample.
+    references
+        Axes, as in the machine file, and the controller that each tells where to be.
+    """
+
+    def __init__(self, machine: Machine, piece: Piece) -> None:
+        group, at = piece.equations.group, piece.sample
+        self.columns: dict[Reading, int] = {}
+        self.width = at.columns
+        self.references: list[tuple[int, int]] = []
+        for x, axis in enumerate(group.axes):
+            controller = int(piece.axis_controller[x])
+            drive = int(piece.control.drive[controller])
+            self.references.append((machine.axis_names.index(axis), controller))
+            self.columns[Reading(Signal.READ, axis)] = at.read(controller)
+            self.columns[Reading(Signal.LOAD, axis)] = at.load(x)
+            self.columns[Reading(Signal.FRAME, axis)] = at.frame(x)
+            self.columns[Reading(Signal.VOLTS, axis)] = at.volts(controller)
+            self.columns[Reading(Signal.CURRENT, axis)] = at.current(drive)
+            self.columns[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)
+        for s, name in enumerate(group.inputs):
+            self.columns[Reading(Signal.TRIPPED, name)] = at.tripped(s)
+
+
+def _side_by_side(records: FloatArray) -> FloatArray:
+    """Return (samples, blocks * lanes) of (blocks, samples, lanes)."""
+    return records.transpose(1, 0, 2).reshape(records.shape[1], -1)
 
 
 def _lanes(piece: Piece, variants: int, peak: bool, quantised: bool) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,11 @@ class State:
         (blocks, entries), see ``ClockEntry``.
     counts
         (blocks, 4), see ``Count``.
+    cell_s
+        (lengths,) how long the cells of each advance are.
+    slots
+        (slots,) what the machine code is given, see ``Slot``: what stays the same from call to
+        call, 0 for the rest.
     """
 
     shape: Shape
@@ -69,6 +74,31 @@ class State:
     ring: FloatArray
     clock: IntArray
     counts: IntArray
+    cell_s: FloatArray = field(init=False)
+    slots: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        steps, modes = self.piece.steps, self.modes
+        object.__setattr__(self, "cell_s", np.array(steps.lengths_s) / steps.cells)
+        slots = np.zeros(len(Slot), dtype=np.int64)
+        lying: dict[Slot, NDArray[Any]] = {
+            Slot.WORK: self.work,
+            Slot.CLOCK: self.clock,
+            Slot.COUNTS: self.counts,
+            Slot.TABLES: modes.tables,
+            Slot.PLANS: modes.plans,
+            Slot.CELLS: steps.cells,
+            Slot.CELL_S: self.cell_s,
+            Slot.KINDS: steps.kind,
+            Slot.LENGTHS: steps.length,
+            Slot.RING: self.ring,
+        }
+        for slot, array in lying.items():
+            slots[slot] = array.ctypes.data
+        slots[Slot.MEET] = modes.address
+        slots[Slot.STEPS] = len(steps.kind)
+        slots[Slot.RING_LENGTH] = self.ring.shape[2]
+        object.__setattr__(self, "slots", slots)
 
     def run(
         self, begin: int, end: int, references: FloatArray, every: int, window: int,
@@ -87,31 +117,13 @@ class State:
         records
             (blocks, samples, columns, lanes), filled.
         """
-        steps, modes = self.piece.steps, self.modes
-        cell_s = np.array(steps.lengths_s) / steps.cells
-        given: dict[Slot, NDArray[Any] | int] = {
-            Slot.WORK: self.work,
-            Slot.CLOCK: self.clock,
-            Slot.COUNTS: self.counts,
-            Slot.TABLES: modes.tables,
-            Slot.PLANS: modes.plans,
-            Slot.CELLS: steps.cells,
-            Slot.CELL_S: cell_s,
-            Slot.MEET: modes.address,
-            Slot.KINDS: steps.kind,
-            Slot.LENGTHS: steps.length,
-            Slot.STEPS: len(steps.kind),
-            Slot.REFERENCES: references,
-            Slot.ROWS: len(references),
-            Slot.EVERY: every,
-            Slot.WINDOW: window,
-            Slot.RECORDS: records,
-            Slot.SAMPLES: records.shape[1],
-            Slot.RING: self.ring,
-            Slot.RING_LENGTH: self.ring.shape[2],
-        }
-        values = (given[slot] for slot in Slot)
-        slots = np.array([v if isinstance(v, int) else v.ctypes.data for v in values], np.int64)
+        slots = self.slots.copy()
+        slots[Slot.REFERENCES] = references.ctypes.data
+        slots[Slot.ROWS] = len(references)
+        slots[Slot.EVERY] = every
+        slots[Slot.WINDOW] = window
+        slots[Slot.RECORDS] = records.ctypes.data
+        slots[Slot.SAMPLES] = records.shape[1]
         self.kernel(begin, end, slots.ctypes.data)
 
     def failure(self) -> str:
