@@ -35,6 +35,8 @@ NEEDS: dict[str, list[tuple[tuple[str, ...], bool]]] = {
     "tracking_error": [(("commanded",), False), (("tool", "load", "measured"), False)],
     "velocity_ripple": [(("tool", "load"), True)],
     "stitch_length_error": [(("tool", "load"), True)],
+    "stitch_speed_error": [(("tool", "load"), True)],
+    "stitches_to_speed": [(("tool", "load"), True), (("commanded",), True)],
     "stitch_placement_error": [(("tool", "load"), True)],
     "seam_error": [(("tool", "load"), True)],
     "needle_time_error": [(("tool", "load"), True)],

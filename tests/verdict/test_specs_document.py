@@ -27,6 +27,7 @@ UNITS = {
     "time": {"s"},
     "current": {"A"},
     "ratio": {"a share"},
+    "stitch": {"stitch"},
 }
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from threadline.arrays import FloatArray
 from threadline.jobs.operations import Feed, FeedMode, Move, Source, ToolEvent
 from threadline.signals import ChannelKind, Stream
 from threadline.verdict import Criterion, Status, judge
@@ -41,11 +42,17 @@ def seam(exempt=(), feed_hz=1 / PERIOD_S):
     return replace(plan, job=replace(plan.job, operations=Stream.of([*moves, end])))
 
 
-def sewn(x, y=None, *, plan=None, delay=0.0, per_block=13, names=NAMES):
+def sewn(
+    x, y=None, *, plan=None, delay=0.0, per_block=13, names=NAMES, options=None, commanded=None
+):
     tool = np.column_stack([x, np.zeros_like(x) if y is None else y])
     operation = np.minimum(np.floor(TIME_S / PERIOD_S + 1e-9), COUNT - 1)[: len(x)]
-    recording = record(("X", "Y"), {ChannelKind.LOAD: tool}, operation, per_block=per_block)
-    criteria = [Criterion(name=name, limit=0.05, options={"delay": delay}) for name in names]
+    channels = {ChannelKind.LOAD: tool}
+    if commanded is not None:
+        channels[ChannelKind.COMMANDED] = np.column_stack([commanded, np.zeros_like(x)])
+    recording = record(("X", "Y"), channels, operation, per_block=per_block)
+    options = {"delay": delay} if options is None else options
+    criteria = [Criterion(name=name, limit=0.05, options=options) for name in names]
     return judge([recording], seam() if plan is None else plan, spec_of(*criteria))
 
 
@@ -111,3 +118,70 @@ def test_what_was_not_sewn_is_not_measured() -> None:
         assert "ends before" in verdict.result(name).note
     winding = plan_through(POINTS, move_s=PERIOD_S)
     assert "no stitches" in sewn(SPEED_M_S * TIME_S, plan=winding).result(NAMES[0]).note
+
+
+def test_a_swing_within_a_stitch_is_an_error_of_speed_and_none_of_length() -> None:
+    """Along the seam b sin(2 pi t / period): the speed is off by b w / v, over 5 ms by a sinc less.
+
+    Means over a quarter of the period: |error| is at most b w / v sin(pi / 4) / (pi / 4); samples
+    every 5 ms see the one that is centred a half sample from the top: cos(pi / 4) times that.
+    """
+    swing_m = 4e-5
+    omega = 2 * np.pi / PERIOD_S
+    x = SPEED_M_S * TIME_S + swing_m * np.sin(omega * TIME_S)
+    verdict = sewn(x, names=("stitch_length_error",))
+    assert verdict.result("stitch_length_error").measured == pytest.approx(0.0, abs=1e-10)
+    found = sewn(x, names=("stitch_speed_error",), options={"over": TICK_S})
+    result = found.result("stitch_speed_error")
+    sinc = np.sin(np.pi / 4) / (np.pi / 4)
+    expected = swing_m * omega / SPEED_M_S * sinc * np.cos(np.pi / 4)
+    assert result.measured == pytest.approx(expected, rel=1e-9)
+    assert result.note in {"too fast", "too slow"}
+    assert result.status is Status.FAILED
+
+
+def test_the_speed_of_exempt_stitches_is_not_asked() -> None:
+    late = SPEED_M_S * np.maximum(TIME_S - 0.03, 0.0)
+    names, options = ("stitch_speed_error",), {"over": TICK_S}
+    full = sewn(late, names=names, options=options).result(names[0])
+    assert (full.measured, full.note) == (pytest.approx(1.0, abs=1e-10), "too slow")
+    free = sewn(late, plan=seam(exempt=(0, 1)), names=names, options=options).result(names[0])
+    assert free.measured == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("per_block", [3, 64, 1000])
+@pytest.mark.parametrize("lag", [0.0, 0.02])
+def test_stitches_to_speed_are_those_from_the_command_to_95_per_cent(
+    per_block: int, lag: float
+) -> None:
+    """Command and head at one acceleration for 0.06 s, the head ``lag`` behind: 95 % in 0.057 s.
+
+    The command departs at 0. Speeds are means over one sample of 5 ms, told at its end: they reach
+    95 % at the first sample after 0.057 + 0.0025 + lag.
+    """
+    ramp_s = 0.06
+
+    def at(time_s: FloatArray) -> FloatArray:
+        rising = np.clip(time_s, 0.0, ramp_s)
+        return SPEED_M_S * (rising**2 / (2 * ramp_s) + np.maximum(time_s - ramp_s, 0.0))
+
+    commanded, actual = at(TIME_S), at(TIME_S - lag)
+    found = sewn(
+        actual, names=("stitches_to_speed",), options={"over": TICK_S}, per_block=per_block,
+        commanded=commanded,
+    ).result("stitches_to_speed")  # fmt: skip
+    assert found.measured == pytest.approx((0.06 + lag) / PERIOD_S, abs=1e-9)
+    assert found.time_s == pytest.approx(0.06 + lag, abs=1e-12)
+    assert found.note == "from the start"
+
+
+def test_a_corner_that_is_not_stopped_in_is_left_where_it_is_slowest() -> None:
+    """The command dips to half its speed, lowest at 0.4 s, and back within 0.04 s on both sides."""
+    dip = 0.5 * np.maximum(1.0 - np.abs(TIME_S - 0.4) / 0.04, 0.0)
+    speed = SPEED_M_S * (1.0 - dip)
+    x = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * TICK_S)])
+    found = sewn(
+        x, names=("stitches_to_speed",), options={"over": TICK_S}, commanded=x,
+    ).result("stitches_to_speed")  # fmt: skip
+    # Of the means, told at their ends, the lowest is at 0.4 s or 0.405 s, 95 % are at 0.44 s.
+    assert found.measured == pytest.approx(0.0375 / PERIOD_S, abs=TICK_S / PERIOD_S)

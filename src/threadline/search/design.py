@@ -30,7 +30,12 @@ from threadline.search.design_space import Space, design_space
 from threadline.verdict import Spec, Verdict, judge
 
 _MOST_PROOFS = 12
-_DELAYED = ("stitch_length_error", "stitch_placement_error", "seam_error")
+_DELAYED = (
+    "stitch_length_error",
+    "stitch_speed_error",
+    "stitch_placement_error",
+    "seam_error",
+)
 _DIGITS = 3
 _RETRIED = 8  # settings of a known answer that are tried over the tolerances
 

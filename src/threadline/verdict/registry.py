@@ -22,6 +22,8 @@ from threadline.verdict.advance import start_progress
 from threadline.verdict.contour import start_contour
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.measure import Finding, Measure, MeasureKind, OfPlan, OfRun, OfRuns, whole
+from threadline.verdict.rise import OPTIONS as RISE_OPTIONS
+from threadline.verdict.rise import start_rise
 from threadline.verdict.samples import Setting
 from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.tracking import start_tracking
@@ -152,6 +154,20 @@ _KINDS = (
         per_axis=False,
         reads=(_moved(stitches.start_length, _ACTUAL),),
         options=stitches.OPTIONS,
+    ),
+    MeasureKind(
+        name="stitch_speed_error",
+        dimension="ratio",
+        per_axis=False,
+        reads=(_moved(stitches.start_speed, _ACTUAL),),
+        options=stitches.SPEED_OPTIONS,
+    ),
+    MeasureKind(
+        name="stitches_to_speed",
+        dimension="stitch",
+        per_axis=False,
+        reads=(_moved(start_rise, _ACTUAL, _COMMANDED),),
+        options=RISE_OPTIONS,
     ),
     MeasureKind(
         name="stitch_placement_error",

@@ -1,4 +1,4 @@
-"""What became of every stitch: its length, its place and its time; the worst of each."""
+"""What became of every stitch: its length, place and time, and the head's speed; the worst."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting
 
 OPTIONS = {"delay": Option(unit="s", default=0.0)}
+SPEED_OPTIONS = {**OPTIONS, "over": Option(unit="s", default=0.002)}
 _ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
 _NONE = "the job has no stitches"
+_WORDS = {False: ("too long", "too short"), True: ("too fast", "too slow")}
 SHORT = "the recording ends before this stitch"
 _BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
 
@@ -38,6 +40,11 @@ class SewnStitches:
         (n,) distance moved since the needle-down before, over the wanted one, less 1.
     placement_m
         (n,) distance of ``actual`` from the seam: the nearest point of the stitches about it.
+    speed_error
+        (n,) of the head's speeds while the stitch was made, each the mean over ``over_s``, the one
+        that is furthest from the stitch's length over its time, relative to that, less 1.
+    speed_s
+        (n,) the instant at the end of that mean.
     """
 
     stitches: Stitches
@@ -46,6 +53,8 @@ class SewnStitches:
     begun: FloatArray
     length_error: FloatArray
     placement_m: FloatArray
+    speed_error: FloatArray
+    speed_s: FloatArray
 
 
 class StitchFollower:
@@ -61,13 +70,16 @@ class StitchFollower:
     delay_s
         How long after the command the needle goes down: the head's lag, to which the needle is
         set. A head that itself follows the motion has none, and the needle goes down when due.
+    over_s
+        Over which the head's speed is taken.
     """
 
-    def __init__(self, setting: Setting, delay_s: float) -> None:
+    def __init__(self, setting: Setting, delay_s: float, over_s: float = 0.002) -> None:
         self._source = planned_stitches(setting.plan)
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
         self._radius_m = setting.radius_m
         self._delay_s = delay_s if setting.plan.motion.of_loads is None else 0.0
+        self._over_s = over_s
         self._pending: list[Stitches] = []
         self._ended = False
         self._time_s: FloatArray = np.empty(0)
@@ -92,6 +104,7 @@ class StitchFollower:
                 break
             sewn.append(self._finish(self._pending.pop(0)))
         keep_s = self._pending[0].from_s[0] + self._delay_s if self._pending else time_s[-1]
+        keep_s -= self._over_s
         first = max(int(np.searchsorted(self._time_s, keep_s, side="right")) - 2, 0)
         self._time_s, self._points = self._time_s[first:], self._points[first:]
         return sewn
@@ -117,6 +130,7 @@ class StitchFollower:
         seam = np.concatenate([behind, run.point, ahead])
         placement = _to_seam(actual, seam, len(behind))
         self._seam = seam[: len(behind) + len(run)][-_BEHIND:]
+        speed_error, speed_s = self._speeds(run)
         return SewnStitches(
             stitches=run,
             down_s=down_s,
@@ -124,7 +138,28 @@ class StitchFollower:
             begun=begun,
             length_error=moved / run.target_m - 1.0,
             placement_m=placement,
+            speed_error=speed_error,
+            speed_s=speed_s,
         )
+
+    def _speeds(self, run: Stitches) -> tuple[FloatArray, FloatArray]:
+        """Return (n,) the largest relative error of the speed in each stitch, and when it was.
+
+        Instants are the samples within the stitch, less the first ``over_s`` of it, and its end.
+        """
+        begin_s, end_s = run.from_s + self._delay_s, run.down_s + self._delay_s
+        at_s = np.unique(np.concatenate([self._time_s, end_s]))
+        stitch = np.searchsorted(end_s, at_s, side="left")
+        stitch = np.minimum(stitch, len(run) - 1)
+        within = (at_s >= begin_s[stitch] + self._over_s) & (at_s <= end_s[stitch])
+        within |= at_s == end_s[stitch]
+        at_s, stitch = at_s[within], stitch[within]
+        moved = np.linalg.norm(self._at(at_s) - self._at(at_s - self._over_s), axis=1)
+        wanted = run.target_m / (run.down_s - run.from_s)
+        error = moved / self._over_s / wanted[stitch] - 1.0
+        order = np.lexsort((-np.abs(error), stitch))
+        first = order[np.searchsorted(stitch[order], np.arange(len(run)))]
+        return error[first], at_s[first]
 
 
 def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[SewnStitches]:
@@ -166,11 +201,13 @@ def _to_seam(points: FloatArray, seam: FloatArray, offset: int) -> FloatArray:
 class _Stitching:
     """The worst stitch by one of its figures."""
 
-    def __init__(self, setting: Setting, delay_s: float, figure: str) -> None:
+    def __init__(
+        self, setting: Setting, delay_s: float, figure: str, over_s: float = 0.002
+    ) -> None:
         self._figure = figure
         self._radius_m = setting.radius_m[[setting.axes.index(a) for a in setting.plan.job.axes]]
         self._follower = (
-            StitchFollower(setting, delay_s) if has_stitches(setting.plan.job) else None
+            StitchFollower(setting, delay_s, over_s) if has_stitches(setting.plan.job) else None
         )
         self._worst = Finding(value=None, note=_NONE)
 
@@ -196,14 +233,16 @@ class _Stitching:
 
     def _take(self, sewn: SewnStitches) -> None:
         run = sewn.stitches
+        at_s = sewn.down_s
         if self._figure == "placement":
             values = sewn.placement_m
         else:
-            error = (
-                sewn.length_error
-                if self._figure == "length"
-                else (run.down_s - run.from_s) / run.period_s - 1.0
-            )
+            if self._figure == "length":
+                error = sewn.length_error
+            elif self._figure == "speed":
+                error, at_s = sewn.speed_error, sewn.speed_s
+            else:
+                error = (run.down_s - run.from_s) / run.period_s - 1.0
             values = np.where(run.exempt | np.isnan(error), -1.0, np.abs(error))
         at = int(np.argmax(values))
         if values[at] < 0.0:
@@ -214,10 +253,13 @@ class _Stitching:
             return
         note = ""
         if self._figure != "placement":
-            note = "too long" if error[at] > 0.0 else "too short"
+            more, less = (
+                ("too fast", "too slow") if self._figure == "speed" else ("too long", "too short")
+            )
+            note = more if error[at] > 0.0 else less
         self._worst = Finding(
             value=float(values[at]),
-            time_s=float(sewn.down_s[at]),
+            time_s=float(at_s[at]),
             operation=int(run.operation[at]),
             job_line=int(run.line[at]),
             position=tuple((run.point[at] / self._radius_m).tolist()),
@@ -233,6 +275,11 @@ def start_length(setting: Setting, options: Mapping[str, float]) -> Measure:
 def start_placement(setting: Setting, options: Mapping[str, float]) -> Measure:
     """Begin measuring how far from the seam the needle goes down."""
     return _Stitching(setting, options["delay"], "placement")
+
+
+def start_speed(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the relative error of the head's speed, in stitches that are not exempt."""
+    return _Stitching(setting, options["delay"], "speed", options["over"])
 
 
 def start_needle(setting: Setting, options: Mapping[str, float]) -> Measure:

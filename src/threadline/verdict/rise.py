@@ -1,0 +1,175 @@
+"""How many stitches it takes from a start, a corner or to a stop until the head has its speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray
+from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.samples import Block, Setting
+
+OPTIONS = {"over": Option(unit="s", default=0.002)}
+_HIGH, _STILL = 0.95, 0.01  # of the set speed
+
+
+@dataclass(slots=True)
+class _Dip:
+    """A stretch in which the command is below its speed.
+
+    ``turn`` is when the head is asked to depart: the last instant at which the command stands, or
+    the one at which it is slowest where it does not stop. ``stop`` is the first such instant.
+    """
+
+    least: float
+    stop: Finding
+    turn: Finding
+
+
+class _Rise:
+    """The longest of the times to the speed and from it, in turns of the needle.
+
+    A rise goes from the turn of a dip of the command until the head has 95 % of the set speed, a
+    fall from the last time that it had so much until the command stops. Speeds are means over
+    ``over``.
+    """
+
+    def __init__(self, setting: Setting, over_s: float) -> None:
+        self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
+        self._all_radius_m = setting.radius_m
+        self._span = max(round(over_s / setting.interval_s), 1)
+        self._over_s = self._span * setting.interval_s
+        self._source: Iterator[Stitches] = (
+            planned_stitches(setting.plan) if has_stitches(setting.plan.job) else iter(())
+        )
+        self._run: Stitches | None = next(self._source, None)
+        self._sews = self._run is not None
+        self._tail: list[FloatArray] = []
+        self._dip: _Dip | None = None
+        self._turn: Finding | None = None  # of the dip that is over, until the head has its speed
+        self._fast: Finding | None = None  # when the head last had its speed
+        self._worst: Finding | None = None
+
+    def feed(self, block: Block) -> None:
+        assert block.actual is not None
+        if block.commanded is None or not self._sews:
+            return
+        points = [(p * self._all_radius_m)[:, self._columns] for p in self._taken(block)]
+        tails = self._tail or [np.repeat(p[:1], self._span, axis=0) for p in points]
+        whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]
+        self._tail = [p[-self._span :] for p in whole]
+        meant, actual = (
+            np.linalg.norm(p[self._span :] - p[: -self._span], axis=1) / self._over_s for p in whole
+        )
+        wanted, period_s, sewn = self._set(block.time_s)
+        at = np.flatnonzero(sewn)
+        if len(at):
+            self._take(block, at, meant[at] / wanted[at], actual[at] / wanted[at], period_s[at])
+
+    def finish(self) -> Sequence[Finding]:
+        if self._worst is not None:
+            return [self._worst]
+        note = "no leg of the seam comes to its speed" if self._sews else "the job has no stitches"
+        return [Finding(value=None, note=note)]
+
+    def _taken(self, block: Block) -> tuple[FloatArray, FloatArray]:
+        assert block.commanded is not None and block.actual is not None
+        return block.commanded, block.actual
+
+    def _set(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Return (n,) set speed and turn of the needle, and where there are any."""
+        wanted, period_s = np.ones(len(time_s)), np.ones(len(time_s))
+        known = np.zeros(len(time_s), dtype=np.bool_)
+        while self._run is not None:
+            run = self._run
+            mine = ~known & (time_s <= run.down_s[-1])
+            if not mine.any():
+                break
+            stitch = np.searchsorted(run.down_s, time_s[mine], side="left")
+            wanted[mine] = (run.target_m / run.period_s)[stitch]
+            period_s[mine] = run.period_s[stitch]
+            known |= mine
+            if time_s[-1] <= run.down_s[-1]:
+                break
+            self._run = next(self._source, None)
+        return wanted, period_s, known & np.isfinite(period_s)
+
+    def _take(
+        self,
+        block: Block,
+        at: NDArray[np.intp],
+        meant: FloatArray,
+        actual: FloatArray,
+        period_s: FloatArray,
+    ) -> None:
+        """Follow relative speeds through stretches in which the command has its speed or not."""
+        low, fast = meant < _HIGH, actual >= _HIGH
+        edges = np.flatnonzero(np.diff(low)) + 1
+        for part in np.split(np.arange(len(at)), edges):
+            if low[part[0]]:
+                self._fall(block, at[part], meant[part], fast[part], period_s[part])
+            else:
+                self._rise(block, at[part], fast[part], period_s[part])
+
+    def _fall(
+        self,
+        block: Block,
+        at: NDArray[np.intp],
+        meant: FloatArray,
+        fast: NDArray[np.bool_],
+        period_s: FloatArray,
+    ) -> None:
+        still = np.flatnonzero(meant <= _STILL)
+        least = int(np.argmin(meant))
+        first, last = (int(still[0]), int(still[-1])) if len(still) else (least, least)
+        if self._dip is None or (self._dip.least > _STILL and meant[least] < self._dip.least):
+            before = np.flatnonzero(fast[:first])
+            if len(before):
+                self._fast = self._at(block, int(at[before[-1]]))
+            stop = self._at(block, int(at[first]))
+            self._dip = _Dip(float(meant[least]), stop, self._at(block, int(at[last])))
+            if self._fast is not None:
+                self._count(self._fast, stop, float(period_s[first]), "to the stop")
+        elif len(still):
+            self._dip.turn = self._at(block, int(at[last]))
+
+    def _rise(
+        self,
+        block: Block,
+        at: NDArray[np.intp],
+        fast: NDArray[np.bool_],
+        period_s: FloatArray,
+    ) -> None:
+        if self._dip is not None:
+            self._turn, self._dip = self._dip.turn, None
+        reached = np.flatnonzero(fast)
+        if not len(reached):
+            return
+        if self._turn is not None:
+            there = self._at(block, int(at[reached[0]]))
+            self._count(self._turn, there, float(period_s[reached[0]]), "from the start")
+            self._turn = None
+        self._fast = self._at(block, int(at[reached[-1]]))
+
+    def _at(self, block: Block, index: int) -> Finding:
+        return Finding(
+            value=None,
+            time_s=float(block.time_s[index]),
+            operation=block.operation_at(index),
+            position=block.position_at(index),
+        )
+
+    def _count(self, begin: Finding, end: Finding, period_s: float, note: str) -> None:
+        assert begin.time_s is not None and end.time_s is not None
+        value = max(end.time_s - begin.time_s, 0.0) / period_s
+        if self._worst is None or self._worst.value is None or value > self._worst.value:
+            self._worst = replace(end, value=value, note=note)
+
+
+def start_rise(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring how long the head takes to its speed."""
+    return _Rise(setting, options["over"])
