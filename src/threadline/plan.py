@@ -12,6 +12,7 @@ from threadline.arrays import finite
 from threadline.control import Demand
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job
+from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath, ProgrammedPath
 from threadline.signals import Commands
@@ -229,6 +230,13 @@ class Plan:
     def duration_s(self) -> float:
         """As planned, s; inputs that come late make a job longer."""
         return self.intent.duration_s
+
+    @property
+    def nominal_s(self) -> float | None:
+        """What its feeds alone would take, s; None where F was not read, or another feed given."""
+        if not self.job.feed_rule or self.options.get("feed", "programmed") != "programmed":
+            return None
+        return programmed_time_s(self.job, self.machine)
 
     @property
     def interpolation(self) -> str:

@@ -397,7 +397,7 @@ def test_what_f_means_can_be_chosen(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--feed-mode", "cadfil"], "F cannot be read as 'cadfil'"),
+        (["--feed-mode", "cadfill"], "F cannot be read as 'cadfill'"),
         (["--feed-mode", "base-axes"], "base axes go with the feed mode base-axes"),
         (["--feed-mode", "base-axes:Q"], "the base axis 'Q' is not one of"),
         (["--feed-mode", "path", "--feed", "10 mm/s"], "--feed replaces every F"),

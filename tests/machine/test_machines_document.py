@@ -36,6 +36,7 @@ PARTS = {
     "`[inputs.NAME]`": ("inputs.x",),
     "`[tool]`": ("tool",),
     "`[tolerances]`": ("tolerances",),
+    "`[programs]`": ("programs",),
     "`[operator]`": ("operator",),
     "`[cylinders.X]`": ("cylinders.X",),
     "`forward` and `back` of a cylinder": ("cylinders.X.forward", "cylinders.X.back"),

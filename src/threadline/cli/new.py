@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import shlex
 import tempfile
 from collections.abc import Mapping
@@ -84,10 +85,16 @@ def project_files(kind: str) -> dict[str, str]:
         ("spec.toml", library_file(name).with_suffix(".spec.toml")),
     ):
         head = f"# From {source.name} of Threadline {__version__}: change it into yours.\n#\n"
-        files[file] = head + source.read_text(encoding="utf-8")
+        text = source.read_text(encoding="utf-8")
+        files[file] = head + (_without_operator(text) if file == "machine.toml" else text)
     for entry in (resources.files("threadline.cli") / "projects" / kind).iterdir():
         files[entry.name] = entry.read_text(encoding="utf-8")
     return files
+
+
+def _without_operator(machine: str) -> str:
+    """Return a machine file without its operator's settings: they are of the machine it was."""
+    return re.sub(r"^\[operator\]\n(?:[^\n\[][^\n]*\n)*\n?", "", machine, flags=re.MULTILINE)
 
 
 def _project(kind: str) -> Project:

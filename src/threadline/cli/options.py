@@ -52,8 +52,9 @@ FeedOption = Annotated[
 FeedModeOption = Annotated[
     str | None,
     typer.Option(
-        help="What F of a part program means: fastest-axis (default), path, or base-axes:A and "
-        "base-axes:A,X, CADFIL's modes 1 and 2."
+        help="By whose rule F of a part program is a speed: cadfil, fanuc, fluidnc, grbl, "
+        "linuxcnc, marlin, rs274, fastest-axis, path, or base-axes:A and base-axes:A,X, CADFIL's "
+        "modes 1 and 2. Default: the machine file's."
     ),
 ]
 ToleranceOption = Annotated[

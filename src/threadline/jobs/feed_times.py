@@ -11,6 +11,9 @@ from threadline.errors import Place, PlanError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 
+_MM_AS_DEGREE_M = 1e-3 * 180.0 / math.pi  # m per rad: a degree as a millimetre
+_IN_TURN = ("XYZ", "UVW", "ABC")
+
 
 def check_feed(feed: Feed, axes: tuple[str, ...], place: Place | None) -> None:
     """Refuse a feed at which nothing would move.
@@ -52,6 +55,8 @@ def feed_time_s(
       length at the tool;
     * base axes (CADFIL): Euclidean length of the base at the tool / feed; a move that leaves the
       base at rest takes the length of all axes instead;
+    * all axes: Euclidean length of all axes / feed, a degree as a millimetre;
+    * in turn: that of X Y Z, where it is 0 of U V W, where both are of A B C;
     * inverse time: 1 / feed.
     """
     column = [machine.axis_names.index(axis) for axis in axes]
@@ -67,13 +72,26 @@ def feed_time_s(
         return np.asarray(counts * float(machine.tick_clock.period_s) / feed.value)
     if feed.mode is FeedMode.FASTEST_AXIS:
         return np.asarray(at_tool.max(axis=1) / feed.value)
+    if feed.mode in (FeedMode.ALL_AXES, FeedMode.IN_TURN):
+        linear = np.array([machine.axes[axis].kind == "linear" for axis in axes])
+        written = size * np.where(linear, 1.0, _MM_AS_DEGREE_M)
+        if feed.mode is FeedMode.ALL_AXES:
+            return np.asarray(_length(written) / feed.value)
+        way = np.zeros(len(size))
+        for letters in _IN_TURN:
+            group = _length(written[:, [axis in letters for axis in axes]])
+            way = np.where(way > 0, way, group)
+        return np.asarray(way / feed.value)
     if feed.mode is FeedMode.PATH:
         base = np.array([machine.axes[axis].kind == "linear" for axis in axes])
     else:
         base = np.array([axis in feed.base_axes for axis in axes])
-    length = np.sqrt((at_tool[:, base] ** 2).sum(axis=1))
-    whole = np.sqrt((at_tool**2).sum(axis=1))
+    length, whole = _length(at_tool[:, base]), _length(at_tool)
     return np.asarray(np.where(length > 0, length, whole) / feed.value)
+
+
+def _length(way: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((way**2).sum(axis=1)))
 
 
 def wanted_feed(

@@ -29,6 +29,8 @@ class FeedMode(StrEnum):
     FASTEST_AXIS = "fastest-axis"  # m/s of the fastest axis; a rotary axis acts at the tool radius
     BASE_AXES = "base-axes"  # m/s of the base axes alone (CADFIL modes 1 and 2)
     PATH = "path"  # m/s along the path of the linear axes
+    ALL_AXES = "all-axes"  # m/s along the path of all axes, a degree counted as a millimetre
+    IN_TURN = "in-turn"  # m/s along X Y Z; if they rest along U V W, else A B C, 1 deg as 1 mm
     COUNT_PER_TICK = "count-per-tick"  # encoder counts per tick of the fastest axis
     INVERSE_TIME = "inverse-time"  # moves per second: the move takes 1 / value
     RAPID = "rapid"  # as fast as the machine's limits allow; value unused
@@ -278,6 +280,8 @@ class Job:
         Re-iterable; the index of an operation in it is how later stages call it.
     warnings
         Suspicious things found by the reader, each with its place.
+    feed_rule
+        Whose rule says what its F means; empty where no F is read.
     drawn
         The drawn lines that are followed, by their number: the tag ``contour`` of a stitch, of
         which it covers the stretch from ``from_m`` to ``to_m``.
@@ -293,6 +297,7 @@ class Job:
     operations: Stream[Operation]
     warnings: tuple[str, ...] = ()
     paced_by: Pace = "feed"
+    feed_rule: str = ""
     drawn: tuple[DrawnLine, ...] = ()
 
     def __iter__(self) -> Iterator[Operation]:

@@ -173,6 +173,8 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         base_name = os.path.normpath(Path(file).parent / base_name)
     below, _, base_file = _resolve(base_name, (*seen, name))
     below = _overlaid(below, base_overlays, base_name, base_file)
+    # An operator's settings are those of his machine: one made from it has its own, or none.
+    below.pop("operator", None)
     return _merge(below, content), text, file
 
 

@@ -27,6 +27,7 @@ from threadline.machine.parts import (
     Tool,
 )
 from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc
+from threadline.machine.programs import Programs
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.sources import PulseServo, Source, Stepper
 from threadline.machine.tolerances import Tolerances, matches, quantities
@@ -59,6 +60,8 @@ class Machine:
         The network and what runs on it, by name; the order of ``axes`` is that of all arrays.
     cylinders, outputs, contacts, plc
         Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
+    programs
+        How its controller reads part programs.
     design
         What may be changed of it, for ``threadline design`` alone.
     tolerances
@@ -89,6 +92,7 @@ class Machine:
     plc: Plc | None = None
     tool: Tool | None = None
     operator: Operator | None = None
+    programs: Programs = Field(default_factory=Programs)
     design: Design | None = None
     tolerances: Tolerances = Field(default_factory=Tolerances)
     sha256: str = ""
@@ -129,6 +133,7 @@ class Machine:
                 _known([axis.controller], self.controllers, f"{where}.controller", "controller")
             _known(axis.load or {}, self.bodies, f"{where}.load", "body")
             _known(axis.frame or {}, self.bodies, f"{where}.frame", "body")
+        _known(self.programs.base_axes, self.axes, "programs.base_axes", "axis")
         for name, switch in self.inputs.items():
             _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             _known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")

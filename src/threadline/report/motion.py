@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from threadline.control import Demand
+from threadline.jobs.gcode.f_words import RULES
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.document import (
@@ -54,7 +55,11 @@ def write_motion(proof: Proof, folder: Path) -> Path:
                     header=("", ""),
                     rows=[
                         [part.strip() for part in line.split(":", 1)]
-                        for line in [*motion_lines(plan), *calculate(plan).lines()]
+                        for line in [
+                            *feed_lines(plan),
+                            *motion_lines(plan),
+                            *calculate(plan).lines(),
+                        ]
                     ],
                 ),
             ],
@@ -73,6 +78,7 @@ def about_motion(proof: Proof) -> list[str]:
     added = plan.motion.path.summary.get("points_added")
     return [
         *feed_forward_lines(plan.motion.demands),
+        *feed_lines(plan),
         *motion_lines(plan),
         *calculate(plan).lines(),
         *([] if added is None else [_points_line(added)]),
@@ -96,6 +102,19 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
             + f"{current}{demand.volts:.2f} V of {demand.volt_limit:g} V "
             f"({demand.share:.0%} of the {demand.bound_by})"
         )
+
+
+def feed_lines(plan: Plan) -> list[str]:
+    """Return the lines that say by whose rule F was read, and what time it gives the job."""
+    nominal_s = plan.nominal_s
+    if nominal_s is None:
+        return []
+    _, length = RULES[plan.job.feed_rule.partition(":")[0]]
+    return [
+        f"F is a speed:         {length} (feed mode {plan.job.feed_rule})",
+        f"Time by F alone:      {nominal_s:.6g} s ({nominal_s / 60.0:.2f} min), rapids at the "
+        f"velocity limits; as planned {plan.duration_s:.6g} s",
+    ]
 
 
 def motion_lines(plan: Plan) -> list[str]:

@@ -32,6 +32,8 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "interpolation": plan.interpolation,
         "passed": verdict.passed,
         "duration_s": plan.duration_s,
+        "feed_mode": plan.job.feed_rule or None,
+        "nominal_s": plan.nominal_s,
         "ticks": plan.commands.tick_count(),
         "criteria": criteria_json(verdict),
         "job_sha256": plan.job.sha256,

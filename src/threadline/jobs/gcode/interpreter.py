@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import JobError
 from threadline.jobs.gcode import plain_blocks as kernel
 from threadline.jobs.gcode.block import Block, Dialect, parse_block
+from threadline.jobs.gcode.f_words import FRule
 from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.jobs.gcode.programs import Program, Structure
 from threadline.jobs.gcode.scan import TAPE
@@ -36,6 +38,8 @@ _STEADY_PASS = 3
 _RAPID = Feed(FeedMode.RAPID, 0.0)
 _MM_PER_M = 1000 * ONE
 _FINE = ONE // kernel.STEPS
+_LENGTHS = "XYZUVW"
+_MILLIMETRE = 10  # tenths of a millimetre
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ class PartProgram:
     ----------
     linear
         (axes,) whether an axis is linear.
-    mode, base_axes
+    rule
         What F means in G94.
     """
 
@@ -54,8 +58,7 @@ class PartProgram:
     dialect: Dialect
     structure: Structure
     linear: tuple[bool, ...]
-    mode: FeedMode
-    base_axes: tuple[str, ...]
+    rule: FRule
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Return the operations from the start position on, moves in runs.
@@ -133,6 +136,9 @@ class Interpreter:
         self._motion = -1
         self._relative = False
         self._tenth_mm = 10  # tenths of a millimetre in the unit of length
+        self._feed_tenth_mm = 10  # and in that in which the feed was given
+        axes = enumerate(program.dialect.axes)
+        self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
         self._feed: Feed | None = None
         self._passes: tuple[int, ...] = ()
@@ -243,6 +249,7 @@ class Interpreter:
         state[kernel.RELATIVE] = self._relative
         state[kernel.TENTH_MM] = self._tenth_mm
         state[kernel.INVERSE] = self._inverse_time
+        before = tuple(self._position)
         count = plain.read(lines)
         self._motion = int(state[kernel.MOTION])
         self._relative = bool(state[kernel.RELATIVE])
@@ -252,7 +259,7 @@ class Interpreter:
         self._position = plain.position.tolist()
         value = float(plain.feed[0])
         self._feed = None if math.isnan(value) else self._feed_of(value)
-        values = plain.out_feed[:count]
+        values = self._in_degrees(plain, count, before)
         changes = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
         feeds = tuple(
             (at, _RAPID if value < 0 else self._feed_of(value))
@@ -261,12 +268,30 @@ class Interpreter:
         targets, line = plain.out_position[:count].copy(), plain.out_line[:count].copy()
         return MoveRun(targets, line, feeds, self._path, self._passes)
 
+    def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
+        """Return the (count,) feeds of moves just read, those of A B C alone without inches."""
+        values = plain.out_feed[:count]
+        words = np.flatnonzero(plain.out_word[:count] >= 0)
+        unit = np.full(count, self._feed_tenth_mm)
+        if len(words):
+            unit[words[0] :] = self._feed_tenth_mm = self._tenth_mm
+        if self._inverse_time or not self._by_letters or (unit == _MILLIMETRE).all():
+            return values
+        way = np.diff(plain.out_position[:count], axis=0, prepend=np.array([before]))
+        turned = ~way[:, self._lengths].any(axis=1) & (values > 0)
+        return np.where(turned, values * _MILLIMETRE / unit, values)
+
+    @property
+    def _by_letters(self) -> bool:
+        return self._program.rule.mode is FeedMode.IN_TURN
+
     def _step(self, block: Block) -> Iterator[Operation]:
         """Return the operations of one block, in the order of RS274/NGC."""
         if block.settings:
             self._set(block.settings)
         if block.feed is not None:
             self._feed = self._feed_of(self._speed(block.feed))
+            self._feed_tenth_mm = self._tenth_mm
         if block.motion >= 0:
             self._motion = block.motion
         if block.axes and block.action == -1:
@@ -302,13 +327,13 @@ class Interpreter:
 
     def _feed_of(self, value: float) -> Feed:
         """Return the feed with ``value`` in the present mode; equal feeds are one object."""
-        program = self._program
-        mode = FeedMode.INVERSE_TIME if self._inverse_time else program.mode
+        rule = self._program.rule
+        mode = FeedMode.INVERSE_TIME if self._inverse_time else rule.mode
         feed = self._feeds.get((mode, value))
         if feed is None:
             if len(self._feeds) >= _KEPT_FEEDS:
                 self._feeds.clear()
-            feed = Feed(mode, value, program.base_axes if mode is FeedMode.BASE_AXES else ())
+            feed = Feed(mode, value, rule.base_axes if mode is FeedMode.BASE_AXES else ())
             self._feeds[mode, value] = feed
         return feed
 
@@ -335,7 +360,14 @@ class Interpreter:
                 "in G93 every G1 block needs its own F",
                 "Give F as 1 / minutes of the move.",
             )
+        before = tuple(self._exact)
         self._go(block)
+        if (
+            self._feed_tenth_mm != _MILLIMETRE
+            and feed.mode is FeedMode.IN_TURN
+            and all(self._exact[index] == before[index] for index in self._lengths)
+        ):
+            feed = self._feed_of(feed.value * _MILLIMETRE / self._feed_tenth_mm)
         tags = dict(block.tags) if block.tags else NO_TAGS
         return Move(tuple(self._position), feed, self._source(block), tags)
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 from threadline.errors import BudgetError, JobError, MachineError, Place
 from threadline.jobs.gcode.block import Dialect
-from threadline.jobs.gcode.f_words import check_feed_mode, normal_feed_m_s
+from threadline.jobs.gcode.f_words import f_rule, normal_feed_m_s
 from threadline.jobs.gcode.interpreter import PartProgram
 from threadline.jobs.gcode.programs import Structure
 from threadline.jobs.gcode.scan import Scanner
 from threadline.jobs.gcode.textfile import SourceFile, identify
 from threadline.jobs.gcode.words import ONE
-from threadline.jobs.operations import FeedMode, Job, OperationStream
+from threadline.jobs.operations import Job, OperationStream
 from threadline.machine import Machine
 from threadline.signals import Stream
 
@@ -24,7 +24,7 @@ def read_part_program(
     path: str | Path,
     *,
     machine: Machine,
-    feed_mode: FeedMode | str = FeedMode.FASTEST_AXIS,
+    feed_mode: str | None = None,
     base_axes: tuple[str, ...] = (),
 ) -> Job:
     """Return the job of a part program.
@@ -39,7 +39,7 @@ def read_part_program(
     machine
         Its axes are the only ones that the program may move.
     feed_mode, base_axes
-        What F means, see ``threadline.jobs.gcode.f_words``.
+        What F means, see ``threadline.jobs.gcode.f_words``; None is what the machine file says.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def read_part_program(
                 f"the axis {name} of {machine.name!r} has the letter of another word",
                 remedy="A part program moves axes A B C U V W X Y Z.",
             )
-    mode = check_feed_mode(machine, str(feed_mode), tuple(base_axes))
+    rule = f_rule(machine, feed_mode, tuple(base_axes))
     file = identify(path)
     dialect = Dialect(str(path), machine.name, {n: i for i, n in enumerate(machine.axis_names)})
     scanner = Scanner(file, dialect)
@@ -76,7 +76,7 @@ def read_part_program(
         )
     _check_budget(structure, file, machine)
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
-    program = PartProgram(file, dialect, structure, linear, mode, tuple(base_axes))
+    program = PartProgram(file, dialect, structure, linear, rule)
     return Job(
         name=path.name,
         file=str(path),
@@ -87,6 +87,7 @@ def read_part_program(
             Stream(PartProgram.runs, program), Stream(PartProgram.folded, program)
         ),
         warnings=_warnings(scanner, structure, machine, file),
+        feed_rule=rule.text,
     )
 
 

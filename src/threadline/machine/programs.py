@@ -1,0 +1,37 @@
+"""How the machine's own controller reads part programs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT
+
+FeedRule = Literal[
+    "fastest-axis", "base-axes", "path", "cadfil", "linuxcnc", "rs274", "grbl", "fluidnc",
+    "marlin", "fanuc",
+]  # fmt: skip
+"""Whose rule says what F means; ``threadline.jobs.gcode.f_words`` has them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Programs:
+    """How the controller of the machine reads part programs.
+
+    ``feed_mode`` says by whose rule F is a speed; ``base_axes`` go with ``base-axes`` and with
+    nothing else.
+    """
+
+    feed_mode: FeedRule = "fastest-axis"
+    base_axes: tuple[Annotated[str, Field(pattern=r"^[A-Z]$")], ...] = ()
+
+    @model_validator(mode="after")
+    def _base(self) -> Programs:
+        if (self.feed_mode == "base-axes") != bool(self.base_axes):
+            raise ValueError(
+                'base_axes go with feed_mode = "base-axes", and only with it: CADFIL\'s mode 1 '
+                'has base_axes = ["A"], mode 2 ["A", "X"]'
+            )
+        return self
