@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import time
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,7 @@ MOVE = ["--move", "10 mm", "--acceleration", "1 m/s^2"]
     [
         (["--mode", "5e-324Hz", "--kind", "zv"], "frequency_hz must be from 1e-06 to 1e+09"),
         (["--mode", "1e300Hz", "--kind", "zv"], "frequency_hz must be from 1e-06 to 1e+09"),
+        (["--mode", "452.6Hz", "--mode", "1e9Hz", "--kind", "zv"], "the ratio 2.209e+06 is beyond"),
         (["--mode", "5Hz", "--kind", "si", "--band", "nan"], "nan"),
         (["--mode", "5Hz", "--kind", "zv", "--band", "inf", *MOVE], "inf"),
     ],
@@ -54,6 +57,24 @@ def test_shapers_out_of_range_are_refused(
     code, out, err = run(["shaper", *options], capsys)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
+
+
+@pytest.mark.parametrize(
+    "modes", [("270Hz", "645Hz", "0.7Hz"), ("0.1Hz", "25Hz"), ("0.1Hz", "25Hz", "90Hz")]
+)
+@pytest.mark.parametrize("kind", ["si", "zvdd", "um-zv"])
+def test_modes_far_apart_are_shaped_in_seconds(
+    kind: str, modes: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A grid over all of them took minutes, or did not converge."""
+    words = [word for mode in modes for word in ("--mode", mode)]
+    began = time.process_time()
+    code, out, _ = run(["shaper", *words, "--kind", kind, "--json"], capsys)
+    assert time.process_time() - began < 30.0
+    assert code == 0
+    told = json.loads(out)
+    assert told["vibration"] <= 0.05 + 1e-9
+    assert all(mode["low_hz"] < mode["frequency_hz"] < mode["high_hz"] for mode in told["modes"])
 
 
 @pytest.mark.parametrize("mode", ["0.05Hz", "0.01Hz", "0.001Hz", "1e-4Hz"])

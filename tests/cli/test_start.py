@@ -82,3 +82,18 @@ def test_the_module_runs_as_the_command_does() -> None:
     )
     assert (made.returncode, made.stderr) == (0, "")
     assert json.loads(made.stdout)["name"] == "cubic"
+
+
+@pytest.mark.parametrize(("told", "counted"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_matrices_are_multiplied_by_one_thread(told: dict[str, str], counted: str) -> None:
+    """Unless the shell says otherwise: results do not hang on the number of cores."""
+    done = run(
+        "import os, sys\n"
+        "os.environ.pop('OPENBLAS_NUM_THREADS', None)\n"
+        f"os.environ.update({told!r})\n"
+        "sys.argv = ['threadline', '--version']\n"
+        "from threadline.cli.start import run\n"
+        "try:\n    run()\nexcept SystemExit:\n    pass\n"
+        "print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)\n"
+    )
+    assert done.stdout.splitlines()[-1] == f"{counted} False"

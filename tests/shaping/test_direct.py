@@ -15,8 +15,9 @@ from threadline.shaping.klipper import klipper_export, klipper_impulses
 from threadline.shaping.onoff.model import RestToRest, worst_ringing
 from threadline.shaping.onoff.switched import residual_front, switched_command
 from threadline.shaping.oscillator import simulated_vibration
+from threadline.shaping.response import pole, response, responses
 from threadline.shaping.robustness import insensitivity
-from threadline.shaping.types import FlexibleMode
+from threadline.shaping.types import FlexibleMode, ShaperError
 
 
 @pytest.mark.parametrize("derivatives", [0, 1])
@@ -37,6 +38,48 @@ def test_two_modes_are_shorter_together_than_convolved() -> None:
     assert found.amplitudes.min() > 0.0
     apart = convolve(*[design("zv", m) for m in modes])
     assert found.duration_s < 0.95 * apart.duration_s
+
+
+@pytest.mark.parametrize("ratio", [12.5, 40.0, 250.0, 990.0])
+def test_modes_far_apart_cost_little_more_than_the_slower_alone(ratio: float) -> None:
+    """No train for both is shorter than one for the slower mode; the faster adds its own at most.
+
+    Every vibration in both bands is that of an oscillator that knows no formula of shaping.
+    """
+    slow, fast = FlexibleMode(0.4, 0.01), FlexibleMode(0.4 * ratio, 0.02)
+    found = direct_shaper([Requirement(fast, 0.05, 0.2), Requirement(slow, 0.05, 0.2)])
+    alone = [specified_insensitivity(mode, 0.2).duration_s for mode in (slow, fast)]
+    assert alone[0] <= found.duration_s <= sum(alone) * (1.0 + 1e-12)
+    for mode in (slow, fast):
+        for f in mode.frequency_hz * np.linspace(0.8, 1.2, 9):
+            assert simulated_vibration(found, float(f), mode.damping_ratio) < 0.05 + 1e-9
+
+
+def test_what_is_beyond_a_train_is_refused() -> None:
+    far = [Requirement(FlexibleMode(0.043)), Requirement(FlexibleMode(645.0))]
+    with pytest.raises(
+        OptionError, match=r"0.043 Hz and 645 Hz: the ratio 1.5e\+04 is beyond 1000"
+    ):
+        direct_shaper(far)
+    near = [Requirement(FlexibleMode(1.0 + 0.3 * k), 0.05, 0.1) for k in range(7)]
+    with pytest.raises(ShaperError, match=r"7 modes near each other.*convolve"):
+        direct_shaper(near)
+
+
+def test_gradients_at_many_frequencies_are_differences() -> None:
+    """Central differences of the plain sum: their error is of the order of 1e-9."""
+    a, t, s = np.array([0.3, 0.5, 0.2]), np.array([0.0, 0.4, 1.1]), pole(0.05)
+    f = np.array([0.7, 1.0, 3.3])
+    values, gradients = responses(a, t, f, s)
+    assert values == pytest.approx([response(a, t, float(g), s, 0) for g in f], abs=1e-15)
+    for k in range(5):
+        step = np.zeros(5)
+        step[k] = 1e-6
+        ends = [
+            responses(a + sign * step[2:], t + sign * np.append(0.0, step[:2]), f, s)[0]
+            for sign in (1.0, -1.0)
+        ]
+        assert gradients[:, k] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-7)
 
 
 def test_undamped_two_modes_closed_form() -> None:

@@ -29,6 +29,30 @@ def test_undamped_zv_insensitivity_has_a_closed_form() -> None:
     assert found.low_hz + found.high_hz == pytest.approx(2 * 3.04, rel=1e-9)
 
 
+def test_a_fast_mode_beside_a_slow_one_keeps_its_width() -> None:
+    """Convolved with a ZV a thousand times as slow, the vibration at f is multiplied by its V.
+
+    That V is 1 at even multiples of the slow frequency, one every 0.2 % of the fast one: the width
+    lies between that of the ZV alone and one such step more, to either side. The first points of
+    the grid, several stretches of it, are below the tolerance.
+    """
+    fast, slow = FlexibleMode(1000.0), FlexibleMode(1.0)
+    both = convolve(design("zv", fast), design("zv", slow))
+    alone = insensitivity(design("zv", fast), fast, 0.7).value
+    found = insensitivity(both, fast, 0.7).value
+    assert alone <= found < alone + 2 * 0.002
+
+
+def test_a_step_is_amplified_where_it_was_before() -> None:
+    """The switched train's V is largest at three times its mode, where its impulses add up: 3."""
+    mode = FlexibleMode(2.0)
+    found = check_higher_modes(
+        convolve(design("um-zv", mode), design("zv", FlexibleMode(0.002))), mode
+    )
+    assert found.peak == pytest.approx(3.0, rel=1e-3)
+    assert found.peak_hz == pytest.approx(6.0, rel=1e-2)
+
+
 def test_insensitivity_of_what_never_rings_little_is_zero() -> None:
     assert insensitivity(UNSHAPED, MODE).value == 0.0
     with pytest.raises(OptionError, match="tolerance"):

@@ -150,7 +150,8 @@ def shaper(
         realised = realise(made, modes, limits, relative=band, tolerance=tolerance)
         made = realised.shaper
     warnings = list(suspicions(modes))
-    for one in modes:
+    # A positive train amplifies nothing, anywhere.
+    for one in modes if bool((made.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
         warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
     studied = None

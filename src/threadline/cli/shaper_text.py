@@ -14,6 +14,7 @@ from threadline.shaping import (
     Requirement,
     Shaper,
     ShaperKind,
+    check_apart,
     convolve,
     design,
     direct_shaper,
@@ -63,6 +64,7 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
     OptionError, ShaperError
         If no such shaper can be designed.
     """
+    check_apart(modes)
     if kind == "si":
         if band <= 0.0:
             raise OptionError("--kind si needs the band of frequency", remedy="Add --band 0.2.")

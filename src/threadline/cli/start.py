@@ -21,6 +21,7 @@ def run() -> None:
     """Run the program with the arguments of the shell."""
     _open_streams()
     _silence_libraries()
+    _calculate_on_one_thread()
     with leaving_on_interrupt():
         from threadline.cli.main import main
     main()
@@ -51,6 +52,17 @@ def _silence_libraries() -> None:
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     logging.lastResort = None
+
+
+def _calculate_on_one_thread() -> None:
+    """Let numpy's matrices be multiplied by one thread, unless the shell says otherwise.
+
+    They are small: threads wait for each other longer than they calculate, many times longer where
+    other programs run, and a sum that is split by the number of cores rounds by it. The library
+    reads this when numpy is imported.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 if __name__ == "__main__":

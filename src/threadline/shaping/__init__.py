@@ -4,6 +4,7 @@ Frequencies are undamped, V is normalised to one unit impulse, insensitivity is 
 at the tolerance, and the damping ratio is held while the frequency sweeps.
 """
 
+from threadline.shaping.apart import MOST_APART, check_apart
 from threadline.shaping.apply import longest_delay_s, on_tick_grid, shape_trajectory
 from threadline.shaping.combine import convolve
 from threadline.shaping.controller import ControllerLimits, Realised, realise
@@ -31,6 +32,7 @@ from threadline.shaping.vibration import (
 )
 
 __all__ = [
+    "MOST_APART",
     "UNSHAPED",
     "ControllerLimits",
     "Demand",
@@ -48,6 +50,7 @@ __all__ = [
     "ShaperError",
     "ShaperKind",
     "ShapingDeviation",
+    "check_apart",
     "check_higher_modes",
     "convolve",
     "design",

@@ -10,8 +10,8 @@ from threadline.shaping.types import Shaper, ShaperError
 COINCIDENT_S = 1e-12
 """Impulses closer than this are one: far below any tick, far above rounding."""
 
-MOST_IMPULSES = 100_000
-"""Trains multiply: without a bound, a few modes too many fill the memory."""
+MOST_IMPULSES = 10_000
+"""Trains multiply: without a bound, a few modes too many take minutes; no controller plays them."""
 
 
 def convolve(*shapers: Shaper, name: str = "") -> Shaper:

@@ -10,7 +10,7 @@ step that puts the active constraints at 1e-11.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,13 +18,26 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
+from threadline.shaping.apart import check_apart, groups
 from threadline.shaping.closed import Train
+from threadline.shaping.combine import convolve
 from threadline.shaping.newton import newton
 from threadline.shaping.oscillator import prove
 from threadline.shaping.program import minimise
-from threadline.shaping.response import Rows, pole, response, response_gradient, zero_rows
+from threadline.shaping.response import (
+    ComplexArray,
+    Rows,
+    pole,
+    response,
+    response_gradient,
+    responses,
+    zero_rows,
+)
 from threadline.shaping.types import FlexibleMode, Shaper, ShaperError
 
+FAR_APART, BANDS_FAR_APART = 50.0, 12.0
+"""Ratio of two frequencies from which on the grids below are too coarse for the faster mode."""
+MOST_TOGETHER = 6  # modes that are designed together: with six it takes seconds
 _GRIDS = (160, 210, 120, 300)
 _POLYGON = 16
 _BAND_GRID = 13
@@ -92,6 +105,10 @@ def specified_insensitivity(mode: FlexibleMode, relative: float, tolerance: floa
 def direct_shaper(requirements: Sequence[Requirement], *, name: str = "direct") -> Shaper:
     """Shortest train of positive impulses that meets every requirement.
 
+    Modes that are farther apart than ``FAR_APART`` (``BANDS_FAR_APART`` where one has a band) have
+    trains of their own, convolved: each V is no larger for it, and the train no longer than the
+    shortest by more than the trains of the faster modes.
+
     Returns
     -------
     Shaper
@@ -100,20 +117,36 @@ def direct_shaper(requirements: Sequence[Requirement], *, name: str = "direct") 
     Raises
     ------
     OptionError
-        If there is no requirement.
+        If there is no requirement, or the modes are too far apart for any train.
     ShaperError
-        If a program fails, or the proof does.
+        If there are more than ``MOST_TOGETHER`` that are near each other, a program fails, or the
+        proof does.
     """
     if not requirements:
         raise OptionError("direct shaper: at least one requirement is needed")
-    unit = 1.0 / min(r.mode.frequency_hz for r in requirements)
-    amplitudes, times = _solve(_Problem(requirements, unit))
-    shaper = Shaper(amplitudes=amplitudes, times_s=times * unit, name=name)
+    modes = [r.mode for r in requirements]
+    check_apart(modes)
+    ratio = BANDS_FAR_APART if any(r.relative for r in requirements) else FAR_APART
+    trains = [_together([requirements[k] for k in group], name) for group in groups(modes, ratio)]
+    shaper = convolve(*trains, name=name)
     for r in requirements:
         f = r.mode.frequency_hz * np.linspace(1.0 - r.relative, 1.0 + r.relative, 21)
         f = f if r.relative else f[:1]
         prove(shaper, f, r.mode.damping_ratio, np.full(len(f), r.tolerance), at_most=True)
     return shaper
+
+
+def _together(requirements: Sequence[Requirement], name: str) -> Shaper:
+    """Return the shortest train for modes that are near each other."""
+    if len(requirements) > MOST_TOGETHER:
+        raise ShaperError(
+            f"direct shaper: {len(requirements)} modes near each other, and more than "
+            f"{MOST_TOGETHER} take minutes",
+            remedy="Leave out those that hardly ring, or convolve: a kind made for one mode.",
+        )
+    unit = 1.0 / min(r.mode.frequency_hz for r in requirements)
+    amplitudes, times = _solve(_Problem(requirements, unit))
+    return Shaper(amplitudes=amplitudes, times_s=times * unit, name=name)
 
 
 def _solve(problem: _Problem) -> Train:
@@ -284,25 +317,23 @@ class _Problem:
                 rows += [g.real, g.imag]
             return np.array(rows)
 
-        def room(y: FloatArray) -> FloatArray:
+        def bands(y: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray, float]]:
             t, a = split(y)
-            return np.array(
-                [
-                    1.0 - abs(response(a, t, f, s, 0) / tolerance) ** 2
-                    for (_, _, s, tolerance), grid in zip(self._bands, checked, strict=True)
-                    for f in grid
-                ]
+            for (_, _, s, tolerance), grid in zip(self._bands, checked, strict=True):
+                yield *responses(a, t, np.array(grid), s), tolerance
+
+        def room(y: FloatArray) -> FloatArray:
+            return np.concatenate(
+                [1.0 - np.abs(h / tolerance) ** 2 for h, _, tolerance in bands(y)]
             )
 
         def room_jacobian(y: FloatArray) -> FloatArray:
-            t, a = split(y)
-            rows = []
-            for (_, _, s, tolerance), grid in zip(self._bands, checked, strict=True):
-                for f in grid:
-                    h = response(a, t, f, s, 0)
-                    g = np.concatenate(response_gradient(a, t, f, s, 0))
-                    rows.append(-2.0 * (h.conjugate() * g).real / tolerance**2)
-            return np.array(rows)
+            return np.concatenate(
+                [
+                    -2.0 * (h.conjugate()[:, None] * gradient).real / tolerance**2
+                    for h, gradient, tolerance in bands(y)
+                ]
+            )
 
         wanted: list[Any] = [{"type": "eq", "fun": equal, "jac": equal_jacobian}]
         if self._bands:

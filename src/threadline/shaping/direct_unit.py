@@ -16,6 +16,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
+from threadline.shaping.apart import check_apart
 from threadline.shaping.direct import Requirement
 from threadline.shaping.newton import newton
 from threadline.shaping.oscillator import prove
@@ -47,7 +48,7 @@ def direct_unit_magnitude(
     Raises
     ------
     OptionError
-        If there is no requirement, or one has a tolerance.
+        If there is no requirement, one has a tolerance, or the modes are too far apart.
     ShaperError
         If a program fails, or the proof does.
     """
@@ -60,6 +61,7 @@ def direct_unit_magnitude(
                 "tolerance, only exact zeros are solved directly",
                 remedy="Ask for derivatives instead, or take um-ei or um-2ei for one mode.",
             )
+    check_apart([r.mode for r in requirements])
     unit = 1.0 / min(r.mode.frequency_hz for r in requirements)
     zeros: list[ZeroOf] = [
         (r.mode.frequency_hz * unit, pole(r.mode.damping_ratio), order)

@@ -14,6 +14,7 @@ import numpy as np
 from threadline.shaping.types import FlexibleMode, Shaper
 from threadline.shaping.vibration import residual_vibration, vibration_of
 
+_STRETCH = 65536  # frequencies that are looked at together
 SEARCHED_RATIO = (1.5, 10.0)
 """Range of f / f_mode that is searched."""
 
@@ -56,10 +57,15 @@ def check_higher_modes(
     """
     ripple = 0.02 / max(shaper.duration_s * mode.frequency_hz, 0.1)
     low, high = SEARCHED_RATIO
-    f = mode.frequency_hz * np.arange(low, high + ripple, ripple)
-    v = residual_vibration(shaper, f, mode.damping_ratio)
-    at = int(np.argmax(v))
-    peak, peak_hz = float(v[at]), float(f[at])
+    peak, peak_hz = 0.0, low * mode.frequency_hz
+    count = int(np.ceil((high - low) / ripple)) + 1
+    for first in range(0, count, _STRETCH):
+        at = np.arange(first, min(first + _STRETCH, count))
+        f = mode.frequency_hz * (low + ripple * at)
+        v = residual_vibration(shaper, f, mode.damping_ratio)
+        top = int(np.argmax(v))
+        if v[top] > peak:
+            peak, peak_hz = float(v[top]), float(f[top])
     judged = ((m, vibration_of(shaper, m)) for m in known if m.frequency_hz > mode.frequency_hz)
     excited = tuple((m, gain) for m, gain in judged if gain > 1.0 + 1e-9)
     warnings = [

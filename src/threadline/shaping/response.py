@@ -50,6 +50,18 @@ def response_gradient(
     return by_times[1:], power * decay
 
 
+def responses(
+    amplitudes: FloatArray, times: FloatArray, frequencies: FloatArray, s: complex
+) -> tuple[ComplexArray, ComplexArray]:
+    """H (m,) at many frequencies, and its gradients (m, 2 n - 1) by later times and amplitudes."""
+    delay = times - times[-1]
+    decay: ComplexArray = np.exp(s * np.outer(frequencies, delay))
+    values: ComplexArray = decay @ amplitudes
+    by_delay = amplitudes * (s * frequencies)[:, None] * decay
+    by_times = np.column_stack([by_delay[:, 1:-1], -by_delay[:, :-1].sum(axis=1)])
+    return values, np.hstack((by_times, decay))
+
+
 def zero_rows(zeros: Sequence[ZeroOf], delay: FloatArray) -> list[ComplexArray]:
     """Return what an impulse at each ``delay`` before the end, (n,), adds to every constraint.
 
