@@ -25,8 +25,8 @@ def test_rooms_stand_in_their_order() -> None:
 
 
 ASKS = re.compile(
-    r"isinstance\([^()]*\b(?:TickTable|SwitchSchedule|Motion|Scheduled)\b"
-    r"|\.cylinders\b"
+    r"isinstance\([^()]*\b(?:TickTable|SwitchSchedule|StepPlay|Motion|Scheduled|Stitched)\b"
+    r"|\.cylinders\b|\b(?:machine|chosen)\.shaft\b"
     r"|\.commanded_by\b\s*(?:==|!=|\bin\b|\bnot in\b)"
     r"|\bmatch\b.*\.commanded_by\b"
 )
@@ -58,6 +58,8 @@ def test_the_count_sees_every_way_to_ask() -> None:
     for line in (
         "if isinstance(plan.commands, TickTable | SwitchSchedule):",
         "if machine.cylinders:",
+        "if machine.shaft is None:",
+        "if isinstance(plan.intent, Stitched):",
         'elif machine.commanded_by == "ticks":',
         "match machine.commanded_by:",
     ):

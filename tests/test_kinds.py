@@ -21,6 +21,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 WORK = {
     "ticks": ("x-180.prg", "lathe-winder", "csv"),
     "switches": ("letter-cycle.toml", "letter-placer", "st"),
+    "steps": ("rosette.dst", "schiffli-frame", "steps"),
 }
 
 
@@ -59,7 +60,8 @@ def test_one_way_leads_through_the_house(name: str, tmp_path: Path) -> None:
 def test_another_day_is_another_run_of_the_same_commands(name: str) -> None:
     """The same seed gives the same run, another one another."""
     file, reference, _ = WORK[name]
-    machine = load_machine(f"{reference}+{'stiction' if name == 'ticks' else 'hysteresis'}")
+    overlay = {"ticks": "+stiction", "switches": "+hysteresis"}.get(name, "")
+    machine = load_machine(reference + overlay)
     plan = plan_job(open_job(EXAMPLES / file, machine, Options()), machine, Options())
     kind = KINDS[name]
 

@@ -117,7 +117,7 @@ def fastest(
     """Find the fastest way to do a job in spec.
 
     Of a part program the feed is searched, of a seam the needle speed, of a move list the commands
-    and waits.
+    and waits, of an embroidery design the speed of the shaft.
 
     Parameters
     ----------
@@ -137,6 +137,7 @@ def fastest(
     from threadline.kinds import kind_of
     from threadline.search import fastest_job, fastest_needle
     from threadline.search.cycle import fastest_cycle
+    from threadline.search.shaft import fastest_shaft
 
     chosen, options = load_machine(machine, par), _options(words)
     asked = _spec(spec, chosen).with_margin(parse_margin(margin))
@@ -148,6 +149,9 @@ def fastest(
             raise OptionError(f"actual is of feeds, which {chosen.name} does not have")
         cycle = fastest_cycle(read, chosen, asked)
         return Found(cycle.cycle_s, "s", cycle.limited_by, cycle)
+    if read.paced_by == "shaft":
+        sewn = fastest_shaft(read, chosen, asked, options, actual=other)
+        return Found(sewn.duration_s, "s", sewn.limited_by, sewn)
     if read.paced_by == "needle":
         seam = fastest_needle(Path(job), chosen, asked, options, actual=other)
         return Found(seam.best, "stitch/s", seam.limited_by, seam)
@@ -276,7 +280,8 @@ def compile(
     job, machine, par
         As ``prove`` takes them.
     target
-        ``csv``, ``npz``, ``ticks``, ``nc``; of an on/off machine ``st``, ``plcopen``.
+        ``csv``, ``npz``, ``ticks``, ``nc``; of an on/off machine ``st``, ``plcopen``; of an
+        embroidery machine ``steps``.
     out
         The file.
     **words

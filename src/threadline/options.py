@@ -18,6 +18,7 @@ DEFAULT_LIMITS = "100 %"
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
+_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 OF_AXES = ("interpolation", "feed", "feed-mode", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
 LEAST_SHARE = 1e-3
@@ -170,7 +171,7 @@ def parse_number(subject: str, text: str, unit: str, example: str) -> float:
 
 
 def parse_feed(text: str) -> Feed:
-    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"500 mm/min"``.
+    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
 
     Raises
     ------
@@ -181,13 +182,16 @@ def parse_feed(text: str) -> Feed:
         _, unit = split_quantity(text)
         if same_dimension(unit, "count/tick") if unit else False:
             feed = Feed(FeedMode.COUNT_PER_TICK, parse_quantity(text, "count/tick"))
+        elif same_dimension(unit, "stitch/s") if unit else False:
+            feed = Feed(FeedMode.SHAFT, parse_quantity(text, "stitch/s"))
         else:
             feed = Feed(FeedMode.FASTEST_AXIS, parse_quantity(text, "m/s"))
     except UnitError as error:
-        remedy = 'Write it like "10 count/tick", "36 mm/s" or "500 mm/min".'
-        if "stitch" in text:
-            remedy = f'The needle speed of a seam stands in its file: needle_speed = "{text}".'
-        raise OptionError(f"feed {text!r}: {error.message}", remedy=remedy) from error
+        raise OptionError(
+            f"feed {text!r}: {error.message}",
+            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
+            'machine like "120 stitch/min".',
+        ) from error
     if feed.value <= 0:
         raise OptionError(f"feed {text!r} must be greater than zero")
     return feed
@@ -334,7 +338,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
     """Return the options as text: enough to make the same plan again."""
     feed = "programmed"
     if options.feed is not None:
-        unit = "count/tick" if options.feed.mode is FeedMode.COUNT_PER_TICK else "m/s"
+        unit = _UNITS.get(options.feed.mode, "m/s")
         feed = f"{options.feed.value!r} {unit}"
     return {
         "job": job.file,

@@ -166,7 +166,7 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
         array of the 1994 controller. ``nc``: a part program for LinuxCNC. ``st``:
         structured text for a PLC, its configuration in a second file. ``plcopen``: the same as
-        PLCopen XML.
+        PLCopen XML. ``steps``: step tables and stitches, binary and CSV, with a manifest.
     out
         The file.
 

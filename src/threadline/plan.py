@@ -18,9 +18,10 @@ from threadline.path.types import PlannedPath, ProgrammedPath
 from threadline.signals import Commands
 from threadline.targets.following import Following
 from threadline.targets.schedule import Scheduled
+from threadline.targets.stitched import Stitched
 from threadline.trajectory.types import Trajectory
 
-__all__ = ["Following", "Intent", "Motion", "Plan", "Scheduled"]
+__all__ = ["Following", "Intent", "Motion", "Plan", "Scheduled", "Stitched"]
 
 IntentT = TypeVar("IntentT")
 
@@ -273,3 +274,8 @@ class Plan:
     def scheduled(self) -> Scheduled:
         """Schedule and moves; see ``intended`` for what has none."""
         return self.intended(Scheduled)
+
+    @property
+    def stitched(self) -> Stitched:
+        """Turns and stitches; see ``intended`` for what has none."""
+        return self.intended(Stitched)

@@ -44,6 +44,8 @@ PARTS = {
     "`[outputs]`": ("outputs.x",),
     "`[contacts]`": ("contacts.x",),
     "`[plc]`": ("plc",),
+    "`[shaft]`": ("shaft",),
+    "`[tables]`": ("tables",),
     "`[design]`: its tables": ("design",),
     "`[design.parameters.NAME]`": ("design.parameters.x",),
     "`[design.settings]`": ("design.settings",),

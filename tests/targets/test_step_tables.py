@@ -11,16 +11,17 @@ from scipy.optimize import brentq
 from threadline.errors import OptionError, PlanError
 from threadline.laws import Pieces, law, measured_law
 from threadline.shaping import FlexibleMode, residual_m
+from threadline.signals import StepTable
 from threadline.targets.step_tables import (
-    StepTable,
-    mean_rate_hz,
-    peak_rate_hz,
-    positions_m,
+    left_s,
+    shortest_s,
     step_tables,
+    steps_residual_m,
 )
 
 WINDOW, TIMER = Fraction(120, 1000), Fraction(1, 16_000_000)
-FRAME = {"window_s": WINDOW, "unit_m": 1e-4, "steps_per_unit": 48, "longest_units": 165}
+FRAME = {"window_s": WINDOW, "steps_per_unit": 48, "longest_units": 165}
+STEP_M = 1e-4 / 48
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +35,10 @@ def test_every_table_has_its_steps_and_fills_the_window(tables: tuple[StepTable,
     assert [table.units for table in tables] == list(range(1, 166))
     for table in tables:
         assert table.intervals.min() > 0
-        assert 0.0 <= table.left_s < float(TIMER)
-        assert table.step_m * len(table) == pytest.approx(table.units * 1e-4, rel=1e-14)
+        assert 0.0 <= left_s(table, TIMER, WINDOW) < float(TIMER)
     odd = step_tables(law("modified-sine"), timer_s=Fraction(7, 10_000_000), **FRAME)
-    assert all(0.0 <= table.left_s < 7e-7 for table in odd)
+    coarse = Fraction(7, 10_000_000)
+    assert all(0.0 <= left_s(table, coarse, WINDOW) < 7e-7 for table in odd)
 
 
 def test_no_rounding_accumulates(tables: tuple[StepTable, ...]) -> None:
@@ -59,17 +60,17 @@ def test_rates_are_the_published_ones(tables: tuple[StepTable, ...]) -> None:
     Published for 8000 steps: 66.7 and 117 kHz.
     """
     longest = tables[164]
-    assert mean_rate_hz(longest) == pytest.approx(66.7e3 * 7920 / 8000, rel=1e-3)
-    assert peak_rate_hz(longest) == pytest.approx(117e3 * 7920 / 8000, rel=0.01)
+    assert len(longest) / float(WINDOW) == pytest.approx(66.7e3 * 7920 / 8000, rel=1e-3)
+    assert 1.0 / shortest_s(longest, TIMER) == pytest.approx(117e3 * 7920 / 8000, rel=0.01)
 
 
 def test_positions_follow_the_law_within_a_step(tables: tuple[StepTable, ...]) -> None:
     t = np.linspace(0.0, float(WINDOW), 10_001)
     for table in (tables[4], tables[164]):
         wanted = table.units * 1e-4 * law("modified-sine")(t / float(WINDOW))
-        found = positions_m(table, t)
-        assert np.all(found <= wanted + 1e-2 * table.step_m)
-        assert np.all(found >= wanted - 1.01 * table.step_m)
+        found = STEP_M * np.searchsorted(table.times * float(TIMER), t, side="right")
+        assert np.all(found <= wanted + 1e-2 * STEP_M)
+        assert np.all(found >= wanted - 1.01 * STEP_M)
 
 
 @pytest.mark.parametrize("frequency", [8.0, 12.0, 20.0])
@@ -82,7 +83,9 @@ def test_the_residual_after_rounding_is_that_of_the_law(
         exact = residual_m(
             law("modified-sine"), mode, table.units * 1e-4, np.array([float(WINDOW)])
         )[0]
-        assert table.residual_m(mode) == pytest.approx(exact, abs=1.01 * table.step_m)
+        assert steps_residual_m(table, TIMER, WINDOW, STEP_M, mode) == pytest.approx(
+            exact, abs=1.01 * STEP_M
+        )
 
 
 def test_any_monotone_law_and_no_other() -> None:

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from threadline.machine import load_machine
+from threadline.plan import Stitched
 from threadline.units import parse_quantity
 from threadline.verdict import load_spec
 from threadline.verdict import spec as spec_module
-from threadline.verdict.measure import OfPlan, OfRun
+from threadline.verdict.measure import OfPlan, OfRun, OfRuns
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.types import Status
 
@@ -26,6 +28,7 @@ UNITS = {
     "axis/s^3": {"m/s^3 or rad/s^3"},
     "time": {"s"},
     "current": {"A"},
+    "rate": {"Hz"},
     "ratio": {"a share"},
     "stitch": {"stitch"},
 }
@@ -33,7 +36,7 @@ UNITS = {
 
 def part(heading: str) -> str:
     """Return the text under a heading."""
-    return re.split(rf"^#+ {re.escape(heading)}$", TEXT, flags=re.MULTILINE)[1].split("\n## ")[0]
+    return re.split(r"\n##+ ", re.split(rf"^#+ {re.escape(heading)}$", TEXT, flags=re.M)[1])[0]
 
 
 def measures(text: str) -> dict[str, list[str]]:
@@ -44,12 +47,21 @@ def measures(text: str) -> dict[str, list[str]]:
 
 def test_every_measure_has_its_row_and_no_other_has() -> None:
     assert set(measures(TEXT)) == set(MEASURES)
-    only_on_off = {
-        name
-        for name, kind in MEASURES.items()
-        if all(isinstance(reading, OfRun) and reading.run is SwitchRun for reading in kind.reads)
-    }
-    assert set(measures(part("On/off machines only"))) == only_on_off
+    for heading, own in (
+        ("On/off machines only", (SwitchRun,)),
+        ("Embroidery machines only", (StitchRun, Stitched)),
+    ):
+        only = {
+            name
+            for name, kind in MEASURES.items()
+            if all(
+                (r.run if isinstance(r, OfRun) else r.intent) in own
+                for r in kind.reads
+                if isinstance(r, OfRun | OfPlan)
+            )
+            and not any(isinstance(r, OfRuns) for r in kind.reads)
+        }
+        assert set(measures(part(heading))) == only
 
 
 @pytest.mark.parametrize("name", MEASURES)

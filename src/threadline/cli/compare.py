@@ -50,6 +50,12 @@ STEP_COLUMNS = (
     ("end_position_error", "end missed mm"),
 )
 
+STITCH_COLUMNS = (
+    ("stitch_residual", "residual mm"),
+    ("servo_force", "force %"),
+    ("window_use", "window %"),
+)
+
 
 def compare(
     job: JobArgument,
@@ -79,7 +85,8 @@ def compare(
 ) -> None:
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
-    Of an on/off machine it is shapers that stand side by side. The fastest feed of each
+    Of an on/off machine it is shapers that stand side by side, of an embroidery machine the laws
+    of its moves. The fastest feed of each
     interpolation is searched within the placement criteria alone. Exit status: 0 when
     every proof is in spec, 1 when one is not, 2 wrong input.
 
@@ -142,7 +149,8 @@ def comparison_tables(
     """Return the tables of a comparison: title, header, rows; ``shown`` are its options."""
     first = found.proofs[0].plan
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
-    columns = STEP_COLUMNS if stepwise else COLUMNS
+    sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
+    columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS if sewn else COLUMNS
     header = [*shown, "time s", *(title for _, title in columns), "verdict"]
     rows = [
         [
@@ -207,23 +215,26 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
 def _label(proof: Proof, key: str) -> str:
     """Return what a case has of one of the options that are compared."""
     if key == "interpolation":
-        return proof.plan.motion.path.interpolation
+        return proof.plan.interpolation
     return proof.plan.options.get(key, "none")
 
 
 def _worst(proof: Proof, name: str) -> str:
-    """Return the largest length in mm, or time in s, of a criterion; ``-`` where there is none."""
+    """Return the largest length in mm, time in s, or share in %, of a criterion.
+
+    ``-`` where there is none.
+    """
     sizes = [
         (abs(r.measured), r.unit)
         for r in proof.verdict.results
-        if r.name == name and r.measured is not None and r.unit in {"m", "s"}
+        if r.name == name and r.measured is not None and r.unit in {"m", "s", ""}
     ]
     if not sizes:
         return "-"
     size, unit = max(sizes)
     if math.isinf(size):
         return "never"
-    return f"{size * 1e3:.3f}" if unit == "m" else f"{size:.3f}"
+    return {"m": f"{size * 1e3:.3f}", "s": f"{size:.3f}"}.get(unit, f"{100.0 * size:.1f}")
 
 
 def _values(

@@ -17,6 +17,7 @@ from threadline.cli.fastest_seam import (
     needle_hz,
     show_mismatch,
 )
+from threadline.cli.fastest_shaft import fastest_design
 from threadline.cli.found import (
     command_line,
     limit_words,
@@ -119,7 +120,8 @@ def fastest(
 
     Of a seam it is the needle speed that is searched, in stitch/s. With --margin "20 %" it is
     the fastest that keeps a fifth of every limit free. Of an on/off machine it is the shortest
-    cycle: a shaper or switchings of its own for every move, and the waits between them.
+    cycle: a shaper or switchings of its own for every move, and the waits between them. Of an
+    embroidery design it is the speed of the shaft, constant and with a speed for each stitch.
 
     Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
 
@@ -132,6 +134,10 @@ def fastest(
     kept_free = parse_margin(margin)
     asked = load_spec(spec, chosen).with_margin(kept_free)
     read = read_job(job, chosen)
+    options = options_of(
+        interpolation, None, tolerance, feed_forward=feed_forward, smoothing=smoothing, law=law
+    )
+    kind_of(chosen).check_options(chosen, options)
     if read.paced_by == "switchings":
         given = [low, high, actual, report, None if not mismatch else ""]
         if any(value is not None for value in given):
@@ -140,16 +146,30 @@ def fastest(
                 f"{chosen.name} does not have",
                 remedy="Leave them out; its moves and waits are searched.",
             )
-        shaped = options_of(
-            interpolation, None, tolerance, feed_forward=feed_forward, smoothing=smoothing, law=law
-        )
-        kind_of(chosen).check_options(chosen, shaped)
         names = {"-m": machine, "-s": spec, "--par": par}
         fastest_moves(job, read, chosen, asked, kept_free, out, names, json)
     if out is not None:
         raise OptionError(
             "--out is of move lists, which have commands and waits to write",
             remedy="Leave it out; the command that proves the answer is printed.",
+        )
+    if read.paced_by == "shaft":
+        if mismatch or report is not None:
+            raise OptionError(
+                "--mismatch and --report are of feeds and needles of seams",
+                remedy="Leave them out; prove --report draws the design.",
+            )
+        fastest_design(
+            job,
+            read,
+            chosen,
+            asked,
+            kept_free,
+            options,
+            None if actual is None else machine_from(actual, par),
+            (low, high),
+            {"-m": machine, "-s": spec, "--par": par, "--actual": actual, "--law": law},
+            json,
         )
     if read.paced_by == "needle":
         fastest_seam(
@@ -158,14 +178,7 @@ def fastest(
             chosen,
             asked,
             kept_free,
-            options_of(
-                interpolation,
-                None,
-                tolerance,
-                feed_forward=feed_forward,
-                smoothing=smoothing,
-                law=law,
-            ),
+            options,
             None if actual is None else machine_from(actual, par),
             (needle_hz(low), needle_hz(high)),
             mismatch,
@@ -173,9 +186,6 @@ def fastest(
             json,
         )
     check_mismatch(mismatch, actual is not None, report)
-    options = options_of(
-        interpolation, None, tolerance, feed_forward=feed_forward, smoothing=smoothing, law=law
-    )
     other = None if actual is None else machine_from(actual, par)
     lowest = None if low is None else _metres_per_second(low)
     highest = None if high is None else _metres_per_second(high)

@@ -47,6 +47,7 @@ PROJECTS = {
     "placer": Project(
         "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
     ),
+    "embroidery": Project("schiffli-frame", "rosette.dst -m machine.toml"),
 }
 
 
@@ -76,8 +77,8 @@ def new(
     say(f"Next: {there}{command}")
 
 
-def project_files(kind: str) -> dict[str, str]:
-    """Return the files of a project: names and texts."""
+def project_files(kind: str) -> dict[str, bytes]:
+    """Return the files of a project: names and contents."""
     name = PROJECTS[kind].machine
     files = {}
     for file, source in (
@@ -86,9 +87,10 @@ def project_files(kind: str) -> dict[str, str]:
     ):
         head = f"# From {source.name} of Threadline {__version__}: change it into yours.\n#\n"
         text = source.read_text(encoding="utf-8")
-        files[file] = head + (_without_operator(text) if file == "machine.toml" else text)
+        text = _without_operator(text) if file == "machine.toml" else text
+        files[file] = (head + text).encode()
     for entry in (resources.files("threadline.cli") / "projects" / kind).iterdir():
-        files[entry.name] = entry.read_text(encoding="utf-8")
+        files[entry.name] = entry.read_bytes()
     return files
 
 
@@ -121,7 +123,7 @@ def _check(folder: Path) -> None:
         check_outputs(file=folder, make=False)
 
 
-def _write(folder: Path, contents: Mapping[str, str]) -> None:
+def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write all files or none, in a folder that is made or is empty."""
     there = folder.is_dir()
     beside = folder if there else folder.parent
@@ -131,8 +133,8 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
     ):
         staged = Path(made) / "project"
         staged.mkdir()
-        for name, text in contents.items():
-            (staged / name).write_text(text, encoding="utf-8", newline="\n")
+        for name, content in contents.items():
+            (staged / name).write_bytes(content)
         if not there:
             staged.rename(folder)
             return

@@ -33,6 +33,7 @@ class FeedMode(StrEnum):
     IN_TURN = "in-turn"  # m/s along X Y Z; if they rest along U V W, else A B C, 1 deg as 1 mm
     COUNT_PER_TICK = "count-per-tick"  # encoder counts per tick of the fastest axis
     INVERSE_TIME = "inverse-time"  # moves per second: the move takes 1 / value
+    SHAFT = "shaft"  # stitches per second: turns of the machine's main shaft
     RAPID = "rapid"  # as fast as the machine's limits allow; value unused
 
 
@@ -212,7 +213,7 @@ class ToolEvent:
     source: Source
 
 
-Pace: TypeAlias = Literal["feed", "needle", "switchings"]
+Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
 """What may set the speed of a job."""
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Stop | ToolEvent
 
@@ -286,7 +287,8 @@ class Job:
         The drawn lines that are followed, by their number: the tag ``contour`` of a stitch, of
         which it covers the stretch from ``from_m`` to ``to_m``.
     paced_by
-        What its speed is set by: ``feed``, ``needle`` (stitches a second), or ``switchings``.
+        What its speed is set by: ``feed``, ``needle`` (stitches a second), ``switchings``, or
+        ``shaft`` (a stitch in each turn of the machine's main shaft).
     """
 
     name: str

@@ -1,12 +1,13 @@
 """The table of kinds of work: how each plans, simulates, is varied, measured and written."""
 
 from threadline.kinds.kind import Kind
+from threadline.kinds.steps import STEPS
 from threadline.kinds.switches import SWITCHES
 from threadline.kinds.ticks import TICKS, check_loops
 from threadline.machine import Machine
 from threadline.signals import Commands
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (TICKS, SWITCHES)}
+KINDS: dict[str, Kind] = {kind.name: kind for kind in (TICKS, SWITCHES, STEPS)}
 """Every kind of work, by the name that its machines are commanded by."""
 
 

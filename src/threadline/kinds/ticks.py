@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from threadline.errors import OptionError, PlanError
-from threadline.jobs.operations import Job
+from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.laws import law
 from threadline.machine import Machine
@@ -55,6 +55,12 @@ def _check_options(machine: Machine, options: Options) -> None:
         raise OptionError(
             f"--mode and --damping are of on/off machines, which {machine.name} is not",
             remedy='Write both with the shaper: --shaper "zv:12Hz:0.02".',
+        )
+    if options.feed is not None and options.feed.mode is FeedMode.SHAFT:
+        text = f"{options.feed.value:g} stitch/s"
+        raise OptionError(
+            f"feed {text!r}: {machine.name} has no shaft that turns a stitch at a time",
+            remedy=f'The needle speed of a seam stands in its file: needle_speed = "{text}".',
         )
     if options.following is Following.LOAD and options.timing.shaper is not None:
         raise OptionError(

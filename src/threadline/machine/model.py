@@ -30,6 +30,7 @@ from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc
 from threadline.machine.programs import Programs
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.sources import PulseServo, Source, Stepper
+from threadline.machine.stitching import Shaft, Tables
 from threadline.machine.tolerances import Tolerances, matches, quantities
 from threadline.signals import Clock
 
@@ -39,10 +40,10 @@ AxisName = Annotated[str, Field(pattern=r"^[A-Z]$")]
 MAX_AXES = 6
 NUMBERED = (
     "tick_budget", "clocks", "bodies", "links", "drives", "sensors", "controllers", "axes",
-    "inputs", "cylinders", "outputs", "contacts", "plc", "tool", "operator",
+    "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "tool", "operator",
 )  # fmt: skip
 """Fields that hold the numbers of the machine itself."""
-CommandedBy = Literal["ticks", "switches"]
+CommandedBy = Literal["ticks", "switches", "steps"]
 """The kinds of commands that a machine may take."""
 
 
@@ -62,6 +63,8 @@ class Machine:
         Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
     programs
         How its controller reads part programs.
+    shaft, tables
+        Of an embroidery machine: its main shaft, and what plays step tables between its stitches.
     design
         What may be changed of it, for ``threadline design`` alone.
     tolerances
@@ -90,6 +93,8 @@ class Machine:
     outputs: dict[Name, Output] = Field(default_factory=dict)
     contacts: dict[Name, Contact] = Field(default_factory=dict)
     plc: Plc | None = None
+    shaft: Shaft | None = None
+    tables: Tables | None = None
     tool: Tool | None = None
     operator: Operator | None = None
     programs: Programs = Field(default_factory=Programs)
@@ -144,6 +149,7 @@ class Machine:
                 'like [tool] radius = "100 mm exact, assumed"'
             )
         self._on_off_references()
+        self._stitching_references()
         self._tolerance_references()
         return self
 
@@ -190,6 +196,25 @@ class Machine:
                     )
                 taken[part.address] = name
 
+    def _stitching_references(self) -> None:
+        if (self.shaft is None) != (self.tables is None):
+            there, lacks = ("shaft", "tables") if self.tables is None else ("tables", "shaft")
+            raise ValueError(f"{there}: a machine with [{there}] needs [{lacks}] too")
+        if self.tables is None:
+            return
+        _known([self.tables.clock], self.clocks, "tables.clock", "clock")
+        if self.cylinders or not self.axes:
+            raise ValueError("tables: step tables move [axes.X], and no cylinders beside them")
+        for name, axis in self.axes.items():
+            at = f"axes.{name}"
+            steps = axis.counts.si * self.tables.unit.si
+            if axis.kind != "linear" or not axis.drive:
+                raise ValueError(f"{at}: step tables move linear axes with a drive that is told")
+            if abs(steps - round(steps)) > 1e-6 * steps or not round(steps):
+                raise ValueError(
+                    f"{at}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
+                )
+
     def _tolerance_references(self) -> None:
         paths = [path for table in NUMBERED for path, _ in quantities(getattr(self, table), table)]
         for where, pattern in self.tolerances.named():
@@ -218,6 +243,8 @@ class Machine:
     @property
     def commanded_by(self) -> CommandedBy:
         """The kind of commands that it takes: the key of every table of kinds of work."""
+        if self.shaft is not None:
+            return "steps"
         return "switches" if self.cylinders else "ticks"
 
     @property
@@ -225,8 +252,10 @@ class Machine:
         """What moves, by name, and as what.
 
         A ``linear`` or ``rotary`` axis with a loop, a ``stepper``, a ``pulse-servo``, a
-        ``cylinder``.
+        ``cylinder``; a ``stepped`` axis plays tables between the stitches.
         """
+        if self.tables is not None:
+            return dict.fromkeys(self.axes, "stepped")
         told = {
             name: self.drives[axis.drive].kind for name, axis in self.axes.items() if axis.drive
         }

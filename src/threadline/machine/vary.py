@@ -9,8 +9,10 @@ from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
 
 
-def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Machine:
-    """Return ``machine`` with friction and supply scaled.
+def vary(
+    machine: Machine, *, friction: float = 1.0, supply: float = 1.0, damping: float = 1.0
+) -> Machine:
+    """Return ``machine`` with friction, supply and damping scaled.
 
     Parameters
     ----------
@@ -22,21 +24,28 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
         scales the stiffness, which is in proportion to its pressure. The speed stays: an exhaust
         flow control chokes below about half of the pressure before it, and then lets out the same
         volume whatever that is.
+    damping
+        Scales the viscous damping of every body and every link.
 
     Raises
     ------
     ValueError
         If a factor is not positive.
     """
-    if not (friction > 0 and supply > 0):
-        raise ValueError(f"factors must be positive, got {friction!r} and {supply!r}")
+    if not (friction > 0 and supply > 0 and damping > 0):
+        raise ValueError(f"factors must be positive, got {friction!r}, {supply!r}, {damping!r}")
     bodies = {
         name: replace(
             body,
             friction=_scaled(body.friction, friction),
             stiction=_scaled(body.stiction, friction),
+            damping=_scaled(body.damping, damping),
         )
         for name, body in machine.bodies.items()
+    }
+    links = {
+        name: replace(link, damping=_scaled(link.damping, damping))
+        for name, link in machine.links.items()
     }
     drives: dict[str, Drive] = dict(machine.drives)
     for name, drive in machine.motors.items():
@@ -62,7 +71,7 @@ def vary(machine: Machine, *, friction: float = 1.0, supply: float = 1.0) -> Mac
         )
         for name, cylinder in machine.cylinders.items()
     }
-    return replace(machine, bodies=bodies, drives=drives, cylinders=cylinders)
+    return replace(machine, bodies=bodies, links=links, drives=drives, cylinders=cylinders)
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:

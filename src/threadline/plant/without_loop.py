@@ -223,6 +223,7 @@ ANALYSES: Mapping[str, Callable[[Machine, str, Values | None], Analysis]] = {
     "rotary": analyse_axis,
     "stepper": analyse_told,
     "pulse-servo": analyse_told,
+    "stepped": analyse_told,
     "cylinder": analyse_cylinder,
 }
 """By what moves: how it is analysed."""

@@ -7,10 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.pipeline import Proof
-from threadline.plan import Motion, Scheduled
+from threadline.plan import Motion, Scheduled, Stitched
 from threadline.report.comparison import write_motion_comparison
 from threadline.report.document import Printed
 from threadline.report.motion import about_motion, write_motion
+from threadline.report.stitched import (
+    about_stitched,
+    write_stitched,
+    write_stitched_comparison,
+)
 from threadline.report.switching import (
     about_switching,
     write_switching,
@@ -42,6 +47,9 @@ REPORTS: Mapping[type, KindReport] = {
     Motion: KindReport(write=write_motion, about=about_motion, compare=write_motion_comparison),
     Scheduled: KindReport(
         write=write_switching, about=about_switching, compare=write_switching_comparison
+    ),
+    Stitched: KindReport(
+        write=write_stitched, about=about_stitched, compare=write_stitched_comparison
     ),
 }
 """By what is intended, one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""

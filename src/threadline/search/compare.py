@@ -59,7 +59,7 @@ def compare(
 ) -> Comparison:
     """Prove ``job`` with every interpolation, feed and shaper; find the fastest feed of each.
 
-    A job that is paced by switchings has no feed to search.
+    A job that is paced by switchings or by a shaft has no feed to search.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def compare(
         If nothing of it can be planned.
     """
     check_machine(machine)
-    with_fastest = with_fastest and job.paced_by != "switchings"
+    with_fastest = with_fastest and job.paced_by in ("feed", "needle")
     proofs = []
     refused: list[tuple[str, str]] = []
     why: PlanError | None = None

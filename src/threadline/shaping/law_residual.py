@@ -19,11 +19,14 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.laws import Law, gauss
+from threadline.shaping.response import ComplexArray
 from threadline.shaping.types import FlexibleMode
 
 _RADIANS = 6.0  # of the mode in a panel of 16 nodes: quadrature right to rounding
 _PER_PERIOD = 32  # windows tried in a period of the mode
 _CHUNK = 2_000_000
+_FINER = 16  # in a scan for all lengths at once
+_SHORTEST = 1e-2  # periods in the shortest window of such a scan: it leaves the whole move
 _FINEST = 1e-6  # of the move: what is less is not looked for
 _MOST_PERIODS = 3000.0
 _SHORTEST_M, _LONGEST_M = 1e-9, 1e6
@@ -53,8 +56,12 @@ class Ringing:
     window_s: float | None = None
 
 
-def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray) -> FloatArray:
-    """Return the residual amplitudes, m, for windows of shape (n,), s."""
+def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
+    """Return (n,) what a move of 1 m leaves swinging at its end, for windows of shape (n,), s.
+
+    A complex number Z whose imaginary part is the place of the load relative to its base; after
+    that it goes on as ``Z exp(-p t)``, and what several moves leave adds up.
+    """
     omega = 2.0 * pi * mode.frequency_hz
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)
     pole = mode.damping_ratio * omega + 1j * damped
@@ -62,13 +69,45 @@ def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray
     panels = max(1, ceil(omega * float(window_s.max()) * float(np.diff(edges).max()) / _RADIANS))
     u, weights = gauss(edges, panels)
     moment = law(u, 2) * weights
-    out = np.empty_like(window_s)
+    out = np.empty(window_s.shape, dtype=np.complex128)
     rows = max(1, _CHUNK // len(u))
     for k in range(0, len(window_s), rows):
         part = window_s[k : k + rows]
         swung = np.exp(-pole * np.outer(part, 1.0 - u)) @ moment
-        out[k : k + rows] = move_m / (part * damped) * np.abs(swung)
+        out[k : k + rows] = swung / (part * damped)
     return out
+
+
+def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray) -> FloatArray:
+    """Return the residual amplitudes, m, for windows of shape (n,), s."""
+    return np.asarray(move_m * np.abs(swing(law, mode, window_s)))
+
+
+def lasting_windows_s(
+    law: Law, mode: FlexibleMode, moves_m: FloatArray, residual: float
+) -> FloatArray:
+    """Return (n,) shortest windows from which on every longer one keeps the residual.
+
+    All from one scan of windows, 512 in a period of the mode; the amplitude goes with the length.
+
+    Parameters
+    ----------
+    moves_m
+        (n,) lengths, 0 or more; where nothing is to be kept the window is 0.
+    residual
+        Amplitude, m.
+    """
+    longest = float(moves_m.max(initial=0.0))
+    if longest == 0.0:
+        return np.zeros(len(moves_m))
+    begin = _SHORTEST / mode.frequency_hz
+    coarse = _grid(law, mode, longest, begin, residual)
+    windows = np.linspace(begin, float(coarse[-1]), _FINER * len(coarse))
+    # The largest amplitude from each window on, which falls.
+    worst = np.maximum.accumulate(np.abs(swing(law, mode, windows))[::-1])[::-1]
+    allowed = np.divide(residual, moves_m, out=np.full(len(moves_m), np.inf), where=moves_m > 0.0)
+    at = np.searchsorted(-worst, -allowed)
+    return np.where(at > 0, windows[np.minimum(at, len(windows) - 1)], 0.0)
 
 
 def ringing(

@@ -3,18 +3,17 @@
 from threadline.signals.clock import Clock, common_period_s
 from threadline.signals.commands import (
     Commands,
-    Event,
-    EventKind,
     SwitchSchedule,
     TickBlock,
     TickTable,
+    played,
     switch_schedule,
     tick_table,
 )
+from threadline.signals.event import Event, EventKind
 from threadline.signals.outcome import Ended, Outcome
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.signals.shaft import ShaftClock
-from threadline.signals.step_play import StepPlay, StitchBlock
+from threadline.signals.step_play import StepPlay, StepTable, StitchBlock
 from threadline.signals.stream import Stream
 
 __all__ = [
@@ -28,14 +27,15 @@ __all__ = [
     "Outcome",
     "Recording",
     "RecordingBlock",
-    "ShaftClock",
     "StepPlay",
+    "StepTable",
     "StitchBlock",
     "Stream",
     "SwitchSchedule",
     "TickBlock",
     "TickTable",
     "common_period_s",
+    "played",
     "switch_schedule",
     "tick_table",
 ]

@@ -4,46 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.errors import OptionError
 from threadline.signals.clock import Clock
+from threadline.signals.event import Event
 from threadline.signals.rows_hash import SWITCHES, TICKS, RowsHash
+from threadline.signals.step_play import StepPlay
 from threadline.signals.stream import Stream
-
-EventKind = Literal[
-    "output", "wait", "stop", "dwell", "tool", "end",
-    "hold", "resume", "late", "completed", "stopped", "fault",
-]  # fmt: skip
-"""The first line is what commands ask for; the second is what recordings tell besides."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """Something other than motion that happens at a tick of the commands' clock.
-
-    Parameters
-    ----------
-    tick
-        When, counted from the start of the commands.
-    kind
-        ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
-        ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
-        ``end`` is the end of the job. A recording tells of ``hold`` and ``resume`` of the rows, of
-        ``value`` ticks at which they came ``late``, and how it ended: ``completed``, ``stopped``
-        or ``fault``, with the reason as ``name``.
-    operation
-        Index of the operation of the job that asked for it.
-    """
-
-    tick: int
-    kind: EventKind
-    operation: int
-    name: str = ""
-    value: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -217,7 +187,7 @@ class SwitchSchedule(Locked):
         return None
 
 
-Commands = TickTable | SwitchSchedule
+Commands = TickTable | SwitchSchedule | StepPlay
 
 
 def tick_table(commands: Commands) -> TickTable:
@@ -248,5 +218,21 @@ def switch_schedule(commands: Commands) -> SwitchSchedule:
         raise OptionError(
             "a schedule of switchings is needed, which a machine with axes does not have",
             remedy="Take a machine with cylinders.",
+        )
+    return commands
+
+
+def played(commands: Commands) -> StepPlay:
+    """Return ``commands``, which must be step tables played stitch by stitch.
+
+    Raises
+    ------
+    OptionError
+        If they are of another kind.
+    """
+    if not isinstance(commands, StepPlay):
+        raise OptionError(
+            "step tables by stitches are needed, which only a machine with a main shaft plays",
+            remedy="Take an embroidery machine.",
         )
     return commands

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from threadline.signals.commands import Event
+from threadline.signals.event import Event
 
 
 class Ended(StrEnum):

@@ -11,7 +11,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import RecordingError
 from threadline.signals.clock import Clock
-from threadline.signals.commands import Event
+from threadline.signals.event import Event
 from threadline.signals.outcome import Outcome
 
 

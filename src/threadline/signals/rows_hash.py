@@ -16,10 +16,11 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from threadline.signals.commands import Event
+    from threadline.signals.event import Event
 
 TICKS = "threadline tick table 1"
 SWITCHES = "threadline switch schedule 1"
+STEPS = "threadline step play 1"
 
 
 class RowsHash:
@@ -28,7 +29,7 @@ class RowsHash:
     Parameters
     ----------
     title
-        ``TICKS`` or ``SWITCHES``.
+        ``TICKS``, ``SWITCHES`` or ``STEPS``.
     period_s
         Of the clock.
     names

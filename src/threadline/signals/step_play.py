@@ -1,56 +1,102 @@
-"""Commands of an embroidery frame: step-interval tables, one for each stitch and axis."""
+"""Commands of an embroidery frame: tables of step intervals, one for each stitch and axis."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.signals.clock import Clock
-from threadline.signals.commands import Event
-from threadline.signals.shaft import ShaftClock
+from threadline.signals.event import Event
+from threadline.signals.rows_hash import STEPS, RowsHash
 from threadline.signals.stream import Stream
+
+CountedBy = Literal["time", "angle"]
+"""What the intervals of tables are counts of: periods of a timer, or parts of a shaft's turn."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StepTable(Locked):
+    """The intervals of one move: a table of k intervals moves by k steps.
+
+    Parameters
+    ----------
+    units
+        Length of the move in units of the design.
+    intervals
+        (k,) whole counts from the start of the window to the first step and from step to step,
+        1 at least.
+    """
+
+    units: int
+    intervals: IntArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "intervals", read_only_int(self.intervals, "intervals", ndim=1))
+        if not len(self.intervals) or self.intervals.min() < 1:
+            raise ValueError(
+                f"table of {self.units} units: a table has intervals, of 1 count at least"
+            )
+
+    def __len__(self) -> int:
+        return len(self.intervals)
+
+    @property
+    def times(self) -> IntArray:
+        """(k,) counts from the start of the window to each step."""
+        return np.cumsum(self.intervals)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StitchBlock(Locked):
-    """A run of consecutive stitches of a ``StepPlay``; n stitches, A axes.
+    """A run of consecutive turns of the shaft of a ``StepPlay``; n turns, A axes.
 
     Parameters
     ----------
     first_stitch
         Number of the first.
+    begin
+        (n,) int: tick of the clock at which the tables begin.
+    window
+        (n,) int: ticks that the shaft, at an even speed, takes through the window of the move.
     table
         (n, A) int: which table of the library each axis plays, -1 where it stands.
     sign
         (n, A) int: 1 or -1, the sense of its steps; 0 where it stands.
     start
-        (n,) int: angle of the shaft in its turn, in ticks of the shaft, at which the tables begin.
+        (n,) int: angle of the shaft in its turn at which the tables begin.
+    needle
+        (n,) int: 1 where the needle enters the cloth in this turn, 0 where it is held up.
     operation
-        (n,) int: operation of the job that each stitch belongs to.
+        (n,) int: operation of the job that each turn belongs to.
     events
-        Events of these stitches; their ticks are numbers of stitches.
+        Events of these turns; their ticks are numbers of turns.
     """
 
     first_stitch: int
+    begin: IntArray
+    window: IntArray
     table: IntArray
     sign: IntArray
     start: IntArray
+    needle: IntArray
     operation: IntArray
     events: tuple[Event, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, ndim in (("table", 2), ("sign", 2), ("start", 1), ("operation", 1)):
+        columns = ("begin", "window", "start", "needle", "operation")
+        for name in (*columns, "table", "sign"):
+            ndim = 1 if name in columns else 2
             object.__setattr__(self, name, read_only_int(getattr(self, name), name, ndim=ndim))
         n = len(self.table)
-        lengths = [len(self.sign), len(self.start), len(self.operation)]
-        if self.table.shape != self.sign.shape or lengths != [n, n, n]:
+        lengths = {name: len(getattr(self, name)) for name in (*columns, "sign")}
+        if self.table.shape != self.sign.shape or set(lengths.values()) != {n}:
+            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise ValueError(
-                f"table has shape {self.table.shape}, sign {self.sign.shape}, start has "
-                f"{lengths[1]} and operation {lengths[2]} stitches"
+                f"table has shape {self.table.shape}, sign {self.sign.shape}; stitches: {told}"
             )
         wrong = np.flatnonzero(
             ((np.abs(self.sign) > 1) | ((self.sign == 0) != (self.table == -1))).any(axis=1)
@@ -59,6 +105,12 @@ class StitchBlock(Locked):
             raise ValueError(
                 f"stitch {self.first_stitch + int(wrong[0])}: a sign is 1 or -1, and 0 exactly "
                 "where the table is -1"
+            )
+        wrong = np.flatnonzero(self.begin[1:] < self.begin[:-1] + self.window[:-1])
+        if len(wrong):
+            raise ValueError(
+                f"stitch {self.first_stitch + int(wrong[0]) + 1} begins before the window of the "
+                "one before it has ended"
             )
 
     def __len__(self) -> int:
@@ -69,12 +121,19 @@ class StitchBlock(Locked):
 class StepPlay(Locked):
     """Tables of step intervals, played one for each stitch and axis: an embroidery frame's.
 
+    Each turn of the shaft has a window in which the frame moves. Tables counted by time fit one
+    speed of the shaft; those counted by angle follow it, turn by turn.
+
     Parameters
     ----------
     clock
-        What intervals are counted in: a timer, or a shaft that they follow.
-    shaft
-        What stitches begin by: one in each turn.
+        The timer of the controller.
+    counted_by
+        What intervals are counts of: ticks of the clock, or angles.
+    steps_per_turn
+        Angles in a turn of the shaft.
+    window_angle
+        Those of them in the window of the move.
     axes
         Names, in the order of the columns.
     steps_per_unit
@@ -82,21 +141,25 @@ class StepPlay(Locked):
     start_steps
         (A,) where each axis stands before the first stitch.
     library
-        The tables: (k,) intervals each, from the start of a stitch to the first step and from
-        step to step, 1 at least; a table of k intervals moves by k steps.
+        The tables.
     blocks
-        Re-iterable blocks of stitches, consecutive from stitch 0.
+        Re-iterable blocks of turns, consecutive from 0.
+    duration_ticks
+        Length of the whole.
     job_sha256, machine_sha256
         What it was made from and for.
     """
 
-    clock: Clock | ShaftClock
-    shaft: ShaftClock
+    clock: Clock
+    counted_by: CountedBy
+    steps_per_turn: int
+    window_angle: int
     axes: tuple[str, ...]
     steps_per_unit: FloatArray
     start_steps: IntArray
-    library: tuple[IntArray, ...]
+    library: tuple[StepTable, ...]
     blocks: Stream[StitchBlock]
+    duration_ticks: int
     job_sha256: str
     machine_sha256: str
 
@@ -107,18 +170,15 @@ class StepPlay(Locked):
             raise ValueError(
                 f"{len(self.axes)} axes, {len(scale)} scales and {len(start)} start positions"
             )
-        tables = tuple(
-            read_only_int(table, f"library[{k}]", ndim=1) for k, table in enumerate(self.library)
-        )
-        for k, table in enumerate(tables):
-            if not len(table) or table.min() < 1:
-                raise ValueError(f"library[{k}]: a table has intervals, of 1 count at least")
+        if not 0 < self.window_angle < self.steps_per_turn:
+            raise ValueError(
+                f"the window has {self.window_angle} of the {self.steps_per_turn} angles of a turn"
+            )
         object.__setattr__(self, "steps_per_unit", scale)
         object.__setattr__(self, "start_steps", start)
-        object.__setattr__(self, "library", tables)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        # What is read again is checked again, and so are the tables in their tuple locked.
+        # What is read again is checked again.
         return _step_play, tuple(getattr(self, field.name) for field in fields(self))
 
     def __iter__(self) -> Iterator[StitchBlock]:
@@ -127,10 +187,11 @@ class StepPlay(Locked):
         Raises
         ------
         ValueError
-            If a stitch names a table that is not there, begins outside its turn, or follows no
-            other.
+            If a stitch names a table that is not there, begins outside its turn, has no time for
+            its table, or follows no other.
         """
-        expected = 0
+        expected, free = 0, 0
+        spans = np.array([*(int(t.intervals.sum()) for t in self.library), 0], dtype=np.int64)
         for block in self.blocks:
             if block.first_stitch != expected or block.table.shape[1] != len(self.axes):
                 raise ValueError(
@@ -139,7 +200,9 @@ class StepPlay(Locked):
                 )
             for name, values, low, high in (
                 ("table", block.table, -1, len(self.library)),
-                ("start", block.start[:, None], 0, self.shaft.steps_per_turn),
+                ("start", block.start[:, None], 0, self.steps_per_turn),
+                ("begin", block.begin[:1, None], free, 2**62),
+                ("needle", block.needle[:, None], 0, 2),
             ):
                 wrong = np.flatnonzero(((values < low) | (values >= high)).any(axis=1))
                 if len(wrong):
@@ -148,12 +211,49 @@ class StepPlay(Locked):
                         f"stitch {expected + at}: {name} {values[at].tolist()} is not from {low} "
                         f"to {high - 1}"
                     )
+            room = block.window if self.counted_by == "time" else np.array([self.window_angle])
+            late = np.flatnonzero((spans[block.table] > room[:, None]).any(axis=1))
+            if len(late):
+                raise ValueError(
+                    f"stitch {expected + int(late[0])}: its table is longer than its window"
+                )
+            ends = block.begin + block.window
+            over = np.flatnonzero(ends > self.duration_ticks)
+            if len(over):
+                raise ValueError(
+                    f"stitch {expected + int(over[0])}: its window ends at {ends[over[0]]}, the "
+                    f"whole at {self.duration_ticks}"
+                )
+            if len(block):
+                free = int(block.begin[-1] + block.window[-1])
             expected += len(block)
             yield block
 
     def stitch_count(self) -> int:
-        """Return how many stitches there are; reads all of it."""
+        """Return how many turns there are; reads all of it."""
         return sum(len(block) for block in self)
+
+    def tick_count(self) -> int | None:
+        """Return None: tables have steps, and no row for every tick."""
+        return None
+
+    def rows_sha256(self) -> str:
+        """Return the hash of what the controller is told: tables, turns and events.
+
+        ``docs/files.md`` defines it byte by byte.
+        """
+        lengths = np.array([len(table) for table in self.library], dtype=np.int64)
+        units = np.array([table.units for table in self.library], dtype=np.int64)
+        by = 0 if self.counted_by == "time" else 1
+        digest = RowsHash(
+            STEPS, self.clock.period_s, self.axes, self.steps_per_unit, self.start_steps,
+            np.array([by, self.steps_per_turn, self.window_angle, self.duration_ticks]),
+            np.array([len(lengths)]), units, lengths, *(t.intervals for t in self.library),
+        )  # fmt: skip
+        for block in self:
+            columns = (block.begin, block.window, block.start, block.needle)
+            digest.add((*columns, block.table, block.sign, block.operation), block.events)
+        return digest.hexdigest()
 
     def end_steps(self) -> IntArray:
         """Return the (A,) position after the last stitch; reads all of it."""

@@ -20,7 +20,7 @@ from threadline.jobs.operations import (
     WaitInput,
 )
 from threadline.signals import Clock, Event
-from threadline.signals.commands import EventKind
+from threadline.signals.event import EventKind
 from threadline.trajectory.types import TrajectoryBlock
 
 TICK_SLACK = 1e-6

@@ -18,6 +18,8 @@ from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen
 from threadline.targets.schedule import Scheduled
+from threadline.targets.step_files import write_steps
+from threadline.targets.stitched import Stitched
 from threadline.targets.structured_text import write_structured_text
 from threadline.trajectory.types import Trajectory
 
@@ -51,6 +53,11 @@ class WrittenPlan(CompiledPlan, Protocol):
     @property
     def scheduled(self) -> Scheduled:
         """Schedule and moves."""
+        ...
+
+    @property
+    def stitched(self) -> Stitched:
+        """Turns and stitches."""
         ...
 
 
@@ -96,3 +103,7 @@ SWITCH_TARGETS: Mapping[str, Target] = {
     "st": Target(write=lambda plan, path: write_structured_text(plan.scheduled, path)),
 }
 """Targets of on/off machines."""
+STEP_TARGETS: Mapping[str, Target] = {
+    "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
+}
+"""Targets of machines that play step tables between their stitches."""

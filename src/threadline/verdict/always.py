@@ -69,6 +69,19 @@ _TOLD = Always(
     limited=(*PLAN_DEMANDS, "step_loss"),
     limit=_of_told,
 )
+_STITCH_LIMITS = ("servo_force", "window_use", "step_rate", "fetch_use", "travel")
+
+
+def _of_stitched(machine: Machine, measure: str, axis: str) -> float | None:
+    if measure == "step_rate":
+        assert machine.tables is not None
+        return machine.tables.step_rate.si
+    return _of_axis(machine, measure, axis) if measure == "travel" else 1.0
+
+
+_STEPPED = Always(
+    listed=("stitch_residual", *_STITCH_LIMITS), limited=_STITCH_LIMITS, limit=_of_stitched
+)
 _CYLINDER = Always(
     listed=(
         "residual_vibration",
@@ -88,6 +101,7 @@ _BY_WHAT_MOVES: Mapping[str, Always] = {
     "rotary": _AXIS,
     "stepper": _TOLD,
     "pulse-servo": _TOLD,
+    "stepped": _STEPPED,
     "cylinder": _CYLINDER,
 }
 

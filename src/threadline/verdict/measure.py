@@ -16,7 +16,7 @@ from threadline.verdict.samples import Block
 from threadline.verdict.types import Status, is_measured
 
 Dimension = Literal[
-    "tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "ratio", "stitch"
+    "tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "rate", "ratio", "stitch"
 ]
 """Of a measured value: a length at the tool, the axis' own unit (m or rad) and its rates, ..."""
 
@@ -299,8 +299,8 @@ class MeasureKind:
         length = "m" if axis_kind == "linear" else "rad"
         if self.dimension.startswith("axis"):
             return length + self.dimension.removeprefix("axis")
-        units = {"tool": "m", "time": "s", "current": "A", "ratio": "", "stitch": "stitch"}
-        return units[self.dimension]
+        units = {"tool": "m", "time": "s", "current": "A", "rate": "Hz", "ratio": ""}
+        return (units | {"stitch": "stitch"})[self.dimension]
 
     def status(self, value: float | None, limit: float | None) -> Status:
         """Return what comes of a measured value under a limit, each None where there is none."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from threadline.plan import Motion, Plan
+from threadline.plan import Motion, Plan, Stitched
 from threadline.signals import ChannelKind
 from threadline.verdict import (
     demands,
@@ -14,6 +14,7 @@ from threadline.verdict import (
     seam,
     settling,
     steps,
+    stitch_measures,
     stitches,
     switch_measures,
     turning,
@@ -25,6 +26,7 @@ from threadline.verdict.measure import Finding, Measure, MeasureKind, OfPlan, Of
 from threadline.verdict.rise import OPTIONS as RISE_OPTIONS
 from threadline.verdict.rise import start_rise
 from threadline.verdict.samples import Setting
+from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.tracking import start_tracking
 
@@ -60,7 +62,15 @@ def _switched(
     return OfRun(run=SwitchRun, start=whole(measure))
 
 
+def _sewn(
+    measure: Callable[[StitchRun, Mapping[str, float]], Sequence[Finding]], needs: ChannelKind
+) -> OfRun[StitchRun]:
+    """Return a measure of a run of an embroidery machine."""
+    return OfRun(run=StitchRun, start=whole(measure), needs=((needs,),))
+
+
 _DEMANDS = OfPlan(intent=Motion, measure=demands.measure_demands)
+_TABLES = OfPlan(intent=Stitched, measure=stitch_measures.measure_tables)
 
 _KINDS = (
     MeasureKind(
@@ -106,7 +116,7 @@ _KINDS = (
         dimension="axis",
         per_axis=True,
         allowance=1e-9,
-        reads=(_DEMANDS, _switched(switch_measures.travel)),
+        reads=(_DEMANDS, _switched(switch_measures.travel), _TABLES),
     ),
     MeasureKind(
         name="velocity", dimension="axis/s", per_axis=True, slack=demands.SLACK, reads=(_DEMANDS,)
@@ -283,5 +293,22 @@ _KINDS = (
         allowance=1e-9,
         reads=(_switched(switch_measures.over_level),),
     ),
+    MeasureKind(
+        name="stitch_residual",
+        dimension="axis",
+        per_axis=True,
+        of_worst=True,
+        reads=(_sewn(stitch_measures.stitch_residual, ChannelKind.LOAD),),
+    ),
+    MeasureKind(
+        name="servo_force",
+        dimension="ratio",
+        per_axis=True,
+        of_worst=True,
+        reads=(_sewn(stitch_measures.servo_force, ChannelKind.TORQUE_SHARE),),
+    ),
+    MeasureKind(name="window_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
+    MeasureKind(name="step_rate", dimension="rate", per_axis=True, reads=(_TABLES,)),
+    MeasureKind(name="fetch_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
 )
 MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}

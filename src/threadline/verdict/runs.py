@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from threadline.plan import Motion, Plan, Scheduled
+from threadline.plan import Motion, Plan, Scheduled, Stitched
 from threadline.signals import Recording
 from threadline.verdict.measure import Run
 from threadline.verdict.motion_run import motion_run
+from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
 
 
@@ -16,9 +17,15 @@ def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa:
     return SwitchRun(recording, plan)
 
 
+def _stitch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
+    """Return a run that is laid beside its stitches: the needle tells when each was made."""
+    return StitchRun(recording, plan)
+
+
 RUNS: Mapping[type, Callable[[Recording, Plan, float], Run]] = {
     Motion: motion_run,
     Scheduled: _switch_run,
+    Stitched: _stitch_run,
 }
 """By intent: opens a recording beside its plan with the lag, s, that the specification allows."""
 

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 
 from threadline.errors import Place, RecordingError
-from threadline.signals.commands import Event, EventKind
+from threadline.signals.event import Event, EventKind
 from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
 from threadline.signals.files.common import MAX_COUNTS, parse_json
 from threadline.wording import nearest

@@ -15,7 +15,7 @@ import numpy as np
 from threadline.errors import Place, RecordingError
 from threadline.opening import KnownFile
 from threadline.signals.clock import Clock
-from threadline.signals.commands import Event
+from threadline.signals.event import Event
 from threadline.signals.files.channel_units import in_si
 from threadline.signals.files.columns import TIME, Column, parse_column
 from threadline.signals.files.common import (

@@ -14,7 +14,8 @@ from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
 from threadline.opening import KnownFile
 from threadline.signals.clock import Clock
-from threadline.signals.commands import Event, TickBlock, TickTable
+from threadline.signals.commands import TickBlock, TickTable
+from threadline.signals.event import Event
 from threadline.signals.files.archive import ColumnArchive, ColumnSpool
 from threadline.signals.files.common import (
     Counts,

@@ -11,7 +11,8 @@ import numpy as np
 
 from threadline.errors import Place, RecordingError
 from threadline.opening import KnownFile
-from threadline.signals.commands import Event, TickBlock, TickTable
+from threadline.signals.commands import TickBlock, TickTable
+from threadline.signals.event import Event
 from threadline.signals.files.common import (
     MAX_COUNTS,
     clear_errors,

@@ -1,0 +1,121 @@
+"""``threadline fastest`` on a design: speeds of the shaft in spec, and the schedule of speeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+
+from threadline.cli.found import command_line, limit_words, margin_words, resolution_words
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.warn import warn
+from threadline.errors import OptionError
+from threadline.jobs import Job
+from threadline.jobs.operations import FeedMode
+from threadline.machine import Machine
+from threadline.options import Options, parse_feed
+from threadline.search.shaft import FastestShaft, fastest_shaft
+from threadline.verdict import Spec, criteria_json, verdict_rows
+
+_MINUTE = 60.0
+
+
+def fastest_design(
+    job: Path,
+    read: Job,
+    machine: Machine,
+    spec: Spec,
+    margin: float,
+    options: Options,
+    actual: Machine | None,
+    span: tuple[str | None, str | None],
+    asked: dict[str, str | Path | None],
+    json: bool,
+) -> NoReturn:
+    """Search the speed of the shaft, say what was found, and leave.
+
+    Parameters
+    ----------
+    span
+        Texts of the lowest and the highest speed to try.
+    asked
+        Options that name the machine and what is asked of it, for the command that proves it.
+    """
+    low, high = (None if text is None else _stitches_per_second(text) for text in span)
+    warn(machine, read)
+    with progress_bar(not json) as progress:
+        found = fastest_shaft(
+            read, machine, spec, options, low=low, high=high, progress=progress, actual=actual
+        )
+    again = _command(found, job, asked)
+    if json:
+        print_json(_content(found) | {"margin": margin, "command": again})
+    else:
+        _show(found, f"{read.name} on {machine.name}{margin_words(margin)}")
+        if again is not None:
+            say(f"To prove it: {again}")
+    raise typer.Exit(0 if found.duration_s is not None else 1)
+
+
+def _stitches_per_second(text: str) -> float:
+    feed = parse_feed(text)
+    if feed.mode is not FeedMode.SHAFT:
+        raise OptionError(
+            f"speed {text!r} is not in stitches",
+            remedy='The search of a design runs in stitches: "120 stitch/min".',
+        )
+    return feed.value
+
+
+def _command(found: FastestShaft, job: Path, asked: dict[str, str | Path | None]) -> str | None:
+    if found.duration_s is None:
+        return None
+    if found.schedule is not None and found.schedule.plan.duration_s == found.duration_s:
+        return command_line("prove", job, {**asked, "--tolerance": f"{found.tolerance_m!r} m"})
+    return command_line("prove", job, {**asked, "--feed": f"{found.constant.best!r} stitch/s"})
+
+
+def _content(found: FastestShaft) -> dict[str, Any]:
+    schedule = None
+    if found.schedule is not None:
+        schedule = {
+            "duration_s": found.schedule.plan.duration_s,
+            "tolerance_m": found.tolerance_m,
+            "criteria": criteria_json(found.schedule.verdict),
+        }
+    return {
+        "best": found.duration_s,
+        "unit": "s",
+        "intervals": [[i.low, i.high] for i in found.constant.intervals],
+        "intervals_unit": "stitch/s",
+        "limited_by": found.limited_by,
+        "constant_s": found.constant_s,
+        "schedule": schedule,
+        "tried": found.constant.tried,
+        "step": found.constant.step,
+        "step_at_edges": found.constant.near_step,
+        "verdict": {
+            "passed": found.verdict.passed,
+            "criteria": criteria_json(found.verdict),
+        },
+    }
+
+
+def _show(found: FastestShaft, title: str) -> None:
+    rows = [[f"{i.low * _MINUTE:.2f}", f"{i.high * _MINUTE:.2f}"] for i in found.constant.intervals]
+    print_table(f"{title}: constant speeds in spec", ["from stitch/min", "to stitch/min"], rows)
+    if found.constant.best is None:
+        say(f"no constant speed is in spec: {limit_words(found.limited_by)}")
+    else:
+        say(
+            f"fastest constant speed: {found.constant.best * _MINUTE:.2f} stitch/min, "
+            f"{found.constant_s:.4g} s, limited by {limit_words(found.limited_by)}; "
+            f"{resolution_words(found.constant)}"
+        )
+    if found.schedule is not None:
+        say(
+            f"fastest with a speed for each stitch: {found.schedule.plan.duration_s:.4g} s, "
+            f"planned for a swing of {found.tolerance_m * 1e3:.4g} mm"
+        )
+    print_table("verdict at the fastest", *verdict_rows(found.verdict))

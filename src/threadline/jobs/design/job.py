@@ -1,0 +1,180 @@
+"""A design as a job: records are merged back into the moves that the frame makes.
+
+A format that holds at most 12.1 mm in a record tells a longer move as jumps before its stitch:
+these are one move. A run of jumps that is longer than the longest move of the machine, that leads
+to the first stitch, or that no stitch ends, is travel with the needle up.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from threadline.errors import JobError, Place
+from threadline.jobs.design.records import Act, read_records
+from threadline.jobs.operations import (
+    Job,
+    MoveRun,
+    Operation,
+    OperationStream,
+    Source,
+    Stop,
+    ToolEvent,
+)
+from threadline.machine import Machine
+from threadline.signals import Stream
+
+AXES = ("X", "Y")
+EVENTS = {
+    Act.TRIM: "trim",
+    Act.STOP: "stop",
+    Act.COLOUR: "colour",
+    Act.NEEDLE: "colour",
+    Act.SLOW: "slow",
+    Act.FAST: "fast",
+}
+"""What records ask for that is no motion, by the name of its ``ToolEvent``."""
+_ROUNDING = 1e-9
+_LONGEST_RUN = 4096
+
+
+def read_design(path: str | Path, *, machine: Machine) -> Job:
+    """Return the job of an embroidery design.
+
+    Its operations are moves with the tags ``stitch`` (from 1, 0 while the needle is up) and
+    ``block`` (from 1: a block ends where the thread changes), and events; lines are numbers of
+    records.
+
+    Parameters
+    ----------
+    path
+        The file; its ending names the format.
+    machine
+        Gives the longest move.
+
+    Raises
+    ------
+    JobError
+        If the machine has no step tables, the file cannot be read, or a stitch is longer than the
+        machine's longest move and no jump.
+    """
+    path = Path(path)
+    if machine.tables is None or machine.axis_names != AXES:
+        raise JobError(
+            f"machine {machine.name!r} does not embroider: it has no step tables for X and Y",
+            place=Place(str(path)),
+            remedy="Take an embroidery machine, such as schiffli-frame.",
+        )
+    records = read_records(path)
+    found = _Merged(str(path), machine.tables.longest.si * (1.0 + _ROUNDING))
+    for number, (x, y, act) in enumerate(
+        zip(*records.position_m.T.tolist(), records.act.tolist(), strict=True), start=1
+    ):
+        found.take(number, (x, y), Act(act))
+    if not found.stitches:
+        raise JobError(
+            "there is no stitch in the design",
+            place=Place(str(path)),
+            remedy="Is it the right file?",
+        )
+    return Job(
+        name=path.stem,
+        file=str(path),
+        sha256=hashlib.sha256(records.content).hexdigest(),
+        axes=AXES,
+        start=(0.0, 0.0),
+        operations=OperationStream(Stream.of(tuple(found.operations()))),
+        warnings=found.warnings(),
+        paced_by="shaft",
+    )
+
+
+@dataclass(slots=True)
+class _Merged:
+    """Moves and events as they come out of the records; times of the needle are counted."""
+
+    file: str
+    longest_m: float
+    at: tuple[float, float] = (0.0, 0.0)
+    stitches: int = 0
+    block: int = 1
+    still: int = 0
+    jumped: bool = False
+    targets: list[tuple[float, float]] = field(default_factory=list)
+    rows: list[tuple[int, int, int]] = field(default_factory=list)  # line, stitch, block
+    events: list[tuple[int, str, int]] = field(default_factory=list)  # moves before, name, line
+
+    def take(self, line: int, to: tuple[float, float], act: Act) -> None:
+        """Take the next record."""
+        if act is Act.JUMP:
+            self.jumped = True
+            return
+        if act is Act.STITCH:
+            self._stitch(line, to)
+            self.jumped = False
+            return
+        if to != self.at:
+            self._travel(line, to)
+        self.jumped = False
+        if act is Act.END:
+            return
+        name = EVENTS[act]
+        self.events.append((len(self.rows), name, line))
+        if name == "colour" and self.stitches:
+            self.block += 1
+
+    def _stitch(self, line: int, to: tuple[float, float]) -> None:
+        way = max(abs(a - b) for a, b in zip(to, self.at, strict=True))
+        if self.stitches and not self.jumped and way > self.longest_m:
+            raise JobError(
+                f"a stitch of {way * 1e3:.4g} mm, the longest move of the machine is "
+                f"{self.longest_m * 1e3:.4g} mm",
+                place=Place(self.file, line),
+                remedy="Split it, or make it a jump: jumps are travelled with the needle up.",
+            )
+        if way > 0.0 and (not self.stitches or way > self.longest_m):
+            self._travel(line, to)
+        elif way == 0.0 and self.stitches:
+            self.still += 1
+        self.stitches += 1
+        self.targets.append(to)
+        self.rows.append((line, self.stitches, self.block))
+        self.at = to
+
+    def _travel(self, line: int, to: tuple[float, float]) -> None:
+        self.targets.append(to)
+        self.rows.append((line, 0, self.block))
+        self.at = to
+
+    def operations(self) -> Iterator[Operation | MoveRun]:
+        """Return moves in runs, events between them, and the end."""
+        first = 0
+        for before, name, line in self.events:
+            yield from self._runs(first, before)
+            yield ToolEvent(name, 0.0, Source(self.file, line))
+            first = before
+        yield from self._runs(first, len(self.rows))
+        yield Stop(final=True, source=Source(self.file, self.rows[-1][0]))
+
+    def _runs(self, first: int, end: int) -> Iterator[MoveRun]:
+        for begin in range(first, end, _LONGEST_RUN):
+            part = slice(begin, min(begin + _LONGEST_RUN, end))
+            rows = np.array(self.rows[part], dtype=np.int64)
+            yield MoveRun(
+                targets=np.array(self.targets[part], dtype=np.float64),
+                line=rows[:, 0],
+                feeds=((0, None),),
+                file=self.file,
+                passes=(),
+                columns={"stitch": rows[:, 1], "block": rows[:, 2]},
+            )
+
+    def warnings(self) -> tuple[str, ...]:
+        """Say what deserves a second look."""
+        if not self.still:
+            return ()
+        return (f"{self.file}: {self.still} stitches lead nowhere: the needle enters twice there",)

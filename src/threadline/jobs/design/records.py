@@ -1,0 +1,141 @@
+"""The records of a design file, whatever its format: where to, and what is done there."""
+
+from __future__ import annotations
+
+import importlib
+import io
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import JobError, Place
+from threadline.opening import open_binary
+
+_READERS = {
+    ".dst": "DstReader",
+    ".exp": "ExpReader",
+    ".pes": "PesReader",
+    ".jef": "JefReader",
+    ".vp3": "Vp3Reader",
+    ".hus": "HusReader",
+    ".xxx": "XxxReader",
+    ".u01": "U01Reader",
+}
+"""Readers of pystitch, by the ending of the file."""
+SUFFIXES = tuple(_READERS)
+UNIT_M = 1e-4
+"""Of these formats: 0.1 mm."""
+MAX_BYTES = 64 * 1024 * 1024
+_DST_HEADER, _DST_RECORD = 512, 3
+
+
+class Act(IntEnum):
+    """What a record does once its place is reached; the numbers are pystitch's."""
+
+    STITCH = 0
+    JUMP = 1
+    TRIM = 2
+    STOP = 3
+    END = 4
+    COLOUR = 5
+    NEEDLE = 9
+    SLOW = 0xB
+    FAST = 0xC
+
+
+_KNOWN = tuple(Act)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Records:
+    """What a file says; n records.
+
+    Parameters
+    ----------
+    position_m
+        (n, 2) X to the right and Y up, m, from where the frame stands at first.
+    act
+        (n,) an ``Act`` each.
+    content
+        The bytes that were read.
+    """
+
+    position_m: FloatArray
+    act: IntArray
+    content: bytes
+
+
+def read_records(path: Path) -> Records:
+    """Return the records of a design.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, is cut off, or is not of the format that its name ends in.
+    """
+    place = Place(str(path))
+    with open_binary(path) as stream:
+        content = b"" if path.is_dir() else stream.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise JobError(
+            f"the design has more than {MAX_BYTES} bytes", place=place, remedy="Is it a design?"
+        )
+    suffix = path.suffix.lower()
+    if suffix == ".dst":
+        _check_dst(content, place)
+    stitches = _decoded(content, suffix, place)
+    table = np.array(stitches, dtype=np.float64).reshape(len(stitches), 3)
+    if not np.isfinite(table).all():
+        raise _not_of_its_format(suffix, "a place that is no number", place)
+    act = table[:, 2].astype(np.int64) & 0xFF
+    foreign = np.flatnonzero(~np.isin(act, _KNOWN))
+    if len(foreign):
+        first = int(foreign[0])
+        raise JobError(
+            f"record {first + 1} asks for something that no frame of ours does (code "
+            f"{int(act[first])})",
+            place=Place(str(path), first + 1),
+            remedy="Export the design without sequins and other attachments.",
+        )
+    # Their Y points down.
+    position = table[:, :2] * np.array([UNIT_M, -UNIT_M]) + 0.0
+    return Records(position_m=position, act=act, content=content)
+
+
+def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
+    """Return x, y and code of every record, as pystitch reads them."""
+    from pystitch import EmbPattern
+
+    pattern = EmbPattern()
+    reader = importlib.import_module(f"pystitch.{_READERS[suffix]}")
+    try:
+        reader.read(io.BytesIO(content), pattern)
+    except Exception as error:
+        # It raises whatever its arithmetic meets in a damaged file.
+        raise _not_of_its_format(suffix, f"{type(error).__name__} in its reader", place) from error
+    stitches: list[list[float]] = pattern.stitches
+    return stitches
+
+
+def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
+    return JobError(
+        f"the file cannot be read as {suffix[1:].upper()}: {why}",
+        place=place,
+        remedy="It is damaged, or its name has the ending of another format; export it again.",
+    )
+
+
+def _check_dst(content: bytes, place: Place) -> None:
+    """Refuse a DST that is cut off: it has no mark of its end."""
+    records = content[_DST_HEADER:]
+    marks = np.frombuffer(records[: len(records) // _DST_RECORD * _DST_RECORD], dtype=np.uint8)
+    if not (marks[2::_DST_RECORD] & 0xF3 == 0xF3).any():
+        raise JobError(
+            f"the file ends after {len(records) // _DST_RECORD} records without the mark of its "
+            "end",
+            place=place,
+            remedy="It is cut off, or no DST file; export it again.",
+        )

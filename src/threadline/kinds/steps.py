@@ -1,0 +1,111 @@
+"""Work in stitches: a frame moves by step tables between the strokes of its needles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.errors import OptionError
+from threadline.jobs.operations import FeedMode, Job
+from threadline.kinds.kind import Kind
+from threadline.laws import law
+from threadline.machine import Machine
+from threadline.machine.vary import vary
+from threadline.options import Options, describe
+from threadline.path.plan import BY_LAW
+from threadline.plan import Plan, Stitched
+from threadline.signals import Commands, Recording, StepPlay, played
+from threadline.targets.stitched import stitch
+from threadline.targets.write import STEP_TARGETS
+from threadline.twin.stitching import driven_of, simulate_stitching
+from threadline.verdict import Spec
+
+
+def _check(machine: Machine) -> None:
+    """Refuse a frame that no servo moves by steps, or that is not linear."""
+    driven_of(machine)
+
+
+def _check_options(machine: Machine, options: Options) -> None:
+    of_law = options.interpolation.startswith(BY_LAW)
+    kept = replace(
+        Options(),
+        interpolation=options.interpolation if of_law else Options().interpolation,
+        feed=options.feed,
+        tolerance_m=options.tolerance_m,
+    )
+    if options != kept:
+        raise OptionError(
+            f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
+            "feed-forward to choose",
+            remedy='Choose the law, the speed and the tolerance: --law cycloidal --feed "100 '
+            'stitch/min" --tolerance "0.05 mm".',
+        )
+    if options.feed is not None and options.feed.mode is not FeedMode.SHAFT:
+        raise OptionError(
+            f"the speed of {machine.name} is that of its shaft, in stitches",
+            remedy='Write it like --feed "120 stitch/min".',
+        )
+
+
+def _plan(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan the turns: at one speed where it is given, else each as slow as it needs."""
+    assert machine.tables is not None
+    named = options.timing.law or machine.tables.law
+    stitched = stitch(
+        job,
+        machine,
+        law(named),
+        options.tolerance_m,
+        None if options.feed is None else 1.0 / options.feed.value,
+    )
+    return Plan(
+        job=job,
+        machine=machine,
+        commands=stitched.commands,
+        intent=stitched,
+        options=describe(job, machine, options),
+    )
+
+
+def _simulate(commands: Commands, machine: Machine) -> Recording:
+    return simulate_stitching(played(commands), machine)
+
+
+def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+    """Simulate with damping of bodies and links within +-30 %: nothing else varies from day to day.
+
+    The steps of a servo are exact, whatever its supply.
+    """
+    other = vary(machine, damping=random.uniform(0.7, 1.3))
+    return simulate_stitching(played(commands), other)
+
+
+def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+    """Return what is asked: options ask for nothing more."""
+    return spec
+
+
+def _release(plan: Plan) -> None:
+    """Refuse nothing: tables that cannot be played are not planned at all."""
+
+
+STEPS = Kind(
+    name="steps",
+    commands=StepPlay,
+    intent=Stitched,
+    check=_check,
+    check_options=_check_options,
+    plan=_plan,
+    simulate=_simulate,
+    another_day=_another_day,
+    asked=_asked,
+    release=_release,
+    compared={
+        "interpolation": (
+            "law:modified-sine", "law:cycloidal", "law:simple-harmonic", "law:4-5-6-7",
+        )
+    },
+    targets=STEP_TARGETS,
+)  # fmt: skip

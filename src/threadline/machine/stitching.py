@@ -1,0 +1,96 @@
+"""Parts of a machine that moves a frame between strokes of its needles: main shaft and tables.
+
+Each turn of the shaft has a window in which the frame moves, in steps that a controller plays from
+tables; then the needles enter the cloth and leave it.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import pi
+from typing import Annotated
+
+from pydantic import model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT, PositiveTime
+from threadline.machine.quantity import Quantity, Units
+
+Angle = Annotated[Quantity, Units(("rad",), positive=True, most=2.0 * pi)]
+Length = Annotated[Quantity, Units(("m",), positive=True)]
+_FINEST = 360_000
+"""Parts of a turn that an angle is given in: a thousandth of a degree."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Shaft:
+    """The main shaft: one stitch in each turn.
+
+    Its angle counts from where the frame begins to move; it may move until ``window``. The needle
+    is in the cloth from ``needle_enters`` to ``needle_leaves``. ``turn`` is the time of a turn at
+    the highest speed, ``slowest_turn`` at the lowest. Without an ``acceleration`` the shaft cannot
+    change its speed while it sews.
+    """
+
+    turn: PositiveTime
+    slowest_turn: PositiveTime
+    window: Angle
+    needle_enters: Angle
+    needle_leaves: Angle
+    acceleration: Annotated[Quantity, Units(("rad/s^2",), positive=True)] | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Shaft:
+        if not self.window.si <= self.needle_enters.si < self.needle_leaves.si:
+            raise ValueError(
+                "the needle enters at the end of the window or later, and leaves after that: "
+                "window <= needle_enters < needle_leaves"
+            )
+        if self.window_share >= 1:
+            raise ValueError("the window must end before the turn does")
+        if self.slowest_turn.si < self.turn.si:
+            raise ValueError(
+                f"slowest_turn, {self.slowest_turn.si:g} s, is shorter than turn, "
+                f"{self.turn.si:g} s"
+            )
+        return self
+
+    @property
+    def window_share(self) -> Fraction:
+        """Part of a turn in which the frame may move, to a thousandth of a degree."""
+        return Fraction(round(self.window.si / (2.0 * pi) * _FINEST), _FINEST)
+
+    @property
+    def turn_s(self) -> Fraction:
+        """Shortest turn, exactly."""
+        assert self.turn.exact_s is not None
+        return self.turn.exact_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Tables:
+    """The controller's tables of step intervals, one for each length from ``unit`` to ``longest``.
+
+    Their intervals are whole periods of ``clock``. Before each move it loads a table for every
+    axis that moves, each in ``fetch``, and it gives no more than ``step_rate`` steps in a second.
+    ``law`` names the motion law that tables are cut from unless told otherwise.
+    """
+
+    clock: str
+    unit: Length
+    longest: Length
+    fetch: PositiveTime
+    step_rate: Annotated[Quantity, Units(("Hz",), positive=True)]
+    law: str
+
+    @model_validator(mode="after")
+    def _whole(self) -> Tables:
+        units = self.longest.si / self.unit.si
+        if abs(units - round(units)) > 1e-6 * units or not 1 <= round(units) <= 100_000:
+            raise ValueError(f"longest is {units:.6g} units: it must be a whole number of them")
+        return self
+
+    @property
+    def longest_units(self) -> int:
+        """Units of the longest move."""
+        return round(self.longest.si / self.unit.si)

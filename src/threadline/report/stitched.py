@@ -1,0 +1,148 @@
+"""The report of a proof of stitches: the design by its margins, its moves, its speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from threadline.pipeline import Proof
+from threadline.plan import Plan
+from threadline.report.document import (
+    Document,
+    Printed,
+    Table,
+    options_facts,
+    origin_facts,
+)
+from threadline.report.publish import write_document
+from threadline.report.stitched_figures import (
+    design_figure,
+    moves_figure,
+    pace_figure,
+    speeds_figure,
+)
+from threadline.report.style import figure_style
+from threadline.search import Comparison
+from threadline.verdict import closing, verdict_rows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_CAPTIONS = {
+    "design": "The design as it is sewn. The more of the limit a stitch uses, the thicker and the "
+    "darker it is; crosses mark stitches out of spec, dotted lines travel with the needle up.",
+    "moves": "How many moves there are of each length, the longer of both axes; how long the "
+    "frame swings decides how slowly the longest are made.",
+    "pace": "Speed of the shaft at each stitch, and the time until then, beside the one speed "
+    "that the slowest stitch alone would need.",
+}
+_LEFT_OUT = ("feed-mode", "limits", "interpolation")
+"""Options that mean nothing to a frame, or that its law says better."""
+
+
+def write_stitched(proof: Proof, folder: Path) -> Path:
+    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    plan = proof.plan
+    header, rows = verdict_rows(proof.verdict)
+    with figure_style():
+        figures = {
+            "design": design_figure(proof),
+            "moves": moves_figure(plan),
+            "pace": pace_figure(plan),
+        }
+        document = Document(
+            title=f"{plan.job.name} on {plan.machine.name}",
+            subtitle=f"{plan.machine.title}; {plan.planned_with}",
+            verdicts=[(closing(proof.verdict), proof.verdict.passed)],
+            warnings=(*plan.job.warnings, *plan.stitched.warnings),
+            tables=[
+                Table(title="Criteria", header=header, rows=rows),
+                Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
+            ],
+            figures=figures,
+            captions=_CAPTIONS,
+            facts=_facts(proof),
+        )
+        return write_document(document, folder, "report")
+
+
+def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
+    """Write the report of a comparison of laws or speeds; ``tables`` as they were printed."""
+    first = found.proofs[0].plan
+    good = all(proof.verdict.passed for proof in found.proofs)
+    with figure_style():
+        figures: dict[str, Figure] = {"speeds": speeds_figure([p.plan for p in found.proofs])}
+        captions = {"speeds": "Speed of the shaft along the design, case by case."}
+        for number, proof in enumerate(found.proofs, start=1):
+            figures[f"design-{number}"] = design_figure(proof)
+            captions[f"design-{number}"] = f"{proof.plan.planned_with}. {_CAPTIONS['design']}"
+        document = Document(
+            title=f"{first.job.name} on {first.machine.name}: comparison",
+            subtitle=first.machine.title,
+            verdicts=[("every case in spec" if good else "not every case is in spec", good)],
+            tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
+            figures=figures,
+            captions=captions,
+            facts=[
+                *_facts(found.proofs[0]),
+                *(
+                    (f"case {n}", proof.plan.planned_with)
+                    for n, proof in enumerate(found.proofs, start=1)
+                ),
+            ],
+        )
+        return write_document(document, folder, "comparison")
+
+
+def about_stitched(proof: Proof) -> list[str]:
+    """Return the lines that stand below the verdict: what is sewn, and how long it takes."""
+    return [f"{name}:".ljust(22) + words for name, words in stitch_rows(proof.plan)]
+
+
+def stitch_rows(plan: Plan) -> list[list[str]]:
+    """Return what there is to say of the stitches of a plan: what, in words."""
+    stitched = plan.stitched
+    told = stitched.told(plan.options)["stitches"]
+    rows = [
+        [
+            "Stitches",
+            f"{told['count']}, with {told['frame_moves']} moves of the frame, the longest "
+            f"{told['longest_move_m'] * 1e3:.4g} mm on an axis; {told['turns']} turns, "
+            f"{told['steps']:.4g} steps",
+        ],
+        ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
+    ]
+    if not stitched.constant:
+        rows.append(
+            [
+                "At one speed",
+                f"{stitched.slowest_s:.4g} s, as slowly as the slowest stitch needs",
+            ]
+        )
+        rows.append(
+            [
+                "Without inertia",
+                f"{stitched.alone_s:.4g} s, each stitch alone, on a spindle of any acceleration: "
+                "what earlier stitches leave swinging is not in it",
+            ]
+        )
+    return rows
+
+
+def _facts(proof: Proof) -> list[tuple[str, str]]:
+    plan = proof.plan
+    commands = plan.stitched.commands
+    return [
+        *origin_facts(plan.machine, plan.job),
+        ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        ("tables", f"{len(commands.library)}, counted by {commands.counted_by}"),
+        ("law", plan.stitched.law.name),
+        *options_facts(plan.options, plan.machine, _LEFT_OUT),
+    ]

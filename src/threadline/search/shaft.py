@@ -1,0 +1,141 @@
+"""The fastest way to sew a design in spec: at one speed of the shaft, and with a speed per stitch.
+
+What earlier stitches leave swinging may help or hurt, so that passing is not monotone in speed: the
+speeds are scanned as feeds are. A schedule is made for a tolerance of the swing; the largest with
+which its verdict passes gives the fastest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.machine import Machine
+from threadline.options import Options
+from threadline.pipeline import Progress, Proof, check_machine, plan_job, prove_plan
+from threadline.search.fastest import Fastest, find_fastest
+from threadline.verdict import Spec, Verdict
+
+_POINTS, _NEAR = 24, 3
+_EDGE = 5e-3
+_RANGE = (0.5, 1.5)
+"""Of the limit of the residual: tolerances between which a schedule is searched."""
+_HALVINGS = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FastestShaft:
+    """What was found.
+
+    Parameters
+    ----------
+    constant
+        Speeds of the shaft in spec, stitches a second.
+    schedule
+        The fastest with a speed for each stitch; None where the spindle cannot change its speed,
+        or none is in spec.
+    tolerance_m
+        What that was planned with.
+    duration_s
+        The shorter time of the two; None where nothing is in spec.
+    limited_by
+        What limits the constant speed.
+    verdict
+        Of the faster one.
+    """
+
+    constant: Fastest
+    schedule: Proof | None
+    tolerance_m: float
+    duration_s: float | None
+    constant_s: float | None
+    verdict: Verdict
+
+    @property
+    def limited_by(self) -> str:
+        """What limits the constant speed."""
+        return self.constant.limited_by
+
+
+def fastest_shaft(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    progress: Progress | None = None,
+    actual: Machine | None = None,
+) -> FastestShaft:
+    """Search the speeds of the shaft, and the schedule of speeds.
+
+    Parameters
+    ----------
+    low, high
+        Constant speeds to search between, stitches a second; those of the machine unless given.
+    actual
+        The machine that sews, where it isn't the one that plans are made for.
+    """
+    check_machine(machine)
+    assert machine.shaft is not None
+
+    def at_speed(speed_hz: float) -> Options:
+        return replace(options, feed=Feed(FeedMode.SHAFT, speed_hz))
+
+    def judged(speed_hz: float) -> Verdict:
+        return prove_plan(plan_job(job, machine, at_speed(speed_hz)), spec, actual=actual).verdict
+
+    constant = find_fastest(
+        judged,
+        1.0 / machine.shaft.slowest_turn.si if low is None else low,
+        1.0 / float(machine.shaft.turn_s) if high is None else high,
+        points=_POINTS,
+        near=_NEAR,
+        edge_relative=_EDGE,
+        progress=progress,
+    )
+    constant_s = None
+    if constant.best is not None:
+        constant_s = plan_job(job, machine, at_speed(constant.best)).duration_s
+    schedule = None
+    if machine.shaft.acceleration is not None:
+        schedule = _schedule(job, machine, spec, options, actual)
+    times = [constant_s, None if schedule is None else schedule.plan.duration_s]
+    best = min((t for t in times if t is not None), default=None)
+    by_schedule = schedule is not None and best == schedule.plan.duration_s
+    return FastestShaft(
+        constant=constant,
+        schedule=schedule,
+        tolerance_m=options.tolerance_m
+        if schedule is None
+        else schedule.plan.stitched.pace.tolerance_m,
+        duration_s=best,
+        constant_s=constant_s,
+        verdict=schedule.verdict if by_schedule and schedule is not None else constant.verdict,
+    )
+
+
+def _schedule(
+    job: Job, machine: Machine, spec: Spec, options: Options, actual: Machine | None
+) -> Proof | None:
+    """Return the fastest schedule in spec, by the tolerance that it is planned with."""
+    limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
+    limit = min(limits, default=options.tolerance_m)
+
+    def proof_at(share: float) -> Proof:
+        chosen = replace(options, tolerance_m=float(f"{share * limit:.4g}"))
+        return prove_plan(plan_job(job, machine, chosen), spec, actual=actual)
+
+    low, high = _RANGE
+    best = proof_at(low)
+    if not best.verdict.passed:
+        return None
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        proof = proof_at(middle)
+        if proof.verdict.passed:
+            low, best = middle, proof
+        else:
+            high = middle
+    return best

@@ -1,0 +1,167 @@
+"""Step tables and stitches as a set of files: binary and CSV, and a manifest with their hashes.
+
+``docs/files.md`` describes them byte by byte, so that another program can read them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline import __version__
+from threadline.arrays import FloatArray
+from threadline.signals import StepPlay
+from threadline.signals.files.common import Written, atomic_file, written
+from threadline.targets.step_tables import shortest_s, steps_residual_m
+from threadline.targets.stitched import Stitched
+
+FORMAT = "threadline step tables 1"
+TABLES_MAGIC, STITCHES_MAGIC = b"TLSTEPT1", b"TLSTEPS1"
+
+
+def write_steps(stitched: Stitched, path: Path) -> list[Written]:
+    """Write tables and stitches; return the manifest at ``path`` and the files beside it.
+
+    They are named after the manifest: ``NAME.tables.bin``, ``NAME.tables.csv``,
+    ``NAME.stitches.bin``, ``NAME.stitches.csv`` and ``NAME.events.csv``.
+
+    Raises
+    ------
+    RecordingError
+        If a file cannot be written.
+    """
+    commands = stitched.commands
+    stem = path.with_suffix("") if path.suffix else path
+    told = _told(stitched)
+    content = {
+        ".tables.bin": _tables_bytes(commands),
+        ".tables.csv": _tables_text(commands, told),
+        ".stitches.bin": _stitches_bytes(commands),
+        ".stitches.csv": _stitches_text(commands),
+        ".events.csv": _events_text(stitched),
+    }
+    files = []
+    for ending, parts in content.items():
+        beside = stem.with_name(stem.name + ending)
+        with atomic_file(beside) as file:
+            for part in parts:
+                file.write(part)
+        files.append(written(beside))
+    with atomic_file(path) as file:
+        file.write(json.dumps(_manifest(stitched, files), indent=1, sort_keys=True).encode())
+        file.write(b"\n")
+    return [written(path), *files]
+
+
+def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:
+    commands = stitched.commands
+    period_s = commands.clock.period_s
+    return {
+        "format": FORMAT,
+        "threadline": __version__,
+        "job": stitched.job.name,
+        "job_sha256": commands.job_sha256,
+        "machine": stitched.machine.name,
+        "machine_sha256": commands.machine_sha256,
+        "law": stitched.law.name,
+        "counted_by": commands.counted_by,
+        "timer_s": f"{period_s.numerator}/{period_s.denominator}",
+        "angles_per_turn": commands.steps_per_turn,
+        "angles_of_window": commands.window_angle,
+        "axes": list(commands.axes),
+        "steps_per_m": commands.steps_per_unit.tolist(),
+        "start_steps": commands.start_steps.tolist(),
+        "tables": len(commands.library),
+        "turns": commands.stitch_count(),
+        "duration_ticks": commands.duration_ticks,
+        "rows_sha256": commands.rows_sha256(),
+        "files": {file.path.name: file.sha256 for file in files},
+    }
+
+
+def _told(stitched: Stitched) -> FloatArray:
+    """Return (tables, A) amplitudes that the steps of each table leave in the slowest mode, m."""
+    commands, pace = stitched.commands, stitched.pace
+    period_s = commands.clock.period_s
+    window_s = commands.window_angle * period_s
+    columns = []
+    for modes, scale in zip(pace.modes.values(), commands.steps_per_unit.tolist(), strict=True):
+        columns.append(
+            [
+                max(
+                    (steps_residual_m(t, period_s, window_s, 1.0 / scale, m) for m in modes[:1]),
+                    default=0.0,
+                )
+                for t in commands.library
+            ]
+        )
+    return np.array(columns).T
+
+
+def _tables_bytes(commands: StepPlay) -> Iterator[bytes]:
+    yield TABLES_MAGIC + np.array([len(commands.library)], dtype="<u4").tobytes()
+    for table in commands.library:
+        yield np.array([table.units, len(table)], dtype="<u4").tobytes()
+        yield table.intervals.astype("<u4").tobytes()
+
+
+def _tables_text(commands: StepPlay, residual_m: FloatArray) -> Iterator[bytes]:
+    period_s = commands.clock.period_s if commands.counted_by == "time" else Fraction(0)
+    names = ",".join(f"residual_{axis}_mm" for axis in commands.axes)
+    yield f"units,steps,sum,shortest,shortest_us,{names},intervals\n".encode()
+    for table, left in zip(commands.library, residual_m.tolist(), strict=True):
+        intervals = " ".join(map(str, table.intervals.tolist()))
+        short = f"{shortest_s(table, period_s) * 1e6:.4f}" if period_s else ""
+        rest = ",".join(f"{value * 1e3:.6f}" for value in left)
+        yield (
+            f"{table.units},{len(table)},{table.intervals.sum()},{table.intervals.min()},{short},"
+            f"{rest},{intervals}\n"
+        ).encode()
+
+
+def _columns(commands: StepPlay) -> list[tuple[str, str]]:
+    """Return name and type of the columns of a turn."""
+    axes = [
+        column
+        for axis in commands.axes
+        for column in ((f"table_{axis}", "<i4"), (f"sign_{axis}", "<i4"))
+    ]
+    head = [("begin", "<i8"), ("window", "<i8"), ("start", "<i4"), ("needle", "<i4")]
+    return [*head, *axes, ("operation", "<i8")]
+
+
+def _turns(commands: StepPlay) -> Iterator[np.ndarray[Any, np.dtype[np.void]]]:
+    kind = np.dtype(_columns(commands))
+    for block in commands:
+        rows = np.empty(len(block), dtype=kind)
+        for name in ("begin", "window", "start", "needle", "operation"):
+            rows[name] = getattr(block, name)
+        for k, axis in enumerate(commands.axes):
+            rows[f"table_{axis}"], rows[f"sign_{axis}"] = block.table[:, k], block.sign[:, k]
+        yield rows
+
+
+def _stitches_bytes(commands: StepPlay) -> Iterator[bytes]:
+    yield STITCHES_MAGIC + np.array([commands.stitch_count()], dtype="<u4").tobytes()
+    for rows in _turns(commands):
+        yield rows.tobytes()
+
+
+def _stitches_text(commands: StepPlay) -> Iterator[bytes]:
+    yield ("turn," + ",".join(name for name, _ in _columns(commands)) + "\n").encode()
+    first = 0
+    for rows in _turns(commands):
+        lines = (f"{k}," + ",".join(map(str, row)) for k, row in enumerate(rows.tolist(), first))
+        yield ("\n".join(lines) + "\n").encode()
+        first += len(rows)
+
+
+def _events_text(stitched: Stitched) -> Iterator[bytes]:
+    yield b"turn,kind,name,operation\n"
+    for event in stitched.turns.events:
+        yield f"{event.tick},{event.kind},{event.name},{event.operation}\n".encode()

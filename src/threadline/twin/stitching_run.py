@@ -1,0 +1,140 @@
+"""The steps of a block of turns, from sample to sample: compiled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.signals import StepPlay, StitchBlock
+
+if TYPE_CHECKING:
+    from threadline.twin.stitching import Driven
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Library:
+    """Tables in a row.
+
+    Parameters
+    ----------
+    times
+        Counts from the start of the window to each step, table behind table.
+    begins
+        (k + 1,) where each table begins, and the end.
+    """
+
+    times: IntArray
+    begins: IntArray
+
+    @classmethod
+    def of(cls, commands: StepPlay) -> Library:
+        """Return the tables of ``commands``."""
+        lengths = [len(table) for table in commands.library]
+        return cls(
+            times=np.concatenate([table.times for table in commands.library]),
+            begins=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Played:
+    """Where a run stands, from block to block: state (m,) and steps given (A,); both change."""
+
+    state: FloatArray
+    steps: FloatArray
+
+    @classmethod
+    def at_rest(cls, states: int, axes: int) -> Played:
+        """Return the beginning."""
+        return cls(state=np.zeros(states), steps=np.zeros(axes))
+
+
+def play(
+    driven: Driven,
+    library: Library,
+    played: Played,
+    block: StitchBlock,
+    commands: StepPlay,
+    samples: tuple[int, int, int],
+) -> tuple[FloatArray, FloatArray]:
+    """Return (n, m) states and (n, A) steps given at each of the samples; ``played`` goes on.
+
+    Parameters
+    ----------
+    samples
+        Number of the first, how many, and ticks between two. Sample k is taken before what is due
+        at its instant.
+    """
+    first, count, every = samples
+    scale = np.ones(len(block))
+    if commands.counted_by == "angle":
+        scale = block.window / float(commands.window_angle)
+    states = np.empty((count, len(played.state)))
+    steps = np.empty((count, len(played.steps)))
+    _run(
+        driven.step, driven.held * driven.scale, driven.series * driven.scale, driven.parts,
+        library.times, library.begins, block.begin, scale, block.table, block.sign,
+        float(first * every), float(every), played.state, played.steps, states, steps,
+    )  # fmt: skip
+    return states, steps
+
+
+def _forward(
+    step: FloatArray, held: FloatArray, series: FloatArray, parts: int,
+    times: IntArray, begins: IntArray, begin: IntArray, scale: FloatArray,
+    table: IntArray, sign: IntArray,
+    from_tick: float, every: float, state: FloatArray, given: FloatArray,
+    states: FloatArray, steps: FloatArray,
+) -> None:  # fmt: skip
+    """Go through the samples; each axis has a place in the turns and in its table."""
+    terms, size, axes = series.shape
+    turn = np.zeros(axes, dtype=np.int64)
+    at = np.zeros(axes, dtype=np.int64)
+    sums = np.zeros((axes, terms))
+    fresh = np.zeros(size)
+    interval = every / parts
+    for k in range(len(states)):
+        states[k] = state
+        steps[k] = given
+        for part in range(parts):
+            end = from_tick + k * every + (part + 1) * interval
+            for i in range(size):
+                total = 0.0
+                for j in range(size):
+                    total += step[i, j] * state[j]
+                for a in range(axes):
+                    total += held[i, a] * given[a]
+                fresh[i] = total
+            for a in range(axes):
+                some = False
+                while turn[a] < len(begin):
+                    which = table[turn[a], a]
+                    if which < 0 or at[a] >= begins[which + 1] - begins[which]:
+                        turn[a] += 1
+                        at[a] = 0
+                        continue
+                    due = begin[turn[a]] + times[begins[which] + at[a]] * scale[turn[a]]
+                    if due >= end:
+                        break
+                    if not some:
+                        some = True
+                        sums[a] = 0.0
+                    left = (end - due) / interval
+                    power = float(sign[turn[a], a])
+                    given[a] += power
+                    for n in range(terms):
+                        power *= left
+                        sums[a, n] += power
+                    at[a] += 1
+                if some:
+                    for n in range(terms):
+                        for i in range(size):
+                            fresh[i] += series[n, i, a] * sums[a, n]
+            state[:] = fresh
+
+
+_run = njit(cache=True, nogil=True)(_forward)

@@ -1,0 +1,142 @@
+"""Measures of an embroidery machine: what its tables ask for, and where its stitches come to lie.
+
+Each tells the worst stitch by block and number, how many are out of its limit, and the speed of the
+shaft at which the worst would be in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.plan import Plan
+from threadline.targets.stitched import Stitched
+from threadline.verdict.measure import Finding
+from threadline.verdict.stitch_run import StitchRun
+
+_SLOWER = 1.02
+_SLOWEST = 200
+_WITHIN = 1.0 + 1e-9
+
+
+def measure_tables(plan: Plan) -> Mapping[str, Sequence[Finding]]:
+    """Return what the plan alone tells: use of the windows, steps, loading of tables, travel."""
+    stitched = plan.stitched
+    return {
+        "window_use": [_window_use(stitched)],
+        "step_rate": _step_rates(stitched),
+        "fetch_use": [_fetch_use(stitched)],
+        "travel": _travel(stitched),
+    }
+
+
+def _at(stitched: Stitched, turn: int, value: float, note: str = "", axis: str = "") -> Finding:
+    """Return a finding of a turn, with its name."""
+    turns = stitched.turns
+    named = stitched.turns.name(turn)
+    return Finding(
+        value=value,
+        axis=axis,
+        time_s=float(turns.begin[turn] * float(stitched.commands.clock.period_s)),
+        operation=int(turns.operation[turn]),
+        job_line=int(turns.line[turn]),
+        position=tuple(stitched.places_m[turn].tolist()),
+        note="; ".join(filter(None, (named, note))),
+    )
+
+
+def _window_use(stitched: Stitched) -> Finding:
+    """Return the largest share of its window that a move needs within the limits of the axes."""
+    windows = stitched.turns.window * float(stitched.commands.clock.period_s)
+    needed = stitched.pace.rigid_windows_s(stitched.turns.moves)
+    use = needed / windows
+    worst = int(np.argmax(use))
+    note = ""
+    if use[worst] > 1.0 + 1e-6:
+        note = f"{_out(use > _WITHIN)}; it can at {_speed(float(needed[worst]), stitched)}"
+    # A window is rounded to a period of the timer, and is not too short for that.
+    period_s = float(stitched.commands.clock.period_s)
+    return _at(stitched, worst, max(0.0, float(use[worst] - period_s / windows[worst])), note)
+
+
+def _step_rates(stitched: Stitched) -> list[Finding]:
+    """Return the highest rate of steps of each axis, Hz."""
+    commands, turns = stitched.commands, stitched.turns
+    shortest = np.array([t.intervals.min() for t in commands.library], dtype=np.float64)
+    tick_s = np.full(len(turns), float(commands.clock.period_s))
+    if commands.counted_by == "angle":
+        tick_s *= turns.window / commands.window_angle
+    found = []
+    for k, axis in enumerate(commands.axes):
+        table = np.abs(turns.moves.units[:, k]) - 1
+        rates = np.where(table >= 0, 1.0 / (shortest[np.maximum(table, 0)] * tick_s), 0.0)
+        worst = int(np.argmax(rates))
+        found.append(_at(stitched, worst, float(rates[worst]), axis=axis))
+    return found
+
+
+def _fetch_use(stitched: Stitched) -> Finding:
+    """Return the largest share of the time between two moves that loading tables takes."""
+    turns = stitched.turns
+    if len(turns) < 2:
+        return Finding(value=0.0, note="one turn: its tables are there before")
+    period_s = float(stitched.commands.clock.period_s)
+    free_s = (turns.begin[1:] - turns.begin[:-1] - turns.window[:-1]) * period_s
+    loads = np.count_nonzero(turns.moves.units[1:], axis=1) * stitched.pace.tables.fetch.si
+    use = loads / free_s
+    worst = int(np.argmax(use))
+    note = f"{loads[worst] * 1e3:.4g} of {free_s[worst] * 1e3:.4g} ms"
+    return _at(stitched, worst + 1, float(use[worst]), note)
+
+
+def _travel(stitched: Stitched) -> list[Finding]:
+    """Return by how much the frame leaves its travel on each axis, m."""
+    places = stitched.places_m
+    found = []
+    for k, axis in enumerate(stitched.axes):
+        low, high = stitched.machine.travel[k]
+        beyond = np.maximum(places[:, k] - high, low - places[:, k])
+        worst = int(np.argmax(beyond))
+        found.append(_at(stitched, worst, max(0.0, float(beyond[worst])), axis=axis))
+    return found
+
+
+def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Per axis: the largest distance of the frame from its place while the needle is in, m."""
+    sewn = run.sewn
+    return [
+        _worst(run, sewn.residual_m[:, k], sewn.time_s[:, k], axis)
+        for k, axis in enumerate(run.plan.axes)
+    ]
+
+
+def servo_force(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Per axis: the largest share of its servo's force."""
+    sewn = run.sewn
+    return [
+        _worst(run, sewn.force[:, k], sewn.force_s[:, k], axis)
+        for k, axis in enumerate(run.plan.axes)
+    ]
+
+
+def _worst(run: StitchRun, values: FloatArray, times: FloatArray, axis: str) -> Finding:
+    if np.isnan(values).all():
+        return Finding(value=None, axis=axis, note="no stitch was seen")
+    worst = int(np.nanargmax(values))
+    turn = int(run.turns[worst])
+    found = _at(run.stitched, turn, float(values[worst]), axis=axis)
+    return Finding(
+        value=found.value, axis=axis, time_s=float(times[worst]), operation=found.operation,
+        job_line=found.job_line, position=found.position, note=found.note,
+    )  # fmt: skip
+
+
+def _out(over: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> str:
+    return f"{int(over.sum())} of {len(over)} turns"
+
+
+def _speed(window_s: float, stitched: Stitched) -> str:
+    turn_s = window_s / stitched.pace.share
+    return f"{60.0 / turn_s:.4g} stitches a minute"

@@ -1,0 +1,152 @@
+"""Designs of every format become the moves of the frame: merged, with travel told apart."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pystitch
+import pytest
+from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
+
+from threadline.errors import JobError
+from threadline.jobs import Job, Move, Stop, ToolEvent, read_job
+from threadline.machine import load_machine
+
+MACHINE = load_machine("schiffli-frame")
+SAMPLES = SHARED_SAMPLES / "embroidery"
+STITCHES = [(0, 0), (30, 0), (30, 25), (-12, 40), (-50, 3)]  # 0.1 mm, Y up
+
+
+def exp(*records: tuple[int, int] | bytes) -> bytes:
+    """Return a design in EXP, of two bytes for each stitch: written from its description."""
+    return b"".join(r if isinstance(r, bytes) else struct.pack("bb", *r) for r in records)
+
+
+def jump(x: int, y: int) -> bytes:
+    return b"\x80\x04" + struct.pack("bb", x, y)
+
+
+COLOUR = b"\x80\x01\x00\x00"
+TRIM = b"\x80\x80\x07\x00"
+
+
+def read(tmp_path: Path, content: bytes, name: str = "a.exp") -> Job:
+    file = tmp_path / name
+    file.write_bytes(content)
+    return read_job(file, MACHINE)
+
+
+def moves(job: Job) -> Iterator[tuple[float, float, int, int]]:
+    """Yield x and y in 0.1 mm, number of the stitch and of its block."""
+    for item in job:
+        if isinstance(item, Move):
+            x, y = (round(value / 1e-4, 6) for value in item.target)
+            yield x, y, item.tags["stitch"], item.tags["block"]
+
+
+@pytest.mark.parametrize("suffix", ["dst", "exp", "pes", "jef", "vp3", "xxx", "u01"])
+def test_every_format_gives_the_same_places(suffix: str, tmp_path: Path) -> None:
+    """Written by another library's writer; formats centre or begin elsewhere, ways stay."""
+    pattern = pystitch.EmbPattern()
+    for x, y in STITCHES:
+        pattern.add_stitch_absolute(pystitch.STITCH, x, -y)
+    pattern.end()
+    file = tmp_path / f"a.{suffix}"
+    pystitch.write(pattern, str(file))
+    places = [(x, y) for x, y, number, _ in moves(read_job(file, MACHINE)) if number]
+    ways = [way for way in np.diff(places, axis=0).tolist() if way != [0.0, 0.0]]
+    assert ways == np.diff(STITCHES, axis=0).tolist()
+
+
+def test_jumps_before_a_stitch_are_one_move(tmp_path: Path) -> None:
+    """16.5 mm in two records is one stitch; one unit more is travel, and a stitch in place."""
+    begin = ((10, 0), (0, 0))  # to the first stitch: travel
+    longest = read(tmp_path, exp(*begin, jump(120, 0), (45, 0)))
+    assert list(moves(longest)) == [(10, 0, 0, 1), (10, 0, 1, 1), (10, 0, 2, 1), (175, 0, 3, 1)]
+    longer = read(tmp_path, exp(*begin, jump(120, 0), (46, 0)))
+    assert list(moves(longer))[3:] == [(176, 0, 0, 1), (176, 0, 3, 1)]
+
+
+def test_a_run_without_a_stitch_is_travel_and_events_keep_their_place(tmp_path: Path) -> None:
+    content = exp((0, 0), (5, 0), TRIM, jump(30, 7), COLOUR, jump(1, 1), (2, 2), jump(9, 9))
+    job = read(tmp_path, content)
+    assert list(moves(job)) == [
+        (0, 0, 1, 1), (5, 0, 2, 1), (35, 7, 0, 1), (38, 10, 3, 2), (47, 19, 0, 2),
+    ]  # fmt: skip
+    told = [item.name if isinstance(item, ToolEvent) else type(item) for item in job]
+    assert told == [Move, Move, "trim", Move, "colour", Move, Move, Stop]
+    assert [item.source.line for item in job] == [1, 2, 3, 5, 5, 7, 9, 9]
+
+
+def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
+    job = read(tmp_path, exp((5, 0), (0, 0), (0, 0), (1, 0)))
+    assert [number for *_, number, _ in moves(job)] == [0, 1, 2, 3, 4]
+    assert "2 stitches lead nowhere" in job.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.exp", b"", "no stitch in the design"),
+        ("a.exp", exp(jump(5, 5)), "no stitch in the design"),
+        ("a.dst", b"LA:x" + b"\x20" * 600, "without the mark of its end"),
+        ("a.dst", b"", "without the mark of its end"),
+        ("a.hus", b"\x5b\xaf\xc8\x00" * 3, "cannot be read as HUS"),
+        ("a.vp3", b"%vsm%", "cannot be read as VP3"),
+    ],
+)
+def test_what_is_no_design_is_refused_in_one_line(
+    name: str, content: bytes, said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(JobError, match=said) as refused:
+        read(tmp_path, content, name)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_stitch_of_half_a_metre_is_refused_by_its_record(tmp_path: Path) -> None:
+    """VP3 holds such a stitch in one record; as jumps it is travel."""
+    for contingency, name in (
+        (pystitch.CONTINGENCY_LONG_STITCH_NONE, "a.vp3"),
+        (pystitch.CONTINGENCY_LONG_STITCH_JUMP_NEEDLE, "b.dst"),
+    ):
+        pattern = pystitch.EmbPattern()
+        for x in (0, 10, 5010, 5020):
+            pattern.add_stitch_absolute(pystitch.STITCH, x, 0)
+        pattern.end()
+        pystitch.write(pattern, str(tmp_path / name), {"long_stitch_contingency": contingency})
+    with pytest.raises(JobError, match=r"a\.vp3:\d+: a stitch of 500 mm, the longest.*16\.5 mm"):
+        read_job(tmp_path / "a.vp3", MACHINE)
+    assert 0 in [number for *_, number, _ in moves(read_job(tmp_path / "b.dst", MACHINE))][1:]
+
+
+def test_a_machine_without_tables_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.exp").write_bytes(exp((1, 1)))
+    with pytest.raises(JobError, match="'lathe-winder' does not embroider"):
+        read_job(tmp_path / "a.exp", load_machine("lathe-winder"))
+
+
+def test_the_example_has_all_that_a_frame_does(examples: Path) -> None:
+    """Known from its maker: 184 moves, the longest 16.5 mm, a trim and a colour."""
+    job = read_job(examples / "rosette.dst", MACHINE)
+    sewn = [(x, y) for x, y, number, _ in moves(job) if number]
+    assert len(sewn) == 185
+    assert np.abs(np.diff(sewn, axis=0)).max() == 165
+    assert [i.name for i in job if isinstance(i, ToolEvent)] == ["trim", "colour"]
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
+@pytest.mark.parametrize(
+    ("name", "count", "longest"),
+    [("tree.dst", 614, 68), ("peace.dst", 773, 101), ("Star.DST", 2549, 35)],
+)
+def test_real_designs_have_as_many_moves_as_were_counted(
+    name: str, count: int, longest: int
+) -> None:
+    """Counted by hand from the records, for another study: moves behind the first stitch."""
+    sewn = [(x, y) for x, y, number, _ in moves(read_job(SAMPLES / name, MACHINE)) if number]
+    ways = np.abs(np.diff(sewn, axis=0)).max(axis=1)
+    assert len(ways) == count
+    assert ways.max() == longest

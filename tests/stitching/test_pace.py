@@ -1,0 +1,167 @@
+"""The speed of the shaft at each stitch: against a quick study, a brute-force sum, and the twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
+from threadline.errors import OptionError, PlanError
+from threadline.jobs import read_job
+from threadline.laws import law
+from threadline.machine import load_machine
+from threadline.options import Options, parse_feed
+from threadline.pipeline import open_job, plan_job, prove
+from threadline.shaping import FlexibleMode
+from threadline.shaping.law_residual import lasting_windows_s, residual_m, ringing
+from threadline.targets.stitch_pace import Moves, Pace
+from threadline.targets.stitched import stitch
+from threadline.verdict import load_spec
+
+MACHINE = load_machine("schiffli-frame")
+SAMPLES = SHARED_SAMPLES / "embroidery"
+SINE = law("modified-sine")
+
+
+def unlimited(tolerance_m: float = 5e-5) -> Pace:
+    return Pace(MACHINE, SINE, tolerance_m)
+
+
+def test_windows_of_all_lengths_are_those_of_each_alone() -> None:
+    """One scan against the search for one law and one length, which refines its crossings."""
+    mode = FlexibleMode(12.0, 0.02)
+    lengths = np.array([0.0, 3e-5, 1e-4, 6.8e-3, 1.65e-2])
+    found = lasting_windows_s(SINE, mode, lengths, 5e-5)
+    assert found[:2].tolist() == [0.0, 0.0]
+    for length, window in zip(lengths[2:], found[2:], strict=True):
+        alone = ringing(SINE, mode, length, 0.05, residual=5e-5).window_s
+        assert alone is not None
+        assert window == pytest.approx(alone, rel=2e-3)
+        longer = np.linspace(window, 1.0, 4001)
+        assert residual_m(SINE, mode, length, longer).max() <= 5e-5 * 1.001
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
+@pytest.mark.parametrize(
+    ("name", "schedule_s", "constant_s"),
+    [("tree.dst", 481, 685), ("peace.dst", 489, 900), ("Star.DST", 1661, 2199)],
+)
+def test_times_are_those_of_a_quick_study(name: str, schedule_s: float, constant_s: float) -> None:
+    """0.05 mm, a spindle without inertia, each stitch alone; within 3 %, as it rounded."""
+    pace = unlimited()
+    stitched = stitch(read_job(SAMPLES / name, MACHINE), MACHINE, SINE, 5e-5, None)
+    moves = stitched.turns.moves
+    with_thread = stitched.frame_moves == 1
+    moves = Moves(units=moves.units[with_thread], needle=moves.needle[with_thread])
+    turns = pace.needed_turns_s(moves)
+    assert turns.sum() == pytest.approx(schedule_s, rel=0.03)
+    assert turns.max() * len(turns) == pytest.approx(constant_s, rel=0.03)
+    # What that study left out: what one stitch leaves is there when the next needle enters.
+    assert pace.swings_m(moves, turns).max() > 1.5 * 5e-5
+    assert stitched.pace.swings_m(stitched.turns.moves, stitched.turns.turn_s).max() <= 5e-5
+
+
+def random_moves(count: int) -> Moves:
+    random = np.random.default_rng(8)
+    units = random.integers(-165, 166, (count, 2)) // random.integers(1, 40, (count, 1))
+    return Moves(units=units, needle=(random.uniform(size=count) < 0.9).astype(np.int64))
+
+
+def test_the_swing_of_many_moves_is_their_sum() -> None:
+    """Each move's own swing from its own end, summed as complex numbers in plain Python."""
+    moves = random_moves(40)
+    pace = unlimited()
+    turns = np.random.default_rng(1).uniform(0.4, 1.3, 40)
+    found = pace.swings_m(moves, turns)
+    speed = 1.0 / turns
+    w = 2 * np.pi * 12.0
+    pole = w * (0.02 + 1j * np.sqrt(1 - 0.02**2))
+    begin = np.zeros(41)
+    for k in range(40):
+        later = speed[min(k + 1, 39)]
+        begin[k + 1] = begin[k] + turns[k] / 3 + (2 / 3) / (0.5 * (speed[k] + later))
+    for k in range(40):
+        worst = 0.0
+        for axis in (0, 1):
+            total = 0j
+            for j in range(k + 1):
+                u = np.linspace(0.0, 1.0, 4001)
+                rise = moves.units[j, axis] * 1e-4 * SINE(u, 2) / (turns[j] / 3)
+                end = begin[j] + turns[j] / 3
+                left = begin[k] + turns[k] / 3 - end + (1.0 - u) * turns[j] / 3
+                total += np.trapezoid(rise * np.exp(-pole * left), u) / pole.imag
+            worst = max(worst, abs(total))
+        wanted = worst if moves.needle[k] else 0.0
+        assert found[k] == pytest.approx(wanted, rel=2e-3, abs=1e-8)
+
+
+def test_the_spindle_is_asked_for_no_more_than_it_can() -> None:
+    """The square of the speed over the angle between two windows; every turn as long as needed."""
+    moves = random_moves(500)
+    pace = unlimited(1e-4)
+    turns = pace.scheduled(moves)
+    speed = 2 * np.pi / turns
+    angle = 2 * np.pi * 2 / 3
+    assert np.abs(np.diff(speed**2) / (2 * angle)).max() <= 3.0 * (1 + 1e-9)
+    assert np.all(turns >= 0.36 * (1 - 1e-12))
+    assert pace.swings_m(moves, turns).max() <= 1e-4
+    assert np.all(turns / 3 >= pace.rigid_windows_s(moves) * (1 - 1e-12))
+
+
+def test_the_forecast_is_what_the_twin_does(examples: Path) -> None:
+    """The twin's servo lags and is sampled, so that it leaves a little less: 6 % at most."""
+    spec = load_spec(None, MACHINE)
+    proof = prove(examples / "rosette.dst", MACHINE, spec, Options())
+    assert proof.verdict.passed
+    measured = max(proof.verdict.result("stitch_residual", axis).measured for axis in "XY")
+    stitched = proof.plan.stitched
+    forecast = stitched.pace.swings_m(stitched.turns.moves, stitched.turns.turn_s).max()
+    assert forecast == pytest.approx(1e-4, rel=0.03)
+    assert 0.94 * forecast < measured <= forecast * 1.005
+
+
+def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:
+    """At the printed speed the frame swings ten times as far as it may; slowed it does not."""
+    options = Options()
+    spec = load_spec(None, MACHINE)
+    fast = replace(options, feed=parse_feed("166.666 stitch/min"))
+    at_once = prove(examples / "rosette.dst", MACHINE, spec, fast)
+    assert not at_once.verdict.passed
+    found = at_once.verdict.result("stitch_residual")
+    assert found.measured > 5e-4
+    assert "stitch" in found.note and found.job_line
+    slowed = prove(examples / "rosette.dst", MACHINE, spec, options)
+    assert slowed.verdict.passed
+    assert slowed.plan.duration_s < slowed.plan.stitched.slowest_s
+
+
+def test_a_shaft_that_cannot_vary_keeps_its_speed(examples: Path, tmp_path: Path) -> None:
+    file = tmp_path / "rigid.toml"
+    file.write_text(
+        'base = "schiffli-frame"\nname = "rigid"\n[shaft]\nacceleration = "none"\n', "utf-8"
+    )
+    machine = load_machine(file)
+    plan = plan_job(open_job(examples / "rosette.dst", machine, Options()), machine, Options())
+    assert plan.stitched.constant
+    assert set(plan.stitched.turns.turn_s.tolist()) == {0.36}
+    assert plan.commands.counted_by == "time"
+
+
+@pytest.mark.parametrize("feed", ["200 stitch/min", "9 stitch/min"])
+def test_a_speed_that_the_shaft_has_not_is_refused(feed: str, examples: Path) -> None:
+    options = replace(Options(), feed=parse_feed(feed))
+    with pytest.raises(PlanError, match=r"makes 10 to 166\.667"):
+        plan_job(open_job(examples / "rosette.dst", MACHINE, options), MACHINE, options)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"shaper": "zv:12Hz"}, {"interpolation": "linear"}, {"feed": parse_feed("10 mm/s")}],
+)
+def test_options_that_mean_nothing_are_refused(changed: dict, examples: Path) -> None:
+    options = replace(Options(), **changed)
+    with pytest.raises(OptionError, match="schiffli-frame"):
+        open_job(examples / "rosette.dst", MACHINE, options)
