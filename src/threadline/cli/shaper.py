@@ -12,13 +12,16 @@ from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import print_json, print_table, progress_bar, say, say_lines
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
+    BANDED,
     KINDS,
+    bands_of,
     curve_lines,
     designed,
     modes_of,
     price_content,
     price_table,
     suspicions,
+    tolerances_of,
 )
 from threadline.cli.told import warning
 from threadline.errors import OptionError
@@ -49,7 +52,7 @@ _SI_BAND = 0.2  # of the frequency to either side: what a machine's stiffness is
 class _Answer:
     shaper: Shaper
     modes: tuple[FlexibleMode, ...]
-    tolerance: float
+    tolerances: tuple[float, ...]
     realised: Realised | None
     widths: tuple[Insensitivity, ...]
     klipper: KlipperExport | None
@@ -59,7 +62,11 @@ class _Answer:
 
 def shaper(
     mode: Annotated[
-        list[str], typer.Option(help='Undamped frequency, "3.04 Hz"; again for each mode.')
+        list[str],
+        typer.Option(
+            help='Undamped frequency, "3.04 Hz"; with damping ratio, band and tolerance where '
+            'wanted: "3.04Hz:0.0089:20%:5%". Again for each mode.'
+        ),
     ],
     damping: Annotated[
         list[float] | None, typer.Option(help="Damping ratio: one for all modes, or one for each.")
@@ -116,20 +123,26 @@ def shaper(
     Example: threadline shaper --mode 3.04Hz --kind zv --move "200 mm" --acceleration "1 m/s^2"
     --tick "10 ms"
     """
-    modes = modes_of(mode, damping)
+    asked = modes_of(mode, damping)
+    modes = tuple(one.mode for one in asked)
     moving = move is not None or acceleration is not None
     if still is not None and not moving:
         raise OptionError(
             "--still is of a move", remedy="Add --move and --acceleration, or leave it out."
         )
-    if band is not None and not (moving or tick is not None or kind == "si"):
+    own_band = next((one.band for one in asked if one.band is not None), None)
+    said_band = band if own_band is None else own_band
+    if said_band is not None and not (moving or tick is not None or kind in BANDED):
         raise OptionError(
-            f"--band {band:g} says nothing of the kind {kind}",
-            remedy="Add --tick or --move, or choose --kind si.",
+            f"--band {said_band:g} says nothing of the kind {kind}"
+            if own_band is None
+            else f"the band of a --mode, {own_band:.0%}, says nothing of the kind {kind}",
+            remedy="Add --tick or --move, or choose --kind si or um-si.",
         )
-    if band is None:
-        band = _SI_BAND if kind == "si" else 0.0
-    made = designed(kind, modes, tolerance, band)
+    if band is None and kind in BANDED:
+        band = _SI_BAND
+    bands, tolerances = bands_of(asked, band), tolerances_of(asked, tolerance)
+    made = designed(kind, modes, tolerances, bands)
     realised = None
     tick_s = None if tick is None else parse_number("--tick", tick, "s", "10 ms")
     if tick_s is None:
@@ -147,7 +160,7 @@ def shaper(
             max_impulses=max_impulses,
             amplitudes_free=free,
         )
-        realised = realise(made, modes, limits, relative=band, tolerance=tolerance)
+        realised = realise(made, modes, limits, relative=bands, tolerance=tolerances)
         made = realised.shaper
     warnings = list(suspicions(modes))
     # A positive train amplifies nothing, anywhere.
@@ -161,7 +174,7 @@ def shaper(
             studied = study_move(
                 made_for,
                 made,
-                relative=band or 0.2,
+                relative=tuple(one or _SI_BAND for one in bands),
                 tolerance=_STILL if still is None else still,
                 tick_s=tick_s,
                 progress=progress,
@@ -169,9 +182,11 @@ def shaper(
     answer = _Answer(
         shaper=made,
         modes=modes,
-        tolerance=tolerance,
+        tolerances=tolerances,
         realised=realised,
-        widths=tuple(insensitivity(made, one, tolerance) for one in modes),
+        widths=tuple(
+            insensitivity(made, one, own) for one, own in zip(modes, tolerances, strict=True)
+        ),
         klipper=klipper_export(made, modes[0]) if klipper and len(modes) == 1 else None,
         warnings=tuple(warnings),
         study=studied,
@@ -184,7 +199,7 @@ def shaper(
     written = (
         None
         if report is None
-        else write_shaper(made, modes, tolerance, _tables(answer), warnings, report)
+        else write_shaper(made, modes, tolerances, _tables(answer), warnings, report)
     )
     if json:
         print_json(_content(answer, written))
@@ -193,7 +208,7 @@ def shaper(
         warning(said)
     for table in _tables(answer):
         print_table(table.title, table.header, table.rows)
-    for line in curve_lines(made, modes, tolerance):
+    for line in curve_lines(made, modes, tolerances):
         say(line)
     if answer.klipper is not None:
         say(answer.klipper.explanation)
@@ -217,7 +232,7 @@ def _tables(answer: _Answer) -> list[Table]:
             f"{m.damping_ratio:g}",
             f"{without_noise(vibration_of(train, m)) * 100:.3g} %",
             f"{width.low_hz:.4g} to {width.high_hz:.4g}",
-            f"{width.value:.4f}",
+            f"{width.value:.4f} at {width.tolerance * 100:g} %",
         ]
         for m, width in zip(answer.modes, answer.widths, strict=True)
     ]
@@ -228,12 +243,12 @@ def _tables(answer: _Answer) -> list[Table]:
             rows=impulses,
         ),
         Table(
-            title=f"Vibration, and where it stays within {answer.tolerance * 100:g} %",
+            title="Vibration, and where it stays within its tolerance",
             header=("mode Hz", "damping ratio", "vibration", "Hz", "insensitivity"),
             rows=modes,
         ),
         Table(title="Cost", header=("", ""), rows=_cost(answer)),
-        *([] if answer.realised is None else [price_table(answer.realised, answer.tolerance)]),
+        *([] if answer.realised is None else [price_table(answer.realised)]),
         *([] if answer.study is None else study_tables(answer.study)),
     ]
 
@@ -273,7 +288,7 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
         # Of several modes the worst counts; each is in "modes".
         "vibration": max(vibrations),
         "insensitivity": min(width.value for width in answer.widths),
-        "tolerance": answer.tolerance,
+        "tolerance": max(answer.tolerances),
         "modes": [
             {
                 "frequency_hz": m.frequency_hz,
@@ -282,6 +297,7 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
                 "insensitivity": width.value,
                 "low_hz": width.low_hz,
                 "high_hz": width.high_hz,
+                "tolerance": width.tolerance,
             }
             for m, v, width in zip(answer.modes, vibrations, answer.widths, strict=True)
         ],

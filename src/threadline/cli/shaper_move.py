@@ -53,10 +53,15 @@ def study_tables(study: MoveStudy) -> list[Table]:
         [name, f"{took:.6f}", f"{took / best:.3f}", f"{took / robust:.3f}", _percent(worst)]
         for name, took, worst in timed
     ]
-    band = f"+-{study.relative:.0%}"
+    bands = dict.fromkeys(f"+-{half:.0%}" for half in study.relative)
+    band = next(iter(bands)) if len(bands) == 1 else "its band"
+    asked = dict.fromkeys(
+        f"{most:.3g} of a step over +-{half:.0%}"
+        for most, half in zip(study.tolerance, study.relative, strict=True)
+    )
     title = (
         f"A move of {study.move.distance_m * 1e3:g} mm at {study.move.acceleration_m_s2:g} m/s2, "
-        f"at most {study.tolerance:.3g} of a step over {band}"
+        f"at most {' and '.join(asked)}"
     )
     tables = [
         Table(
@@ -113,8 +118,10 @@ def study_content(study: MoveStudy) -> dict[str, Any]:
     return {
         "distance_m": study.move.distance_m,
         "acceleration_m_s2": study.move.acceleration_m_s2,
-        "band": study.relative,
-        "still": study.tolerance,
+        "band": max(study.relative),
+        "still": max(study.tolerance),
+        "bands": list(study.relative),
+        "stills": list(study.tolerance),
         "time_optimal_s": study.optimal.duration_s,
         "time_optimal_switches_s": study.optimal.switches_s.tolist(),
         "robust_optimum_s": study.robust.duration_s,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,11 +23,13 @@ from threadline.shaping import (
     direct_unit_magnitude,
     parse_mode_hz,
     residual_vibration,
-    specified_insensitivity,
+    unit_magnitude_over_bands,
 )
 from threadline.units import without_noise
 
-KINDS = (*ShaperKind, "si", "direct", "um-direct")
+BANDED = ("si", "um-si")
+"""Made for bands of frequency, of all modes at once."""
+KINDS = (*ShaperKind, *BANDED, "direct", "um-direct")
 SUSPICIOUS_DAMPING = 0.1
 """Frames, belts and beams have damping ratios of some hundredths."""
 
@@ -33,31 +37,127 @@ _ROWS, _COLUMNS = 12, 61
 _SPAN = 0.5
 
 
-def modes_of(
-    frequencies: Sequence[str], damping: Sequence[float] | None
-) -> tuple[FlexibleMode, ...]:
-    """Return the modes that the options name.
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A mode as it was asked for; None is what counts for all of them.
+
+    Parameters
+    ----------
+    mode
+        Frequency and damping ratio.
+    band
+        Half width of its band of frequency, in (0, 1).
+    tolerance
+        Vibration that it may keep over the band.
+    """
+
+    mode: FlexibleMode
+    band: float | None = None
+    tolerance: float | None = None
+
+
+def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Asked, ...]:
+    """Return the modes that the options name, ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]`` each.
 
     Raises
     ------
     OptionError
-        If a frequency cannot be read, or there are neither one nor as many damping ratios.
+        If a part cannot be read or is out of range, there are neither one nor as many damping
+        ratios, or bands overlap.
     """
     ratios = list(damping or [0.0])
     if len(ratios) == 1:
-        ratios *= len(frequencies)
-    if len(ratios) != len(frequencies):
+        ratios *= len(texts)
+    if len(ratios) != len(texts):
         raise OptionError(
-            f"{len(frequencies)} modes have {len(ratios)} damping ratios",
+            f"{len(texts)} modes have {len(ratios)} damping ratios",
             remedy="Give --damping once, or once for each --mode.",
         )
-    return tuple(
-        FlexibleMode(parse_mode_hz(f), zeta) for f, zeta in zip(frequencies, ratios, strict=True)
+    found = tuple(
+        _asked(text, ratio, given=damping is not None)
+        for text, ratio in zip(texts, ratios, strict=True)
+    )
+    _refuse_overlaps(found)
+    return found
+
+
+def _asked(text: str, ratio: float, *, given: bool) -> Asked:
+    words = [word.strip() for word in text.split(":")]
+    if len(words) > 4 or not all(words):
+        raise OptionError(
+            f"--mode {text[:60]!r} cannot be read",
+            remedy='Write "3.04Hz", or "3.04Hz:0.0089:20%:5%": damping ratio, band, tolerance.',
+        )
+    if len(words) > 1:
+        if given:
+            raise OptionError(
+                f"--mode {text!r} and --damping both give a damping ratio",
+                remedy="Leave --damping out.",
+            )
+        ratio = _share(words[1], "the damping ratio", text)
+    return Asked(
+        FlexibleMode(parse_mode_hz(words[0]), ratio),
+        _within(words[2], "the band", text) if len(words) > 2 else None,
+        _within(words[3], "the tolerance", text) if len(words) > 3 else None,
     )
 
 
-def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: float) -> Shaper:
-    """Return the shaper: ``si``, ``direct``, ``um-direct`` for all modes at once, others convolved.
+def _share(word: str, what: str, text: str) -> float:
+    number, percent = word.removesuffix("%").strip(), word.endswith("%")
+    try:
+        return float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        raise OptionError(
+            f"--mode {text!r}: {what} {word!r} is no number", remedy='Write it like "20%" or 0.2.'
+        ) from None
+
+
+def _within(word: str, what: str, text: str) -> float:
+    value = _share(word, what, text)
+    if not 0.0 < value < 1.0:
+        raise OptionError(
+            f"--mode {text!r}: {what} must be between 0 and 100 %, got {word}",
+            remedy='Write it like "20%": that much to either side of the frequency.'
+            if what == "the band"
+            else 'Write it like "5%", of what one unit impulse leaves.',
+        )
+    return value
+
+
+def _refuse_overlaps(asked: Sequence[Asked]) -> None:
+    bands = sorted(
+        (a.mode.frequency_hz * (1.0 - a.band), a.mode.frequency_hz * (1.0 + a.band), a)
+        for a in asked
+        if a.band is not None
+    )
+    for (_, high, one), (low, _, other) in itertools.pairwise(bands):
+        if low < high:
+            raise OptionError(
+                f"the bands of the modes at {one.mode.frequency_hz:g} Hz and "
+                f"{other.mode.frequency_hz:g} Hz overlap from {low:.4g} to {high:.4g} Hz",
+                remedy="Narrow them, or give one mode with a band over both.",
+            )
+
+
+def bands_of(asked: Sequence[Asked], band: float | None) -> tuple[float, ...]:
+    """Return the half width of every mode's band: its own, else ``band``, else 0."""
+    return tuple((band or 0.0) if one.band is None else one.band for one in asked)
+
+
+def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
+    """Return the vibration that every mode may keep."""
+    return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
+
+
+def designed(
+    kind: str,
+    modes: Sequence[FlexibleMode],
+    tolerances: Sequence[float],
+    bands: Sequence[float],
+) -> Shaper:
+    """Return the shaper: ``si``, ``um-si``, ``direct`` and ``um-direct`` for all modes at once.
+
+    Others are convolved, mode by mode and kind by kind.
 
     Raises
     ------
@@ -65,12 +165,15 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
         If no such shaper can be designed.
     """
     check_apart(modes)
-    if kind == "si":
-        if band <= 0.0:
-            raise OptionError("--kind si needs the band of frequency", remedy="Add --band 0.2.")
-        if len(modes) == 1:
-            return specified_insensitivity(modes[0], band, tolerance)
-        return direct_shaper([Requirement(m, tolerance, band) for m in modes], name="si")
+    if kind in BANDED:
+        if min(bands) <= 0.0:
+            raise OptionError(
+                f"--kind {kind} needs the band of frequency", remedy="Add --band 0.2."
+            )
+        wanted = [Requirement(*one) for one in zip(modes, tolerances, bands, strict=True)]
+        if kind == "um-si":
+            return unit_magnitude_over_bands(wanted)
+        return direct_shaper(wanted, name="si")
     if kind == "direct":
         return direct_shaper([Requirement(m) for m in modes])
     if kind == "um-direct":
@@ -86,10 +189,16 @@ def designed(kind: str, modes: Sequence[FlexibleMode], tolerance: float, band: f
                 else f"shaper kind {one!r}{whole} is made for all modes at once and stands alone",
                 remedy=f"Kinds: {', '.join(ShaperKind if alone else KINDS)}.",
             )
-    return convolve(*(design(one, m, tolerance=tolerance) for m in modes for one in kinds))
+    return convolve(
+        *(
+            design(one, mode, tolerance=own)
+            for mode, own in zip(modes, tolerances, strict=True)
+            for one in kinds
+        )
+    )
 
 
-def price_table(made: Realised, tolerance: float) -> Table:
+def price_table(made: Realised) -> Table:
     """Return what the ticks of a controller cost over the band of every mode."""
     rows = []
     for over in made.bands:
@@ -99,10 +208,11 @@ def price_table(made: Realised, tolerance: float) -> Table:
             ("on these ticks", over.made, over.made_width),
         ):
             band = f"{over.low_hz:.4g} to {over.high_hz:.4g}"
-            rows.append([band, name, f"{without_noise(worst) * 100:.3g} %", f"{width:.4f}"])
+            within = f"{width:.4f} at {over.tolerance * 100:g} %"
+            rows.append([band, name, f"{without_noise(worst) * 100:.3g} %", within])
     return Table(
         title="Price of the controller over the band",
-        header=("Hz", "train", "vibration at worst", f"insensitivity at {tolerance * 100:g} %"),
+        header=("Hz", "train", "vibration at worst", "insensitivity"),
         rows=rows,
         note="The ticks are chosen for the least vibration over the band.",
     )
@@ -113,6 +223,7 @@ def price_content(made: Realised) -> list[dict[str, float]]:
     return [
         {
             "frequency_hz": over.mode.frequency_hz,
+            "tolerance": over.tolerance,
             "low_hz": over.low_hz,
             "high_hz": over.high_hz,
             "designed_worst": over.designed,
@@ -142,9 +253,11 @@ def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
         )
 
 
-def curve_lines(shaper: Shaper, modes: Sequence[FlexibleMode], tolerance: float) -> Iterator[str]:
-    """Yield the sensitivity curve of every mode as text, ``-`` being the tolerance."""
-    for m in modes:
+def curve_lines(
+    shaper: Shaper, modes: Sequence[FlexibleMode], tolerances: Sequence[float]
+) -> Iterator[str]:
+    """Yield the sensitivity curve of every mode as text, ``-`` being its tolerance."""
+    for m, tolerance in zip(modes, tolerances, strict=True):
         ratio = np.linspace(1.0 - _SPAN, 1.0 + _SPAN, _COLUMNS)
         v = residual_vibration(shaper, ratio * m.frequency_hz, m.damping_ratio)
         top = max(float(v.max()), 2.0 * tolerance)

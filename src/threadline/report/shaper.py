@@ -23,7 +23,7 @@ _POINTS = 601
 def write_shaper(
     shaper: Shaper,
     modes: Sequence[FlexibleMode],
-    tolerance: float,
+    tolerances: Sequence[float],
     tables: Sequence[Table],
     warnings: Sequence[str],
     folder: Path,
@@ -36,7 +36,7 @@ def write_shaper(
         If the folder cannot be written.
     """
     with figure_style():
-        figures = {"sensitivity": _sensitivity(shaper, modes, tolerance), "step": _step(shaper)}
+        figures = {"sensitivity": _sensitivity(shaper, modes, tolerances), "step": _step(shaper)}
         named = ", ".join(f"{m.frequency_hz:g} Hz at {m.damping_ratio:g}" for m in modes)
         document = Document(
             title=f"Shaper {shaper.name}",
@@ -59,7 +59,9 @@ def write_shaper(
         return write_document(document, folder, "shaper")
 
 
-def _sensitivity(shaper: Shaper, modes: Sequence[FlexibleMode], tolerance: float) -> Figure:
+def _sensitivity(
+    shaper: Shaper, modes: Sequence[FlexibleMode], tolerances: Sequence[float]
+) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.2))
@@ -73,7 +75,8 @@ def _sensitivity(shaper: Shaper, modes: Sequence[FlexibleMode], tolerance: float
         curve = {**ACTUAL, "linestyle": dashes[i % len(dashes)], "color": str(0.18 * min(i, 3))}
         label = f"damping ratio {damping:g}"
         axes.plot(f, residual_vibration(shaper, f, damping), label=label, **curve)
-    axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
+    for tolerance in dict.fromkeys(tolerances):
+        axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
     for m in modes:
         axes.axvline(m.frequency_hz, **{**PLANNED, "linewidth": 0.9})
         axes.annotate(

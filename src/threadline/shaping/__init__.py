@@ -12,6 +12,7 @@ from threadline.shaping.designs import ShaperKind, design
 from threadline.shaping.deviation import ShapingDeviation, shaping_deviation
 from threadline.shaping.direct import Requirement, direct_shaper, specified_insensitivity
 from threadline.shaping.direct_unit import direct_unit_magnitude
+from threadline.shaping.direct_unit_bands import unit_magnitude_over_bands
 from threadline.shaping.higher_modes import HigherModes, check_higher_modes
 from threadline.shaping.klipper import KlipperExport, klipper_export
 from threadline.shaping.law_residual import Ringing, residual_m, ringing
@@ -75,6 +76,7 @@ __all__ = [
     "shaped_windows",
     "shaping_deviation",
     "specified_insensitivity",
+    "unit_magnitude_over_bands",
     "usual_jerk_m_s3",
     "vibration_of",
 ]

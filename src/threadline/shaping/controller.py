@@ -20,7 +20,7 @@ from threadline.errors import OptionError
 from threadline.shaping.amplitudes import with_amplitudes
 from threadline.shaping.designs import DEFAULT_TOLERANCE
 from threadline.shaping.robustness import insensitivity
-from threadline.shaping.rounding import Band, TickGrid, cost, on_ticks, seconds
+from threadline.shaping.rounding import Band, TickGrid, on_ticks, seconds
 from threadline.shaping.types import FlexibleMode, Shaper, ShaperError
 from threadline.shaping.vibration import residual_vibration, vibration_of
 
@@ -80,8 +80,8 @@ class OverBand:
 
     Parameters
     ----------
-    mode, low_hz, high_hz
-        The mode, and the band.
+    mode, low_hz, high_hz, tolerance
+        The mode, the band, and the V that is allowed over it.
     designed, nearest, made
         Worst V over it: of the design, of its times rounded to the nearest ticks, of the train.
     designed_width, nearest_width, made_width
@@ -91,6 +91,7 @@ class OverBand:
     mode: FlexibleMode
     low_hz: float
     high_hz: float
+    tolerance: float
     designed: float
     nearest: float
     made: float
@@ -138,8 +139,8 @@ def realise(
     modes: Sequence[FlexibleMode],
     limits: ControllerLimits,
     *,
-    relative: float = 0.0,
-    tolerance: float = DEFAULT_TOLERANCE,
+    relative: float | Sequence[float] = 0.0,
+    tolerance: float | Sequence[float] = DEFAULT_TOLERANCE,
 ) -> Realised:
     """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
 
@@ -157,10 +158,10 @@ def realise(
     limits
         The controller's.
     relative
-        Half width of the band of frequency that counts, in [0, 1); 0 for the band in which the
-        designed train stays within the tolerance.
+        Half width of the band of frequency that counts, in [0, 1), one for all modes or one each;
+        0 for the band in which the designed train stays within the tolerance.
     tolerance
-        Of the band, in (0, 1).
+        Of the band, in (0, 1); likewise.
 
     Raises
     ------
@@ -174,7 +175,8 @@ def realise(
     _check_times(shaper, modes, limits)
     amplitudes, times = _thinned(shaper, limits)
     gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
-    bands = [_band(shaper, mode, relative, tolerance) for mode in modes]
+    asked = zip(modes, _each(relative, modes), _each(tolerance, modes), strict=True)
+    bands = [_band(shaper, *one) for one in asked]
     exact = times / limits.tick_s
     nearest = _merged(amplitudes, np.rint(exact).astype(np.int64), gap)
     apart = _spaced(np.rint(exact).astype(np.int64), gap)
@@ -194,8 +196,8 @@ def realise(
         if len(apart) > len(nearest[1]):
             # Some nearest ticks coincide: such impulses are taken as one, and pushed apart, too.
             found += [(amplitudes, t) for t in on_ticks(amplitudes, apart, exact, gap, grid)]
-    made = _widest(train(*nearest), [train(*pair) for pair in found], bands, tolerance)
-    return _priced(shaper, train(*nearest), made, bands, tolerance, limits)
+    made = _widest(train(*nearest), [train(*pair) for pair in found], bands)
+    return _priced(shaper, train(*nearest), made, bands, limits)
 
 
 def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: ControllerLimits) -> None:
@@ -219,38 +221,48 @@ def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: Controll
 def _band(shaper: Shaper, mode: FlexibleMode, relative: float, tolerance: float) -> Band:
     if relative:
         f = mode.frequency_hz
-        return Band(mode, f * (1.0 - relative), f * (1.0 + relative))
+        return Band(mode, f * (1.0 - relative), f * (1.0 + relative), tolerance)
     own = insensitivity(shaper, mode, tolerance)
-    return Band(mode, own.low_hz, own.high_hz)
+    return Band(mode, own.low_hz, own.high_hz, tolerance)
+
+
+def _each(value: float | Sequence[float], modes: Sequence[FlexibleMode]) -> Sequence[float]:
+    return (value,) * len(modes) if isinstance(value, float | int) else value
+
+
+def _width(train: Shaper, band: Band) -> float:
+    return insensitivity(train, band.mode, band.tolerance).value
 
 
 def _widest(
     nearest: Shaper,
     trains: Sequence[Shaper],
     bands: Sequence[Band],
-    tolerance: float,
 ) -> Shaper:
     """Return the train with the widest bands of those that leave about the least over them.
 
-    None that leaves more over the bands than the nearest ticks, or has a narrower one, is taken.
+    None is taken that leaves more over a band than the nearest ticks and its tolerance, or that
+    keeps the tolerance over a narrower one. Trains come with the best of their kind first.
     """
 
     def over(train: Shaper) -> FloatArray:
-        return np.concatenate([_over(train, band, nearest.duration_s) for band in bands])
+        return np.array([_over(train, band, nearest.duration_s).max() for band in bands])
 
+    allowed = np.array([band.tolerance for band in bands])
+    ceiling = np.maximum(over(nearest), allowed) * (1.0 + 1e-12)
     seen = [over(train) for train in trains]
-    most = float(over(nearest).max()) * (1.0 + 1e-12)
-    least = min([most, *(float(v.max()) for v in seen)])
-    within = min(most, least + _ABOUT * max(tolerance, least))
-    order = sorted(
-        (k for k, v in enumerate(seen) if v.max() <= within), key=lambda k: float(cost(seen[k]))
-    )
-    floor = [insensitivity(nearest, band.mode, tolerance).value for band in bands]
+    most = float((over(nearest) / allowed).max()) * (1.0 + 1e-12)
+    kept = [k for k, worst in enumerate(seen) if np.all(worst <= ceiling)]
+    shares = {k: float((seen[k] / allowed).max()) for k in kept}
+    least = min([most, *shares.values()])
+    within = min(most, least + _ABOUT * max(1.0, least))
+    order = [k for k in kept if shares[k] <= within]
+    floor = [_width(nearest, band) for band in bands]
     best, widest = nearest, 0.0
     for k in order[:_LOOKED_AT]:
-        widths = [insensitivity(trains[k], band.mode, tolerance).value for band in bands]
-        kept = all(a >= b * (1.0 - 1e-9) for a, b in zip(widths, floor, strict=True))
-        if kept and (best is nearest or min(widths) > widest + _WIDER):
+        widths = [_width(trains[k], band) for band in bands]
+        as_wide = all(a >= b * (1.0 - 1e-9) for a, b in zip(widths, floor, strict=True))
+        if as_wide and (best is nearest or min(widths) > widest + _WIDER):
             best, widest = trains[k], min(widths)
     return best
 
@@ -266,13 +278,9 @@ def _priced(
     nearest: Shaper,
     made: Shaper,
     bands: Sequence[Band],
-    tolerance: float,
     limits: ControllerLimits,
 ) -> Realised:
     modes = [band.mode for band in bands]
-
-    def width(train: Shaper, band: Band) -> float:
-        return insensitivity(train, band.mode, tolerance).value
 
     def worst(train: Shaper, band: Band) -> float:
         return float(_over(train, band, designed.duration_s).max())
@@ -288,12 +296,13 @@ def _priced(
                 band.mode,
                 band.low_hz,
                 band.high_hz,
+                band.tolerance,
                 worst(designed, band),
                 worst(nearest, band),
                 worst(made, band),
-                width(designed, band),
-                width(nearest, band),
-                width(made, band),
+                _width(designed, band),
+                _width(nearest, band),
+                _width(made, band),
             )
             for band in bands
         ),

@@ -118,7 +118,25 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _least(zeros, middle, points)[0] <= _SMALL else (middle, high)
     _, levels = _least(zeros, high, points)
-    cell = high / points
+    times = switchings_of(levels, high / points)
+    # As many times as equations: what is more are slivers of a cell, on and off again.
+    while len(times) - 1 > 2 * len(zeros):
+        narrow = int(np.argmin(np.diff(times)))
+        times = np.delete(times, [narrow, narrow + 1])
+    shifted: FloatArray = times - times[0]
+    return shifted
+
+
+def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
+    """Return when levels of cells of one length switch between 0 and 1, at first from 0.
+
+    Parameters
+    ----------
+    levels
+        (n,) in [0, 1], between 0 before them and 1 behind.
+    cell
+        Duration of each.
+    """
     padded = np.concatenate(([0.0], levels, [1.0]))
     rounded = np.rint(padded)
     found = []
@@ -128,10 +146,6 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
         late = (1.0 - b) - a if rounded[k + 1] > rounded[k] else b - (1.0 - a)
         found.append((k + late) * cell)
     times = np.array(found)
-    # As many times as equations: what is more are slivers of a cell, on and off again.
-    while len(times) - 1 > 2 * len(zeros):
-        narrow = int(np.argmin(np.diff(times)))
-        times = np.delete(times, [narrow, narrow + 1])
     shifted: FloatArray = times - times[0]
     return shifted
 

@@ -36,11 +36,12 @@ _PER_RIPPLE = 16
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Frequencies of one mode that count, Hz, its damping ratio held over them."""
+    """Frequencies of one mode that count, Hz, its damping ratio held, and the V that is allowed."""
 
     mode: FlexibleMode
     low_hz: float
     high_hz: float
+    tolerance: float
 
     def samples_hz(self, duration_s: float, finer: int = 1) -> FloatArray:
         """Return frequencies over the band, (n,), finer than any ripple of so long a train."""
@@ -54,6 +55,8 @@ class Band:
 
 class TickGrid:
     """V over the bands of trains whose impulses lie on whole ticks.
+
+    Where bands have tolerances of their own, V of a mode counts in proportion to the largest.
 
     Parameters
     ----------
@@ -80,6 +83,10 @@ class TickGrid:
         )
         self._turn: ComplexArray = np.asarray(poles * self.frequency_hz * tick_s, np.complex128)
         self._last = last
+        largest = max(band.tolerance for band in bands)
+        self._share = np.concatenate(
+            [np.full(len(f), b.tolerance / largest) for f, b in zip(samples, bands, strict=True)]
+        )
 
     def impulses(self, ticks: IntArray) -> ComplexArray:
         """Return what a unit impulse at each of ``ticks`` (...,) leaves, (..., frequencies)."""
@@ -89,7 +96,7 @@ class TickGrid:
     def vibration(self, response: ComplexArray, last: IntArray) -> FloatArray:
         """Return V of sums of impulses, (..., frequencies), of trains that end at ``last``."""
         decay = np.exp(-self._turn.real * (np.asarray(last)[..., None] - self._last))
-        found: FloatArray = np.abs(response) * decay
+        found: FloatArray = np.abs(response) * decay / self._share
         return found
 
 

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
 from threadline.shaping.response import pole
 from threadline.shaping.types import FlexibleMode, Shaper
+
+PerMode: TypeAlias = float | Sequence[float]
+"""One number for all modes, or one for each in their order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +142,44 @@ def travel_rows(edges_s: FloatArray) -> FloatArray:
     return np.array([np.diff(edges_s), -0.5 * np.diff(to_go**2)])
 
 
-def worst_ringing(command: Command, modes: Sequence[FlexibleMode], relative: float) -> float:
+def per_mode(value: PerMode, modes: Sequence[FlexibleMode]) -> tuple[float, ...]:
+    """Return a number for every mode: the same for all, or one each as they were given.
+
+    Raises
+    ------
+    OptionError
+        If there are neither one nor as many as modes.
+    """
+    if isinstance(value, float | int):
+        return (float(value),) * len(modes)
+    if len(value) != len(modes):
+        raise OptionError(f"{len(modes)} modes have {len(value)} numbers")
+    return tuple(map(float, value))
+
+
+def worst_of_each(
+    command: Command, modes: Sequence[FlexibleMode], relative: PerMode
+) -> list[float]:
+    """Largest ringing of every mode over its frequency (1 +- ``relative``), on 201 points."""
+    found = []
+    for mode, half in zip(modes, per_mode(relative, modes), strict=True):
+        sweep = np.linspace(1.0 - half, 1.0 + half, 201) if half > 0.0 else np.ones(1)
+        found.append(float(ringing(command, mode.frequency_hz * sweep, mode.damping_ratio).max()))
+    return found
+
+
+def worst_ringing(command: Command, modes: Sequence[FlexibleMode], relative: PerMode) -> float:
     """Largest ringing of any mode over its frequency (1 +- ``relative``), on 201 points."""
-    sweep = np.linspace(1.0 - relative, 1.0 + relative, 201) if relative > 0.0 else np.ones(1)
-    return max(
-        float(ringing(command, m.frequency_hz * sweep, m.damping_ratio).max()) for m in modes
-    )
+    return max(worst_of_each(command, modes, relative))
+
+
+def rings_within(
+    command: Command, modes: Sequence[FlexibleMode], relative: PerMode, tolerance: PerMode
+) -> bool:
+    """Whether every mode rings at most as much as its own tolerance over its own band."""
+    worst = worst_of_each(command, modes, relative)
+    allowed = per_mode(tolerance, modes)
+    return all(found <= most for found, most in zip(worst, allowed, strict=True))
 
 
 def simulate(command: Command, mode: FlexibleMode, acceleration_m_s2: float) -> FloatArray:

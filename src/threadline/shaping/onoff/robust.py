@@ -17,10 +17,13 @@ from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.shaping.onoff.model import (
     Command,
+    PerMode,
     RestToRest,
+    per_mode,
     ringing_rows,
     shaped_command,
     travel_rows,
+    worst_of_each,
     worst_ringing,
 )
 from threadline.shaping.onoff.optimal import time_optimal
@@ -33,17 +36,24 @@ _ROUNDING = 1e-9
 
 
 class _Band:
-    """Half planes Re(exp(-j phase) ringing) <= tolerance that have been needed so far."""
+    """Half planes Re(exp(-j phase) ringing) <= tolerance that have been needed so far.
 
-    def __init__(self, move: RestToRest, relative: float) -> None:
-        if not 0.0 <= relative < 1.0:
-            raise OptionError(f"robust move: the band must be in [0, 1), got {relative!r}")
-        self._move, self._relative = move, relative
+    Where modes have tolerances of their own, ringing counts in the largest of them: that of a mode
+    is divided by its share of it.
+    """
+
+    def __init__(self, move: RestToRest, relative: PerMode, tolerance: PerMode) -> None:
+        self._move, self._relative = move, per_mode(relative, move.modes)
+        for half in self._relative:
+            if not 0.0 <= half < 1.0:
+                raise OptionError(f"robust move: the band must be in [0, 1), got {half!r}")
+        allowed = per_mode(tolerance, move.modes)
+        self._share = [one / max(allowed) for one in allowed]
         phases = np.arange(4) * 0.5 * np.pi
-        start = np.linspace(1.0 - relative, 1.0 + relative, 7) if relative else np.ones(1)
-        self._cuts = [
-            (i, float(r), float(p)) for i in range(len(move.modes)) for r in start for p in phases
-        ]
+        self._cuts = []
+        for i, half in enumerate(self._relative):
+            start = np.linspace(1.0 - half, 1.0 + half, 7) if half else np.ones(1)
+            self._cuts += [(i, float(r), float(p)) for r in start for p in phases]
 
     def rows(self, edges: FloatArray) -> FloatArray:
         """One row per cut, shape ``(cuts, n)``."""
@@ -53,17 +63,23 @@ class _Band:
             ratio = np.array([self._cuts[k][1] for k in mine])
             phase = np.array([self._cuts[k][2] for k in mine])
             complex_rows = ringing_rows(edges, mode.frequency_hz * ratio, mode.damping_ratio)
-            table[mine] = (complex_rows * np.exp(-1j * phase)[:, None]).real
+            turned = (complex_rows * np.exp(-1j * phase)[:, None]).real
+            table[mine] = turned / self._share[i]
         return table
+
+    def worst(self, command: Command) -> float:
+        """Return the worst ringing over the bands, in the largest tolerance."""
+        found = worst_of_each(command, self._move.modes, self._relative)
+        return max(one / share for one, share in zip(found, self._share, strict=True))
 
     def cut(self, command: Command, tolerance: float) -> bool:
         """Add the half planes that ``command`` breaks; False if it breaks none."""
         found = False
-        sweep = np.linspace(1.0 - self._relative, 1.0 + self._relative, _SWEEP)
         for i, mode in enumerate(self._move.modes):
+            sweep = np.linspace(1.0 - self._relative[i], 1.0 + self._relative[i], _SWEEP)
             rows = ringing_rows(command.times_s, mode.frequency_hz * sweep, mode.damping_ratio)
             value = rows @ command.levels
-            height = np.abs(value)
+            height = np.abs(value) / self._share[i]
             padded = np.concatenate(([-1.0], height, [-1.0]))
             top = (height >= padded[:-2]) & (height >= padded[2:])
             for k in np.flatnonzero(top & (height > tolerance * (1.0 + _ACCURACY) + 1e-12)):
@@ -94,7 +110,7 @@ def farthest(
 
 
 def robust_optimum(
-    move: RestToRest, *, relative: float, tolerance: float, intervals: int = 160
+    move: RestToRest, *, relative: PerMode, tolerance: PerMode, intervals: int = 160
 ) -> Command:
     """Fastest command with ringing <= ``tolerance`` over every mode's f (1 +- ``relative``).
 
@@ -103,9 +119,9 @@ def robust_optimum(
     move
         What has to be done.
     relative
-        Half width of the band, in [0, 1).
+        Half width of the band, in [0, 1); one for all modes, or one each.
     tolerance
-        Ringing allowed, as a fraction of that of one full step of acceleration.
+        Ringing allowed, as a fraction of that of one full step of acceleration; likewise.
     intervals
         Of constant level; the optimum found is an upper bound that falls as they grow finer.
 
@@ -121,18 +137,19 @@ def robust_optimum(
     """
     from scipy.optimize import brentq
 
-    if not (math.isfinite(tolerance) and tolerance > 0.0):
-        raise OptionError(
-            f"robust move: tolerance must be positive and finite, got {tolerance!r}",
-            remedy="Give the ringing allowed, of one full step's: 0.01.",
-        )
-    band = _Band(move, relative)
+    for one in per_mode(tolerance, move.modes):
+        if not (math.isfinite(one) and one > 0.0):
+            raise OptionError(
+                f"robust move: tolerance must be positive and finite, got {one!r}",
+                remedy="Give the ringing allowed, of one full step's: 0.01.",
+            )
+    band, most = _Band(move, relative, tolerance), max(per_mode(tolerance, move.modes))
     low = move.rigid_duration_s
 
     def missing(duration: float) -> float:
-        return farthest(move, duration, tolerance, band, intervals)[0] - move.distance_m
+        return farthest(move, duration, most, band, intervals)[0] - move.distance_m
 
-    at_once, command = farthest(move, low, tolerance, band, intervals)
+    at_once, command = farthest(move, low, most, band, intervals)
     if at_once >= move.distance_m * (1.0 - _ROUNDING):
         return command  # a mode so slow that the rigid move hardly rings it
     # Nothing beats the rigid body; from there on, half a period of the slowest mode at a time.
@@ -144,18 +161,26 @@ def robust_optimum(
         low, high = high, high + stride
     else:
         raise ShaperError(
-            f"robust move: no command within {high:.4g} s keeps the ringing below {tolerance:g} "
-            f"over {relative:.0%} of the frequency",
+            f"robust move: no command within {high:.4g} s keeps the ringing below {most:g} over "
+            f"{max(per_mode(relative, move.modes)):.0%} of the frequency",
             remedy="Narrow the band or allow more ringing.",
         )
     duration = float(brentq(missing, low, high, xtol=2e-6, rtol=2e-6))
-    return farthest(move, duration, tolerance, band, intervals)[1]
+    return farthest(move, duration, most, band, intervals)[1]
 
 
 def least_ringing(
-    move: RestToRest, *, relative: float, tick_s: float, ticks: int
+    move: RestToRest,
+    *,
+    relative: PerMode,
+    tick_s: float,
+    ticks: int,
+    tolerance: PerMode = 1.0,
 ) -> tuple[float, Command] | None:
     """Command on a controller's tick, free levels, that covers the distance and rings least.
+
+    Where modes have tolerances of their own, least against these: the worst that is returned is
+    then that of the largest tolerance, to which the others are in proportion.
 
     Returns
     -------
@@ -165,7 +190,7 @@ def least_ringing(
     edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
     speed, distance = travel_rows(edges)
     reach = move.distance_m / move.acceleration_m_s2
-    band = _Band(move, relative)
+    band = _Band(move, relative, tolerance)
     cost = np.append(np.zeros(ticks), 1.0)
     for _ in range(60):
         rows = band.rows(edges)
@@ -184,7 +209,7 @@ def least_ringing(
             return None
         command = Command(edges, solved.x[:-1])
         if not band.cut(command, max(float(solved.x[-1]), 1e-9)):
-            return worst_ringing(command, move.modes, relative), command
+            return band.worst(command), command
     raise ShaperError("robust move: the cutting planes did not converge in 60 rounds")
 
 
@@ -215,7 +240,7 @@ class ShapedMove:
 
 
 def compare_shapers(
-    move: RestToRest, shapers: list[Shaper], *, relative: float, tolerance: float
+    move: RestToRest, shapers: list[Shaper], *, relative: PerMode, tolerance: PerMode
 ) -> list[ShapedMove]:
     """Every shaped move's time over the time-optimal and the robust optimum, with its ringing.
 
@@ -227,7 +252,7 @@ def compare_shapers(
 
 
 def beside(
-    move: RestToRest, shapers: list[Shaper], *, relative: float, optimal_s: float, robust_s: float
+    move: RestToRest, shapers: list[Shaper], *, relative: PerMode, optimal_s: float, robust_s: float
 ) -> list[ShapedMove]:
     """The same beside optima that are known."""
     unshaped = worst_ringing(

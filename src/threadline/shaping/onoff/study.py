@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from threadline.shaping.onoff.model import Command, RestToRest
+from threadline.shaping.onoff.model import Command, PerMode, RestToRest, per_mode
 from threadline.shaping.onoff.optimal import time_optimal
 from threadline.shaping.onoff.robust import ShapedMove, beside, robust_optimum
 from threadline.shaping.onoff.switched import FrontPoint, residual_front
@@ -38,8 +38,8 @@ class MoveStudy:
     """
 
     move: RestToRest
-    relative: float
-    tolerance: float
+    relative: tuple[float, ...]
+    tolerance: tuple[float, ...]
     optimal: Command
     robust: Command
     moves: tuple[ShapedMove, ...]
@@ -55,8 +55,8 @@ def study_move(
     move: RestToRest,
     shaper: Shaper,
     *,
-    relative: float,
-    tolerance: float,
+    relative: PerMode,
+    tolerance: PerMode,
     tick_s: float | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> MoveStudy:
@@ -67,7 +67,8 @@ def study_move(
     move, shaper
         The shaper should be made for the modes of the move.
     relative, tolerance
-        Half width of the band, in [0, 1), and the ringing allowed over it.
+        Half width of the band, in [0, 1), and the ringing allowed over it: one for all modes, or
+        one each.
     tick_s
         Of the controller that is to switch; None leaves the search out.
     progress
@@ -105,8 +106,8 @@ def study_move(
                 break
     return MoveStudy(
         move=move,
-        relative=relative,
-        tolerance=tolerance,
+        relative=per_mode(relative, move.modes),
+        tolerance=per_mode(tolerance, move.modes),
         optimal=optimal,
         robust=robust,
         moves=tuple(moves),

@@ -16,8 +16,11 @@ import numpy as np
 from threadline.errors import OptionError
 from threadline.shaping.onoff.model import (
     Command,
+    PerMode,
     RestToRest,
+    per_mode,
     ringing_rows,
+    rings_within,
     travel_rows,
     worst_ringing,
 )
@@ -54,8 +57,8 @@ class FrontPoint:
 def switched_command(
     move: RestToRest,
     *,
-    relative: float,
-    tolerance: float,
+    relative: PerMode,
+    tolerance: PerMode,
     tick_s: float,
     ticks: int,
     nodes: int = DEFAULT_NODES,
@@ -80,7 +83,8 @@ def switched_command(
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
-    if ticks < 2 or not tick_s > 0.0 or not tolerance > 0.0:
+    halves, allowed = per_mode(relative, move.modes), per_mode(tolerance, move.modes)
+    if ticks < 2 or not tick_s > 0.0 or not min(allowed) > 0.0:
         raise OptionError(
             f"on/off command: ticks {ticks!r}, tick_s {tick_s!r} and tolerance {tolerance!r} "
             "must be positive, and at least 2 ticks"
@@ -91,20 +95,20 @@ def switched_command(
     distance = travel_rows(edges)[1]
     reach = (distance[:half] - distance[::-1][:half]) / tick_s**2
     target = move.distance_m / (move.acceleration_m_s2 * tick_s**2)
-    limit = 0.995 * tolerance
+    share = 0.995
     for _ in range(_ROUNDS):
         rows = []
-        for mode in move.modes:
-            f = mode.frequency_hz * np.linspace(1.0 - relative, 1.0 + relative, _SWEEP)
+        for mode, half_band, most in zip(move.modes, halves, allowed, strict=True):
+            f = mode.frequency_hz * np.linspace(1.0 - half_band, 1.0 + half_band, _SWEEP)
             turned = ringing_rows(edges, f, 0.0) * np.exp(1j * np.pi * f * edges[-1])[:, None]
-            rows.append((turned[:, :half] - turned[:, ::-1][:, :half]).real)
-            rows.append((turned[:, :half] - turned[:, ::-1][:, :half]).imag)
+            one_half = (turned[:, :half] - turned[:, ::-1][:, :half]) / most
+            rows += [one_half.real, one_half.imag]
         band = np.vstack(rows)
-        band = band[np.abs(band).max(axis=1) > 1e-9]
+        band = band[np.abs(band).max(axis=1) * min(allowed) > 1e-9]
         found = milp(
             np.zeros(half),
             constraints=[
-                LinearConstraint(band, -limit, limit),
+                LinearConstraint(band, -share, share),
                 LinearConstraint(reach[None, :], target, target),
             ],
             integrality=np.ones(half, dtype=np.int64),
@@ -117,19 +121,19 @@ def switched_command(
         middle = np.zeros(ticks % 2)
         command = Command(edges, np.concatenate((first, middle, -first[::-1])))
         reached = float(distance @ command.levels) * move.acceleration_m_s2
-        within = worst_ringing(command, move.modes, relative) <= tolerance
+        within = rings_within(command, move.modes, relative, tolerance)
         if within and abs(reached - move.distance_m) <= 1e-9 * move.distance_m:
             return command
         # Between the swept frequencies, or through damping, it rings more: ask for less.
-        limit *= 0.93
+        share *= 0.93
     return None
 
 
 def residual_front(
     move: RestToRest,
     *,
-    relative: float,
-    tolerance: float,
+    relative: PerMode,
+    tolerance: PerMode,
     tick_s: float,
     ticks: Sequence[int],
     nodes: int = DEFAULT_NODES,
@@ -137,10 +141,12 @@ def residual_front(
     """Residual against time: for each duration the free least and an on/off command, if found."""
     points = []
     for count in ticks:
-        free = least_ringing(move, relative=relative, tick_s=tick_s, ticks=count)
+        free = least_ringing(
+            move, relative=relative, tick_s=tick_s, ticks=count, tolerance=tolerance
+        )
         # Free levels bound the on/off ones from below: no need to search where they fail.
         command = None
-        if free is not None and free[0] <= tolerance:
+        if free is not None and free[0] <= max(per_mode(tolerance, move.modes)):
             command = switched_command(
                 move,
                 relative=relative,

@@ -1,0 +1,121 @@
+"""Several modes with a tolerance and a band each: positive, unit magnitude, and on/off moves."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from threadline.cli.main import main
+from threadline.shaping import Requirement, unit_magnitude_over_bands
+from threadline.shaping.onoff.model import RestToRest, rings_within, worst_of_each
+from threadline.shaping.onoff.robust import robust_optimum
+from threadline.shaping.oscillator import simulated_vibration
+from threadline.shaping.types import FlexibleMode, Shaper
+
+MODES = ("--mode", "3.04Hz:0.0089:20%", "--mode", "8Hz:0.02:10%:4%")
+ASKED = ((3.04, 0.0089, 0.2, 0.05), (8.0, 0.02, 0.1, 0.04))
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(list(words))
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def worst(train: Shaper, f: float, zeta: float, half: float) -> float:
+    """By the simulated oscillator, over the band."""
+    at = f * np.linspace(1.0 - half, 1.0 + half, 81)
+    return max(simulated_vibration(train, float(one), zeta) for one in at)
+
+
+@pytest.mark.parametrize("kind", ["si", "um-si"])
+def test_every_mode_keeps_its_own_tolerance_over_its_own_band(
+    kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(capsys, "shaper", *MODES, "--kind", kind, "--json")
+    content = json.loads(out)
+    assert code == 0
+    train = Shaper(amplitudes=np.array(content["amplitudes"]), times_s=np.array(content["times_s"]))
+    for f, zeta, half, tolerance in ASKED:
+        assert worst(train, f, zeta, half) <= tolerance * (1.0 + 1e-6)
+        # Asked for more it fails: the bands are met and not missed by far.
+        assert worst(train, f, zeta, 1.25 * half) > tolerance
+    if kind == "um-si":
+        assert set(np.round(train.levels, 9)) == {0.0, 1.0}
+    assert [m["tolerance"] for m in content["modes"]] == [0.05, 0.04]
+
+
+def level_exists(duration_s: float, cells: int) -> bool:
+    """Whether levels in [0, 1] of so many cells meet ASKED: a program written here.
+
+    Octagons around the circles ask for less than the circles: no level here, none there.
+    """
+    edges = np.linspace(0.0, duration_s, cells + 1)
+    rows, most = [], []
+    for f, zeta, half, tolerance in ASKED:
+        for one in f * np.linspace(1.0 - half, 1.0 + half, 9):
+            s = 2 * np.pi * one * (zeta + 1j * np.sqrt(1 - zeta**2))
+            wave = np.exp(s * (edges - duration_s))
+            for turn in np.exp(0.25j * np.pi * np.arange(8)):
+                rows.append(((wave[:-1] - wave[1:]) * turn).real)
+                most.append(tolerance - float((wave[-1] * turn).real))
+    found = linprog(np.zeros(cells), A_ub=np.array(rows), b_ub=most, bounds=(0.0, 1.0))
+    return bool(found.status == 0)
+
+
+def test_unit_magnitude_over_bands_is_nearly_the_shortest() -> None:
+    """6 % sooner no level between 0 and 1 does it, switched or not."""
+    wanted = [Requirement(FlexibleMode(f, z), most, half) for f, z, half, most in ASKED]
+    train = unit_magnitude_over_bands(wanted)
+    assert level_exists(1.01 * train.duration_s, 200)
+    assert not level_exists(0.94 * train.duration_s, 200)
+
+
+def test_robust_move_of_two_modes_with_bands_of_their_own() -> None:
+    modes = (FlexibleMode(3.04, 0.0089), FlexibleMode(8.0, 0.02))
+    move = RestToRest(0.2, 1.0, modes)
+    own = robust_optimum(move, relative=(0.2, 0.1), tolerance=(0.02, 0.1), intervals=80)
+    assert rings_within(own, modes, (0.2, 0.1), (0.0202, 0.101))
+    wide = robust_optimum(move, relative=0.2, tolerance=0.02, intervals=80)
+    assert own.duration_s < wide.duration_s
+    first, second = worst_of_each(own, modes, (0.2, 0.1))
+    assert first == pytest.approx(0.02, rel=0.02)
+    assert second > 0.02
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["3Hz:0.01:20%", "3.5Hz:0.01:10%"], ["overlap from 3.15 to 3.6 Hz"]),
+        (["3Hz:0.01:120%"], ["band must be between 0 and 100 %", "120%"]),
+        (["3Hz:0.01:x"], ["'x' is no number"]),
+        (["3Hz:0.01:20%:0"], ["tolerance must be between"]),
+        (["3Hz:0.01:1%:1%:1%"], ["cannot be read", "3.04Hz:0.0089:20%:5%"]),
+    ],
+)
+def test_bands_that_cannot_be(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    modes = [word for mode in arguments for word in ("--mode", mode)]
+    code, out, err = run(capsys, "shaper", *modes, "--kind", "si")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    for word in words:
+        assert word in err
+
+
+def test_a_band_is_of_si_of_ticks_or_of_a_move(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "shaper", "--mode", "3Hz:0.01:20%", "--kind", "zv")
+    assert code == 2
+    assert "20%, says nothing of the kind zv" in err
+
+
+def test_ticks_keep_each_band(capsys: pytest.CaptureFixture[str]) -> None:
+    """No mode is made worse than the nearest ticks and its own tolerance leave it."""
+    code, out, _ = run(capsys, "shaper", *MODES, "--kind", "um-si", "--tick", "1 ms", "--json")
+    assert code == 0
+    for over in json.loads(out)["bands"]:
+        assert over["worst"] <= max(over["nearest_worst"], over["tolerance"]) * (1 + 1e-9)
