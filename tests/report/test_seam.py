@@ -11,6 +11,7 @@ import pytest
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import Proof, prove
+from threadline.report import seam
 from threadline.report.proof import write_report
 from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
@@ -51,6 +52,31 @@ def test_marks_are_the_stitches_and_differ_in_shape_or_size(proof: Proof) -> Non
     assert sorted(c.get_sizes()[0] for c in panel.collections) == [
         c.get_sizes()[0] for c in panel.collections
     ]
+
+
+def test_of_many_stitches_the_worst_is_drawn_and_all_are_counted(
+    proof: Proof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With room for five of them: each number beside the marks, and the place of the worst."""
+
+    def drawn() -> tuple[list[str], list[float], int]:
+        with figure_style():
+            figure = seam_figure(proof)
+        assert figure is not None
+        plan, graph = figure.axes
+        labels = [str(c.get_label()) for c in plan.collections]
+        (worst,) = [line for line in plan.lines if str(line.get_label()).startswith("worst")]
+        labels.append(str(worst.get_label()))
+        return labels, worst.get_xydata()[0].tolist(), len(graph.lines[0].get_xdata())
+
+    every, place, count = drawn()
+    monkeypatch.setattr(seam, "_MAX_DRAWN", 5)
+    monkeypatch.setattr(seam, "_ABOUT", 1)
+    few, same_place, fewer = drawn()
+    assert same_place == place
+    assert set(few) <= set(every)
+    assert few[-1] == every[-1]
+    assert fewer <= 8 < count
 
 
 def test_the_worst_stitch_is_that_of_the_verdict(proof: Proof) -> None:

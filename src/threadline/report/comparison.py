@@ -10,7 +10,7 @@ from threadline.pipeline import Proof
 from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.motion import shared_facts, summary_facts
-from threadline.report.overlay import Case, overlays
+from threadline.report.overlay import Case, overlays, turns_s
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
@@ -29,6 +29,8 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
         cases: list[Case] = []
         for proof in found.proofs:
             traces = collect(proof)
+            if traces.stride > 1:  # the turns are drawn from near by
+                traces = collect(proof, turns_s(traces))
             label = f"{proof.plan.motion.path.interpolation}, feed {proof.plan.options['feed']}"
             stem = label.replace(", feed ", "-").replace(" ", "").replace("/", "-per-")
             for name, figure in _figures(proof, traces).items():

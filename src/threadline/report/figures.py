@@ -10,7 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
-from threadline.report.traces import Traces
+from threadline.report.traces import Traces, worst_result
 from threadline.verdict import Result, Status
 
 if TYPE_CHECKING:
@@ -51,18 +51,6 @@ def moves(traces: Traces, axis: str) -> bool:
     return bool(len(commanded) and np.ptp(commanded) > 0)
 
 
-def worst_result(proof: Proof, name: str) -> Result | None:
-    """Return the result of ``name`` that is nearest to, or furthest over, its limit."""
-    results = [
-        r
-        for r in proof.verdict.results
-        if r.name == name and r.measured is not None and r.time_s is not None
-    ]
-    if not results:
-        return None
-    return max(results, key=lambda r: abs(r.measured or 0.0) / (r.limit or 1.0))
-
-
 def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure:
     """Draw two axes against each other: programmed points, planned and actual path.
 
@@ -72,12 +60,12 @@ def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure
     from matplotlib.figure import Figure
 
     same_unit = display(proof, first)[1] == display(proof, second)[1]
-    worst = worst_result(proof, "contour_error")
+    worst = worst_result(proof.verdict, "contour_error")
     zoomed = same_unit and worst is not None and worst.time_s is not None
     figure = Figure(figsize=(7.2, 6.8 if zoomed else 3.8))
     panels = figure.subplots(2 if zoomed else 1, 1, squeeze=False)[:, 0]
-    for panel in panels:
-        _draw_path(proof, traces, panel, (first, second))
+    for number, panel in enumerate(panels):
+        _draw_path(proof, traces, panel, (first, second), near=number > 0)
         if worst is not None and worst.time_s is not None:
             _mark_worst_on_path(proof, traces, panel, (first, second), worst)
         panel.margins(0.06)
@@ -95,17 +83,29 @@ def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure
     return figure
 
 
-def _draw_path(proof: Proof, traces: Traces, panel: Axes, pair: tuple[str, str]) -> None:
+def _draw_path(
+    proof: Proof, traces: Traces, panel: Axes, pair: tuple[str, str], *, near: bool
+) -> None:
+    """Draw the path of two axes: programmed points, planned and actual path.
+
+    A thinned trace is drawn as points, for what lies between its samples is not straight. ``near``
+    draws only where no sample is left out, as lines.
+    """
     first, second = pair
-    columns = [proof.plan.motion.trajectory.axes.index(axis) for axis in pair]
+    columns = [proof.plan.motion.programmed.axes.index(axis) for axis in pair]
     (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
-    panel.plot(
-        traces.planned[first][:, 0] * fx,
-        traces.planned[second][:, 0] * fy,
-        label="planned",
-        **PLANNED,
-    )
-    panel.plot(traces.actual[first] * fx, traces.actual[second] * fy, label="actual", **ACTUAL)
+    dots = traces.stride > 1 and not near
+    gone = np.where(traces.whole | (not near), 0.0, np.nan)
+    for label, look, size, x, y in (
+        ("planned", PLANNED, 2.6, traces.planned[first][:, 0], traces.planned[second][:, 0]),
+        ("actual", ACTUAL, 1.0, traces.actual[first], traces.actual[second]),
+    ):
+        dotted = (
+            {"linestyle": "none", "marker": ".", "markersize": size, "rasterized": True}
+            if dots
+            else {}
+        )
+        panel.plot((x + gone) * fx, y * fy, label=label, **look | dotted)
     panel.plot(
         traces.vertices[:, columns[0]] * fx,
         traces.vertices[:, columns[1]] * fy,
@@ -119,8 +119,14 @@ def _draw_path(proof: Proof, traces: Traces, panel: Axes, pair: tuple[str, str])
 def _place_at(
     proof: Proof, traces: Traces, pair: tuple[str, str], time_s: float
 ) -> tuple[float, float]:
-    at = int(np.argmin(np.abs(traces.time_s - time_s)))
-    x, y = (float(traces.actual[axis][at]) * display(proof, axis)[0] for axis in pair)
+    """Return where the pair was at an instant, as it is shown; the way between samples is straight.
+
+    The judge takes it so, too: a worst place may lie between two samples.
+    """
+    x, y = (
+        float(np.interp(time_s, traces.time_s, traces.actual[axis])) * display(proof, axis)[0]
+        for axis in pair
+    )
     return x, y
 
 
@@ -189,7 +195,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
         error = (traces.actual[axis] - traces.commanded[axis]) * radius[row] * 1e3
         style = AXES[index % len(AXES)]
         tracking.plot(traces.time_s, error, label=axis, **style)
-    worst = worst_result(proof, "tracking_error")
+    worst = worst_result(proof.verdict, "tracking_error")
     if worst is not None and worst.time_s is not None:
         tracking.axvline(worst.time_s, label=_worst_label(worst, ""), **LIMIT)
     tracking.set_xlabel("time [s]")
@@ -206,7 +212,7 @@ def _contour_along(proof: Proof, traces: Traces, panel: Axes) -> None:
     if traces.contour is not None:
         time_s, error_m = traces.contour
         panel.plot(time_s, error_m * 1e3, label="tool off the path", **ACTUAL)
-    worst = worst_result(proof, "contour_error")
+    worst = worst_result(proof.verdict, "contour_error")
     if worst is not None and worst.time_s is not None and worst.measured is not None:
         if worst.limit is not None:
             panel.axhline(worst.limit * 1e3, label=f"limit {worst.limit * 1e3:g} mm", **LIMIT)

@@ -41,7 +41,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
         seam = seam_figure(proof)
         if seam is not None:
             figures = {"seam": seam, **figures}
-        thinned = "" if traces.stride == 1 else f" One sample in {traces.stride} is drawn."
+        thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
@@ -148,6 +148,14 @@ def summary_facts(proof: Proof) -> list[tuple[str, str]]:
     """Return what the planner says of its path."""
     summary = proof.plan.motion.path.summary
     return [(key, f"{without_noise(value):g}") for key, value in summary.items()]
+
+
+def thinned_words(stride: int) -> str:
+    """Return what the caption of a thinned trace says of it."""
+    return (
+        f" Of every {stride} samples those at an extreme of position, velocity, acceleration or "
+        "tracking error are drawn; about the places that are marked, every sample."
+    )
 
 
 def _caption(name: str) -> str:

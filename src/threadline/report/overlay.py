@@ -47,6 +47,15 @@ def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
     return figures, captions
 
 
+def turns_s(traces: Traces) -> list[float]:
+    """Return the instants, s, at which each axis is furthest out."""
+    return [
+        float(traces.time_s[at])
+        for position in traces.actual.values()
+        for at in (np.nanargmax(position), np.nanargmin(position))
+    ]
+
+
 def turning_figure(cases: list[Case], axis: str) -> Figure:
     """Draw the actual position of ``axis`` around its outermost point, a panel for each feed."""
     from matplotlib.figure import Figure

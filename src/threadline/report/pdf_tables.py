@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -15,6 +16,7 @@ from threadline.report.pdf_text import BOLD, FONT, heading_style, text_style, wi
 _SIZES_PT = (8.0, 7.5, 7.0, 6.5)
 _PADDING_PT = 5.0  # of a cell, left and right together
 _NOTE_PT = 120.0  # a narrower column breaks a note too often
+_SHORT_TEXT_PT = 105.0  # a column no wider than this is not broken if it can be helped
 _LEFT_PT = 6.0  # before words, so that they stand apart from the figures on their left
 _WITH_HEADING = 5  # rows that are worth beginning a table at the foot of a page
 _ANY_PT = 1e6  # a height that leaves room for everything
@@ -56,12 +58,14 @@ def columns_of(
 ) -> list[tuple[tuple[int, ...], float, tuple[float, ...]]]:
     """Return which columns stand in one table, in which size of letters, and how wide each is.
 
-    The largest size that lets every word stand in its column is taken. Where none does, the table
-    is cut into several; each begins with the first column.
+    The largest size is taken in which every short text stands in one line, or else in which every
+    word does. Where there is none, the table is cut into several, and each begins with the first
+    column.
     """
     every = tuple(range(len(table.header)))
-    for size_pt in _SIZES_PT:
+    for short_pt, size_pt in product((_SHORT_TEXT_PT, 0.0), _SIZES_PT):
         natural, least = _extents(table, size_pt)
+        least = [n if n <= short_pt else m for n, m in zip(natural, least, strict=True)]
         if sum(least) <= room_pt:
             if not table.headed:
                 natural[-1] = max(natural[-1], room_pt - sum(natural[:-1]))

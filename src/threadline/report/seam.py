@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.pipeline import Proof
 from threadline.report.style import WORST
 from threadline.verdict import Criterion, SewnStitches, sewn_stitches
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 _LENGTH, _PLACE = 0.05, 5e-4  # limits where the specification has none: the stitcher thesis's
 _MAX_DRAWN = 20_000
+_ABOUT = 20  # stitches before and after the worst, all drawn
 
 # Share of the limit that is used, up to which value; marker, area, colour, filled.
 _BANDS: tuple[tuple[str, float, str, float, str, bool], ...] = (
@@ -37,41 +39,31 @@ def seam_figure(proof: Proof) -> Figure | None:
 
     length, place = _criterion(proof, "stitch_length_error"), _criterion(proof, "contour_error")
     delay_s = 0.0 if length is None else length.options.get("delay", 0.0)
-    runs: list[SewnStitches] = []
-    count = 0
-    for run in sewn_stitches(proof.plan, proof.recording, delay_s):
-        runs.append(run)
-        count += len(run.stitches)
-        if count >= _MAX_DRAWN:
-            break
-    if not count:
-        return None
     length_limit = (length.limit if length else None) or _LENGTH
     place_limit = (place.limit if place else None) or _PLACE
-    points = np.concatenate([r.actual for r in runs]) * 1e3
-    seam = np.concatenate([r.stitches.point for r in runs]) * 1e3
-    exempt = np.concatenate([r.stitches.exempt for r in runs])
-    contour = np.concatenate([r.stitches.contour for r in runs])
-    off = np.abs(np.concatenate([r.length_error for r in runs]))
-    by_length = np.where(exempt, 0.0, off / length_limit)
-    by_place = np.concatenate([r.placement_m for r in runs]) / place_limit
+    sewn = sewn_stitches(proof.plan, proof.recording, delay_s)
+    drawn, counts = _drawn(_columns(run, length_limit, place_limit) for run in sewn)
+    if not len(drawn):
+        return None
+    number, contour, exempt = (drawn[:, k].astype(int) for k in range(3))
+    points, seam, by_length, by_place = drawn[:, 3:5], drawn[:, 5:7], drawn[:, 7], drawn[:, 8]
     share = np.maximum(by_length, by_place)
+    told = exempt == 0
 
     figure = Figure(figsize=(7.2, 7.4))
-    drawn, graph = figure.subplots(2, 1, height_ratios=[3, 2])
-    _draw(drawn, points, seam, contour, share)
+    plan, graph = figure.subplots(2, 1, height_ratios=[3, 2])
+    _draw(plan, points, seam, contour, share, counts, number)
     names = proof.plan.job.axes
-    drawn.set_xlabel(f"{names[0]} [mm]")
-    drawn.set_ylabel(f"{names[1]} [mm]")
-    drawn.set_title("The seam: where the needle went down")
-    figure.legend(*drawn.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    number = np.arange(count)
+    plan.set_xlabel(f"{names[0]} [mm]")
+    plan.set_ylabel(f"{names[1]} [mm]")
+    plan.set_title("The seam: where the needle went down")
+    figure.legend(*plan.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     graph.plot(
         number, 100.0 * by_place, color="black", lw=1.0, linestyle=(0, (4, 1.5)),
         label=f"distance from the seam, of {place_limit * 1e3:g} mm",
     )  # fmt: skip
     graph.plot(
-        number[~exempt], 100.0 * by_length[~exempt], linestyle="none", marker="|", markersize=7,
+        number[told], 100.0 * by_length[told], linestyle="none", marker="|", markersize=7,
         color="#0072B2", label=f"length off by, of {length_limit * 100:.3g} % (exempt left out)",
     )  # fmt: skip
     graph.axhline(100.0, color="#D55E00", linestyle=(0, (1, 1.5)), lw=1.4)
@@ -83,15 +75,66 @@ def seam_figure(proof: Proof) -> Figure | None:
     return figure
 
 
+def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> FloatArray:
+    """Return (n, 8) of a run: contour, exempt, needle-down and seam in mm, shares of the limits."""
+    exempt = run.stitches.exempt
+    return np.column_stack(
+        [
+            run.stitches.contour,
+            exempt,
+            run.actual[:, :2] * 1e3,
+            run.stitches.point[:, :2] * 1e3,
+            np.where(exempt, 0.0, np.abs(run.length_error) / length_limit),
+            run.placement_m / place_limit,
+        ]
+    )
+
+
+def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
+    """Return what is drawn, and how many stitches of all are in each band.
+
+    Of many stitches every second, fourth and so on is drawn, and the worst of all with those about
+    it. Rows are the number of the stitch, then the columns of its run.
+    """
+    bounds = np.array([high for _, high, *_ in _BANDS[:-1]])
+    counts = np.zeros(len(_BANDS), dtype=np.int64)
+    others: list[FloatArray] = []
+    about_worst: FloatArray = np.empty((0, 9))
+    count, step, worst = 0, 1, -1.0
+    for columns in runs:
+        rows = np.column_stack([count + np.arange(len(columns)), columns])
+        share = rows[:, 7:].max(axis=1)
+        counts += np.bincount(np.searchsorted(bounds, share), minlength=len(_BANDS))
+        if len(rows) and share.max() > worst:
+            at = int(share.argmax())
+            worst, about_worst = float(share[at]), rows[max(at - _ABOUT, 0) : at + _ABOUT + 1]
+        count += len(rows)
+        others.append(rows[rows[:, 0] % step == 0])
+        while sum(map(len, others)) > _MAX_DRAWN:
+            step *= 2
+            kept = np.concatenate(others)
+            others = [kept[kept[:, 0] % step == 0]]
+    every = np.concatenate([about_worst, *others])
+    return every[np.unique(every[:, 0], return_index=True)[1]], counts
+
+
 def _draw(
-    panel: Axes, points: FloatArray, seam: FloatArray, contour: FloatArray, share: FloatArray
+    panel: Axes,
+    points: FloatArray,
+    seam: FloatArray,
+    contour: IntArray,
+    share: FloatArray,
+    counts: IntArray,
+    number: IntArray,
 ) -> None:
     for k in np.unique(contour):
         line = seam[contour == k]
         label = "seam" if k == contour[0] else None
         panel.plot(line[:, 0], line[:, 1], color="0.55", lw=0.7, zorder=1, label=label)
     low = -1.0
-    for label, high, marker, area, colour, filled in _BANDS:
+    for (label, high, marker, area, colour, filled), count in zip(
+        _BANDS, counts.tolist(), strict=True
+    ):
         chosen = (share > low) & (share <= high)
         low = high
         if not chosen.any():
@@ -105,12 +148,12 @@ def _draw(
             edgecolors=colour if not filled else "black",
             linewidths=0.9 if not filled else 0.4,
             zorder=2 + high if np.isfinite(high) else 4,
-            label=f"{label}: {int(chosen.sum())}",
+            label=f"{label}: {count}",
         )
     worst = int(np.argmax(share))
     panel.plot(
         points[worst : worst + 1, 0], points[worst : worst + 1, 1],
-        label=f"worst: stitch {worst}, {share[worst]:.0%} of its limit",
+        label=f"worst: stitch {number[worst]}, {share[worst]:.0%} of its limit",
         **{**WORST, "markerfacecolor": "none", "marker": "o", "markersize": 13},
     )  # fmt: skip
     panel.set_aspect("equal", adjustable="datalim")

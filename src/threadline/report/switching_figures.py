@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED
+from threadline.report.thinning import extremes
 from threadline.verdict.switch_run import SwitchRun
 
 if TYPE_CHECKING:
@@ -37,6 +39,14 @@ def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
             )
 
 
+def _thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a trace, (n,) each; of a long one the extremes of every stretch."""
+    if len(values) <= _MOST_SAMPLES:
+        return time_s, values
+    keep = extremes(values[:, None], np.arange(len(values)) * (_MOST_SAMPLES // 2) // len(values))
+    return time_s[keep], values[keep]
+
+
 def cycle_figure(proof: Proof) -> Figure:
     """Draw the pistons and every output over the cycle."""
     from matplotlib.figure import Figure
@@ -53,10 +63,9 @@ def cycle_figure(proof: Proof) -> Figure:
         squeeze=False,
         height_ratios=[*(1.3 for _ in axes), 0.19 * len(outputs)],
     ).ravel()
-    thin = max(1, len(run.time_s) // _MOST_SAMPLES)
     for panel, axis in zip(panels, axes, strict=False):
-        time_s, values = proof.recording.samples(f"{axis}.load")
-        panel.plot(time_s[::thin], values[::thin] * 1e3, **ACTUAL)
+        time_s, values = _thinned(*proof.recording.samples(f"{axis}.load"))
+        panel.plot(time_s, values * 1e3, **ACTUAL)
         panel.set_ylabel(f"{axis} mm")
         _mark_steps(panel, run, names=axis == axes[0])
     lanes = panels[-1]
@@ -89,9 +98,8 @@ def frame_figure(proof: Proof, unshaped: Proof | None) -> Figure:
             (proof, ACTUAL, proof.plan.options.get("shaper", "no shaper")),
         ):
             if other is not None:
-                time_s, values = other.recording.samples(f"{axis}.frame")
-                thin = max(1, len(time_s) // _MOST_SAMPLES)
-                panel.plot(time_s[::thin], values[::thin] * MICRO, label=label, **look)
+                time_s, values = _thinned(*other.recording.samples(f"{axis}.frame"))
+                panel.plot(time_s, values * MICRO, label=label, **look)
         panel.set_ylabel(f"frame along {axis}, um")
         _mark_steps(panel, run, names=axis == axes[0])
     panels[0].legend(loc="upper left")

@@ -1,20 +1,30 @@
-"""A recording and its plan, thinned to what a figure can show, in one pass."""
+"""A recording and its plan, thinned to what a figure can show and whole where it counts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording
-from threadline.verdict import as_intended
+from threadline.report.thinning import extremes
+from threadline.verdict import Result, Verdict, as_intended
 from threadline.verdict.along import contour_along
+from threadline.verdict.blocks import judged_blocks, setting_of
+from threadline.verdict.samples import Block
 
 MAX_SAMPLES = 20_000
-MAX_VERTICES = 20_000
+MAX_VERTICES = 2_000
+AROUND_SAMPLES = 2_000
+"""So many samples before and after a place that is marked are all drawn."""
+AROUND_OPERATIONS = 50
+"""So many operations before and after a place that is marked have all their points drawn."""
+MARKED = ("contour_error", "tracking_error")
+"""The criteria whose worst place is marked in a figure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,23 +34,27 @@ class Traces:
     Parameters
     ----------
     time_s
-        (n,) instants of the samples.
+        (n,) instants of the samples that were kept, increasing.
+    whole
+        (n,) whether no sample was left out between a sample and the one kept before it.
     commanded, actual
-        Per axis: (n,) m or rad. ``actual`` is the load where there is one, else the encoder.
+        Per axis: (n,) m or rad. ``actual`` is what the judge takes for it: the tool or the load
+        where there is one, else the encoder.
     velocity, acceleration
         Per axis: (n,) differences of ``actual`` over the recording's own ticks, SI.
     planned
         Per axis: (n, 3) position, velocity and acceleration of the trajectory.
-    vertices, vertex_operation
-        (m, axes) programmed vertices and (m,) their operation.
+    vertices
+        (m, axes) programmed vertices.
     stride
-        Every ``stride``-th sample of the recording was kept.
+        Of so many samples of the recording the extremes were kept; 1 where all were.
     contour
         (k,) times and (k,) contour errors, m, each the largest of a stretch of the job; None
         where it could not be measured.
     """
 
     time_s: FloatArray
+    whole: npt.NDArray[np.bool_]
     commanded: dict[str, FloatArray]
     actual: dict[str, FloatArray]
     velocity: dict[str, FloatArray]
@@ -51,87 +65,128 @@ class Traces:
     contour: tuple[FloatArray, FloatArray] | None = None
 
 
-def collect(proof: Proof) -> Traces:
-    """Read recording, trajectory and programmed path once each and thin them."""
+def worst_result(verdict: Verdict, name: str) -> Result | None:
+    """Return the result of ``name`` that is nearest to, or furthest over, its limit."""
+    results = [
+        r
+        for r in verdict.results
+        if r.name == name and r.measured is not None and r.time_s is not None
+    ]
+    if not results:
+        return None
+    return max(results, key=lambda r: abs(r.measured or 0.0) / (r.limit or 1.0))
+
+
+def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
+    """Read recording, trajectory and programmed path once each and thin them.
+
+    Of every stretch of a long recording the samples are kept at which an axis is at an extreme in
+    position, velocity, acceleration or tracking error: a peak of a single sample stays. About the
+    places that figures mark every sample is kept.
+
+    Parameters
+    ----------
+    proof
+        Its plan has axes with a path.
+    around_s
+        More instants about which every sample is kept, s.
+    """
     plan, recording = proof.plan, as_intended(proof.recording, proof.plan)
-    ticks = int(plan.motion.trajectory.duration_s / float(plan.machine.tick_clock.period_s)) + 1
-    stride = max(1, -(-ticks // MAX_SAMPLES))
-    time_s, commanded, actual, velocity, acceleration = _recorded(recording, plan, stride)
+    axes = plan.motion.trajectory.axes
+    setting = setting_of(plan, recording)
+    marked = [worst_result(proof.verdict, name) for name in MARKED]
+    places = [result for result in marked if result is not None]
+    times_s = [*around_s, *(r.time_s for r in places if r.time_s is not None)]
+    samples = plan.motion.trajectory.duration_s / setting.interval_s + 1.0
+    stride = 1 if samples <= MAX_SAMPLES else int(np.ceil(8 * len(axes) * samples / MAX_SAMPLES))
+    parts = list(
+        _kept(judged_blocks(recording, axes, 0, None), setting.interval_s, stride, times_s)
+    )
+    number, time_s, commanded, actual, velocity, acceleration = (
+        np.concatenate([part[column] for part in parts]) for column in range(6)
+    )
     values = [plan.motion.trajectory(time_s, derivative) for derivative in range(3)]
-    planned = {
-        axis: np.stack([v[:, column] for v in values], axis=1)
-        for column, axis in enumerate(plan.motion.trajectory.axes)
-    }
+
+    def by_axis(columns: FloatArray) -> dict[str, FloatArray]:
+        seen = np.flatnonzero(np.isfinite(columns).any(axis=0)).tolist()
+        return {axes[k]: columns[:, k] for k in seen}
+
     return Traces(
         time_s=time_s,
-        commanded=commanded,
-        actual=actual,
-        velocity=velocity,
-        acceleration=acceleration,
-        planned=planned,
-        vertices=_vertices(plan),
+        whole=np.diff(number, prepend=number[:1] - 1.0) == 1.0,
+        commanded=by_axis(commanded),
+        actual=by_axis(actual),
+        velocity=by_axis(velocity),
+        acceleration=by_axis(acceleration),
+        planned={axis: np.stack([v[:, k] for v in values], axis=1) for k, axis in enumerate(axes)},
+        vertices=_vertices(plan, [r.operation for r in places if r.operation is not None]),
         stride=stride,
         contour=contour_along(recording, plan, proof.spec.lag_s),
     )
 
 
-def _recorded(
-    recording: Recording, plan: Plan, stride: int
-) -> tuple[
-    FloatArray,
-    dict[str, FloatArray],
-    dict[str, FloatArray],
-    dict[str, FloatArray],
-    dict[str, FloatArray],
-]:
-    axes = plan.motion.trajectory.axes
-    shown = {
-        axis: recording.find(ChannelKind.LOAD, axis) or recording.find(ChannelKind.MEASURED, axis)
-        for axis in axes
-    }
-    wanted = {axis: recording.find(ChannelKind.COMMANDED, axis) for axis in axes}
-    times: list[FloatArray] = []
-    kept: dict[str, dict[str, list[FloatArray]]] = {
-        what: {axis: [] for axis in axes} for what in ("commanded", "actual", "v", "a")
-    }
-    tail: dict[str, FloatArray] = {}
-    for block in recording:
-        first = True
-        for axis in axes:
-            channel, command = shown[axis], wanted[axis]
-            if channel is None:
-                continue
-            samples = block.samples[channel.name]
-            period_s = float(channel.clock.period_s) * channel.stride
-            joined = np.concatenate([tail.get(axis, samples[:1].repeat(2)), samples])
-            tail[axis] = joined[-2:]
-            start = block.first_tick[channel.clock.name] // channel.stride
-            pick = np.arange((-start) % stride, len(samples), stride)
-            kept["actual"][axis].append(samples[pick])
-            kept["v"][axis].append((np.diff(joined)[1:] / period_s)[pick])
-            kept["a"][axis].append((np.diff(joined, 2) / period_s**2)[pick])
-            if command is not None:
-                kept["commanded"][axis].append(block.samples[command.name][pick])
-            if first:
-                instants = channel.clock.times_s(
-                    block.first_tick[channel.clock.name], len(samples), channel.stride
-                )
-                times.append(instants[pick])
-                first = False
-    joined_up = {
-        what: {axis: np.concatenate(parts) for axis, parts in by_axis.items() if parts}
-        for what, by_axis in kept.items()
-    }
-    time_s = np.concatenate(times) if times else np.empty(0)
-    return time_s, joined_up["commanded"], joined_up["actual"], joined_up["v"], joined_up["a"]
+def _kept(
+    blocks: Iterator[Block], interval_s: float, stride: int, around_s: Sequence[float]
+) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield number, time, command, position, velocity, acceleration of what is kept, by block.
+
+    Numbers and times are (n,), the others (n, axes). What a recording lacks is NaN.
+    """
+    before: FloatArray | None = None
+    for block in blocks:
+        actual = block.actual if block.actual is not None else block.own
+        commanded = block.commanded
+        shape = next(c.shape for c in (actual, commanded) if c is not None)
+        nothing = np.full(shape, np.nan)
+        actual = nothing if actual is None else actual
+        commanded = nothing if commanded is None else commanded
+        joined = np.concatenate(
+            [actual[:1].repeat(2, axis=0) if before is None else before, actual]
+        )
+        before = joined[-2:]
+        velocity = np.diff(joined, axis=0)[1:] / interval_s
+        acceleration = np.diff(joined, 2, axis=0) / interval_s**2
+        number = block.first + np.arange(len(actual))
+        keep = np.ones(len(actual), dtype=bool)
+        if stride > 1:
+            shown = np.concatenate([actual, velocity, acceleration, actual - commanded], axis=1)
+            keep = extremes(shown, number // stride)
+            for place_s in around_s:
+                keep |= np.abs(block.time_s - place_s) <= AROUND_SAMPLES * interval_s
+        yield (
+            number[keep].astype(np.float64),
+            block.time_s[keep],
+            commanded[keep],
+            actual[keep],
+            velocity[keep],
+            acceleration[keep],
+        )
 
 
-def _vertices(plan: Plan) -> FloatArray:
-    parts: list[FloatArray] = []
-    count = 0
+def _vertices(plan: Plan, around: Sequence[int]) -> FloatArray:
+    """Return programmed vertices, (m, axes) and in no order: all of them where there are few.
+
+    Of many, every second, fourth and so on is taken, those near a place in ``around``, and those
+    that are outermost in an axis.
+    """
+    near: list[FloatArray] = []
+    others: list[FloatArray] = []
+    outermost: FloatArray | None = None
+    count, step = 0, 1
     for block in plan.motion.programmed:
-        parts.append(block.positions)
+        if not len(block):
+            continue
+        close = np.zeros(len(block), dtype=bool)
+        for operation in around:
+            close |= np.abs(block.operation - operation) <= AROUND_OPERATIONS
+        taken = ~close & ((count + np.arange(len(block))) % step == 0)
         count += len(block)
-        if count >= MAX_VERTICES:
-            break
-    return np.concatenate(parts)[:MAX_VERTICES] if parts else np.empty((0, 0))
+        near.append(block.positions[close])
+        others.append(block.positions[taken])
+        seen = block.positions if outermost is None else np.vstack([outermost, block.positions])
+        outermost = seen[np.concatenate([seen.argmin(axis=0), seen.argmax(axis=0)])]
+        if sum(map(len, others)) > MAX_VERTICES:
+            others, step = [np.concatenate(others)[::2]], 2 * step
+    if outermost is None:
+        return np.empty((0, 0))
+    return np.concatenate([*near, *others, *([outermost] if step > 1 else [])])
