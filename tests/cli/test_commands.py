@@ -448,7 +448,8 @@ def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
     assert judged[".load"][1].endswith("not measured)\n")
     assert judged[""][0] == 1
     assert judged[""][1].endswith(
-        "NOT PROVEN: contour error and progress error and turning point error were not measured\n"
+        "NOT PROVEN (nominal: 1 run): contour error and progress error and turning point error "
+        "were not measured\n"
     )
 
 

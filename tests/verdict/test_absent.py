@@ -83,7 +83,7 @@ def test_a_clamped_axis_cannot_be_hidden() -> None:
     )
     found[K.VOLTAGE][:, 0] = np.nan
     hidden = judge([record(XY, found, operation)], plan, spec)
-    assert closing(hidden) == "NOT PROVEN: dac saturation was not measured"
+    assert closing(hidden) == "NOT PROVEN (nominal: 1 run): dac saturation was not measured"
 
 
 @pytest.mark.parametrize("order", [1, -1])

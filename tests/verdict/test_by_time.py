@@ -98,11 +98,12 @@ def test_without_the_load_nothing_is_proved_and_the_remedy_is_named() -> None:
     assert 'name the column "X.load" if it was measured at the load' in contour.note
     assert 'a column "X.commanded" gives it' in verdict.result("tracking_error").note
     assert not verdict.passed
-    assert closing(verdict) == "NOT PROVEN: contour error was not measured"
+    assert closing(verdict) == "NOT PROVEN (nominal: 1 run): contour error was not measured"
 
     far = {ChannelKind.LOAD: commanded + 1e-2}
     failed = judge([record(XY, far, None)], plan, SPEC)
-    assert closing(failed) == "OUT OF SPEC (nominal: 1 run)"
+    # 10 mm aside in both axes, 14.14 mm of 0.5.
+    assert closing(failed) == "OUT OF SPEC (nominal: 1 run; 2829 % of contour_error used)"
     passed = judge([record(XY, {ChannelKind.LOAD: commanded}, None)], plan, SPEC)
     assert closing(passed) == (
         "IN SPEC (nominal: 1 run; 0 % of contour_error used; 1 criterion not measured)"
@@ -143,7 +144,7 @@ def test_a_trace_coarser_than_the_lag_measures_nothing_of_the_path() -> None:
     assert {r.status for r in verdict.results} == {Status.NOT_MEASURED}
     assert all("a sample every 200 ms" in r.note for r in verdict.results)
     assert all("record every 100 ms at least" in r.note for r in verdict.results)
-    assert closing(verdict) == "NOT PROVEN: contour error was not measured"
+    assert closing(verdict) == "NOT PROVEN (nominal: 1 run): contour error was not measured"
 
     # The same motion, seen finely enough, is off by what it is.
     fine = judge([_coarse(20)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")

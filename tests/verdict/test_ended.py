@@ -68,7 +68,7 @@ def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
         assert lost.status is Status.NOT_MEASURED and lost.measured is None
         assert f"ended in operation 1, {kind}: the link is gone (0 m until then)" in lost.note
     assert verdict.result("path_deviation").status is Status.PASSED
-    assert closing(verdict).startswith("NOT PROVEN: the run ended in operation 1")
+    assert closing(verdict).startswith("NOT PROVEN (nominal: 1 run): the run ended in operation 1")
     assert verdict_json(verdict, plan)["incomplete"] == verdict.incomplete
 
 

@@ -245,6 +245,10 @@ def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
 
     assert rows(at_rest, lag, moves) == ["X"]
     assert rows(at_rest, lag, moves, fails) == ["X", "A"]
+    room = replace(fails, status=Status.PASSED, measured=-0.05)
+    shaken = replace(lag, measured=1e-4)
+    assert rows(at_rest, lag, moves, room) == ["X"]
+    assert rows(at_rest, shaken, moves) == ["A", "X"]
     assert rows(at_rest, lag) == ["A", "A"]
     every = verdict_rows(Verdict(results=(at_rest, moves), simulated=True), every_axis=True)[1]
     assert len(every) == 2

@@ -15,6 +15,7 @@ from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
 from threadline.search import Comparison
+from threadline.verdict import closing_of_all
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +47,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
         document = Document(
             title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",
             subtitle=first.plan.machine.title,
-            verdicts=[("every case in spec" if good else "not every case is in spec", good)],
+            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

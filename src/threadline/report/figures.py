@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
 from threadline.report.traces import Traces, worst_result
-from threadline.verdict import Result, Status
+from threadline.verdict import Result, Status, of_moving_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -182,8 +182,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     """Draw contour and tracking error along the job, and each measured error by its limit."""
     from matplotlib.figure import Figure
 
-    limited = sum(1 for r in proof.verdict.results if r.limit and r.measured is not None)
-    height = max(2.0, _BAR_IN * limited)
+    height = max(2.0, _BAR_IN * len(_limited(proof)))
     figure = Figure(figsize=(7.2, 6.2 + height))
     contour, tracking, bars = figure.subplots(3, 1, height_ratios=[2.0, 2.0, height])
     _contour_along(proof, traces, contour)
@@ -240,8 +239,14 @@ def _legend_beside(panel: Axes) -> None:
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, borderaxespad=0.0)
 
 
+def _limited(proof: Proof) -> list[Result]:
+    """Return the results that have a bar: measured against a limit above 0, of axes that move."""
+    told = of_moving_axes(proof.verdict.results)
+    return [r for r in told if r.limit and r.measured is not None]
+
+
 def _bars(proof: Proof, panel: Axes) -> None:
-    limited = [r for r in proof.verdict.results if r.limit and r.measured is not None]
+    limited = _limited(proof)
     names = [f"{r.name} {r.axis}".strip() for r in limited]
     used = [abs(r.measured or 0.0) / (r.limit or 1.0) * 100.0 for r in limited]
     colours = ["#D55E00" if r.status is Status.FAILED else "0.7" for r in limited]

@@ -90,8 +90,10 @@ def _points_line(added: float) -> str:
 
 
 def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
-    """Yield a line per axis: what its model needs, and which limit is nearest."""
+    """Yield a line for each axis that moves: what its model needs, and which limit is nearest."""
     for demand in demands:
+        if demand.share == 0.0:
+            continue
         current = (
             f"{demand.current_a:.1f} A of {demand.current_limit_a:g} A, "
             if demand.current_a is not None

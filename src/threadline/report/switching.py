@@ -26,7 +26,7 @@ from threadline.report.switching_figures import (
 )
 from threadline.search import Comparison
 from threadline.targets.schedule_moves import shaping_words
-from threadline.verdict import closing, step_rows, verdict_rows
+from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
 
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
@@ -110,7 +110,7 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
         document = Document(
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
-            verdicts=[("every case in spec" if good else "not every case is in spec", good)],
+            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
             warnings=tuple(f"{name} is refused: {why}" for name, why in found.refused),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,

@@ -4,7 +4,9 @@ from threadline.verdict.intended import as_intended
 from threadline.verdict.judge import judge
 from threadline.verdict.present import (
     closing,
+    closing_of_all,
     criteria_json,
+    of_moving_axes,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -22,9 +24,11 @@ __all__ = [
     "Verdict",
     "as_intended",
     "closing",
+    "closing_of_all",
     "criteria_json",
     "judge",
     "load_spec",
+    "of_moving_axes",
     "sewn_stitches",
     "step_rows",
     "verdict_json",

@@ -87,7 +87,7 @@ def closing(verdict: Verdict) -> str:
     A verdict that fails only because something required was not measured says so: nothing was
     found out of specification, and nothing proved.
     """
-    level = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
+    level = _level(verdict)
     missing = dict.fromkeys(r.name for r in verdict.results if r.status is Status.NOT_MEASURED)
     if verdict.passed:
         about = [level]
@@ -100,12 +100,26 @@ def closing(verdict: Verdict) -> str:
             about.append(f"{verdict.late_ticks} ticks late")
         return f"IN SPEC ({'; '.join(about)})"
     if any(r.status is Status.FAILED for r in verdict.results):
-        return f"OUT OF SPEC ({level})"
+        worst = verdict.tightest
+        beyond = "" if worst is None or worst.status is not Status.FAILED else f"; {_used(worst)}"
+        return f"OUT OF SPEC ({level}{beyond})"
     if verdict.incomplete:
-        return f"NOT PROVEN: {verdict.incomplete}"
+        return f"NOT PROVEN ({level}): {verdict.incomplete}"
     lacking = dict.fromkeys(r.name.replace("_", " ") for r in verdict.results if _lacking(r))
     were = "was" if len(lacking) == 1 else "were"
-    return f"NOT PROVEN: {' and '.join(lacking)} {were} not measured"
+    return f"NOT PROVEN ({level}): {' and '.join(lacking)} {were} not measured"
+
+
+def closing_of_all(verdicts: Sequence[Verdict]) -> str:
+    """Return the line under several verdicts: how many are in spec, and at which level."""
+    good = sum(verdict.passed for verdict in verdicts)
+    levels = dict.fromkeys(f"{_level(verdict)} each" for verdict in verdicts)
+    how_many = "every case" if good == len(verdicts) else f"{good} of {len(verdicts)} cases"
+    return f"{how_many} in spec ({', '.join(levels)})"
+
+
+def _level(verdict: Verdict) -> str:
+    return f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
 
 
 def _used(result: Result) -> str:
@@ -135,7 +149,7 @@ def verdict_rows(
     if every_axis:
         results: Sequence[Result] = verdict.results
     else:
-        moving = _of_moving_axes(verdict.results)
+        moving = of_moving_axes(verdict.results)
         names = dict.fromkeys((r.name, r.unit) for r in moving)
         results = [
             row for key in names for row in _worst([r for r in moving if (r.name, r.unit) == key])
@@ -143,8 +157,13 @@ def verdict_rows(
     return header, [_row(result) for result in results]
 
 
-def _of_moving_axes(results: Sequence[Result]) -> list[Result]:
-    """Return the results but the zeros of axes that stand still while another moves."""
+def of_moving_axes(results: Sequence[Result]) -> list[Result]:
+    """Return the results but those of axes that stand still while another moves.
+
+    An axis stands still if its motion never has a speed. What fails there stays, and what is not
+    measured, and what is not 0: another axis may shake it. The room to the ends of its travel is
+    left out.
+    """
     speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
     still = {axis for axis, speed in speeds.items() if speed == 0.0}
     if len(still) == len(speeds):
@@ -153,7 +172,9 @@ def _of_moving_axes(results: Sequence[Result]) -> list[Result]:
     return [
         r
         for r in results
-        if r.axis not in still or r.measured != 0.0 or r.status not in of_no_interest
+        if r.axis not in still
+        or r.status not in of_no_interest
+        or not (r.measured == 0.0 or r.name == "travel")
     ]
 
 

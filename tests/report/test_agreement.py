@@ -1,0 +1,156 @@
+"""One verdict, told four times: as JSON, on the terminal, on a screen, and on paper."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pypdf import PdfReader
+
+from threadline.cli.prove import show_proof
+from threadline.machine import load_machine
+from threadline.options import Options, parse_feed
+from threadline.pipeline import Proof, prove
+from threadline.report import write_report
+from threadline.units import parse_quantity
+from threadline.verdict import load_spec, verdict_json
+
+SEAM = """
+[stitching]
+stitch_length = "2.5 mm"
+needle_speed = "{speed} stitch/s"
+motion = "discrete"
+
+[[contour]]
+unit = "mm"
+points = [[0, 0], [20, 0], [20, 10]]
+"""
+PROGRAM = "G91 G1 X 30 F 2160\nX -30\nM30\n"  # Y and A stand still
+
+
+def proof_of(
+    folder: Path, name: str, text: str, machine: str, options: Options, runs: int = 1
+) -> Proof:
+    job = folder / name
+    job.write_text(text)
+    loaded = load_machine(machine)
+    return prove(job, loaded, load_spec(None, loaded), options, repeats=runs)
+
+
+def winder(folder: Path) -> Proof:
+    options = Options(interpolation="linear", feed=parse_feed("10 count/tick"))
+    return proof_of(folder, "a.prg", PROGRAM, "lathe-winder", options)
+
+
+def winder_out_of_spec(folder: Path) -> Proof:
+    options = Options(interpolation="linear", feed=parse_feed("80 count/tick"))
+    return proof_of(folder, "a.prg", PROGRAM, "lathe-winder", options)
+
+
+def winder_repeated(folder: Path) -> Proof:
+    options = Options(interpolation="auto", feed=parse_feed("10 count/tick"))
+    return proof_of(
+        folder,
+        "a.prg",
+        PROGRAM.replace("X 30", "X 3").replace("X -30", "X -3"),
+        "lathe-winder",
+        options,
+        20,
+    )
+
+
+def stepper(folder: Path) -> Proof:
+    return proof_of(folder, "a.prg", PROGRAM, "stepper-winder", Options())
+
+
+def stitcher(folder: Path) -> Proof:
+    return proof_of(folder, "a.seam.toml", SEAM.format(speed=60), "stitcher", Options())
+
+
+def placer(folder: Path) -> Proof:
+    example = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"
+    machine = "letter-placer"
+    return proof_of(folder, "a.toml", example.read_text(), machine, Options(shaper="um-zv"))
+
+
+def cells_of(page: str, title: str) -> list[list[str]]:
+    """Return header and rows of a table of an HTML page."""
+    table = page.partition(f"<h2>{title}</h2>")[2].partition("</table>")[0]
+    rows = re.findall(r"<tr>(.*?)</tr>", table, re.S)
+    return [[html.unescape(c) for c in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", r)] for r in rows]
+
+
+def same(criterion: dict[str, Any], what: str, shown: str) -> bool:
+    """Say whether a figure for people is that of the JSON: its four digits, or less than 1e-9."""
+    wanted = criterion[what]
+    if shown in ("-", "never"):  # JSON has no infinity
+        return wanted is None
+    if wanted is None:
+        return False
+    percent = shown.endswith("%")
+    value = float(shown[:-1]) / 100.0 if percent else parse_quantity(shown, criterion["unit"])
+    if criterion["name"] == "travel" and what == "measured" and wanted < 0.0:
+        return value == 0.0  # what is left of it stands in the note
+    return value == pytest.approx(wanted, rel=5e-3 if percent else 5e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "make", [winder, winder_out_of_spec, winder_repeated, stepper, stitcher, placer]
+)
+def test_json_terminal_screen_and_paper_tell_the_same(
+    make: Callable[[Path], Proof], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Names, axes, statuses, lines; figures to the four digits that people are shown."""
+    proof = make(tmp_path)
+    told = verdict_json(proof.verdict, proof.plan)
+    page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
+    show_proof(proof)
+    terminal = capsys.readouterr().out
+    pdf = PdfReader(tmp_path / "report" / "report.pdf")
+    paper = [re.sub(r"\s+", " ", each.extract_text()) for each in pdf.pages]
+
+    header, *rows = cells_of(page, "Criteria")
+    still = {c["axis"] for c in told["criteria"] if c["name"] == "velocity" and not c["measured"]}
+    assert {row[0] for row in rows} == {c["name"] for c in told["criteria"]}
+    for row in rows:
+        shown = dict(zip(header, row, strict=True))
+        assert shown["axis"] not in still or shown["status"] == "failed"
+        status = shown["status"].removesuffix(" (required)")
+        line = None if shown["line"] == "-" else int(shown["line"].split()[0])
+
+        assert any(
+            (c["name"], c["axis"], c["status"], c["job_line"])
+            == (shown["criterion"], shown["axis"], status, line)
+            and same(c, "measured", shown["measured"])
+            and same(c, "limit", shown["limit"])
+            for c in told["criteria"]
+        ), shown
+        words = [cell for cell in row[:7] if cell]
+        assert any(all(word in text for word in words) for text in terminal.splitlines())
+        assert any(" ".join(words) in text for text in paper)
+
+    word = "IN SPEC" if told["passed"] else "OUT OF SPEC"
+    level = f"{told['level']}: {told['runs']} run"
+    (verdict,) = re.findall(r'<span class="verdict (?:passed|failed)">(.*?)</span>', page)
+    assert verdict.startswith(f"{word} ({level}")
+    assert html.unescape(verdict) == terminal.splitlines()[-1]
+    assert all(html.unescape(verdict) in text for text in paper)
+    tightest = told["tightest"]
+    if tightest is not None and told["passed"] == (tightest["share_of_limit"] <= 1.0):
+        share, name = re.search(r"(\d+) % of (\S+)", verdict).groups()  # type: ignore[union-attr]
+        assert name == tightest["name"]
+        assert 0.0 <= int(share) / 100.0 - tightest["share_of_limit"] < 0.01 + 1e-9
+
+
+def test_bars_are_of_axes_that_move(tmp_path: Path) -> None:
+    """Of a program of X alone; A and Y have results all the same."""
+    page = write_report(winder(tmp_path), tmp_path / "report")
+    assert not re.search(r'<figure id="profile-[AY]"', page.read_text(encoding="utf-8"))
+    pdf = PdfReader(tmp_path / "report" / "report.pdf")
+    text = "\n".join(each.extract_text() for each in pdf.pages)
+    assert "turning_point_error X" in text
+    assert not re.search(r"(error|velocity|jerk|acceleration) [AY]\b", text)
