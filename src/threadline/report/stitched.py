@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.document import (
@@ -25,6 +27,7 @@ from threadline.report.stitched_figures import (
 from threadline.report.style import figure_style
 from threadline.search import Comparison
 from threadline.verdict import closing, verdict_rows
+from threadline.verdict.stitch_run import StitchRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +40,8 @@ _CAPTIONS = {
     "pace": "Speed of the shaft at each stitch, and the time until then, beside the one speed "
     "that the slowest stitch alone would need.",
 }
+_WORST = 10
+_MINUTE = 60.0
 _LEFT_OUT = ("feed-mode", "limits", "interpolation")
 """Options that mean nothing to a frame, or that its law says better."""
 
@@ -65,6 +70,7 @@ def write_stitched(proof: Proof, folder: Path) -> Path:
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
+                _worst_table(proof),
             ],
             figures=figures,
             captions=_CAPTIONS,
@@ -134,6 +140,34 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
             ]
         )
     return rows
+
+
+def _worst_table(proof: Proof) -> Table:
+    """Return the stitches that are farthest off, the worst first."""
+    plan = proof.plan
+    run = StitchRun(proof.recording, plan)
+    turns, residual = plan.stitched.turns, run.sewn.residual_m
+    alone_s = plan.stitched.pace.needed_turns_s(turns.moves)
+    largest = np.nan_to_num(np.nanmax(residual, axis=1), nan=-1.0)
+    rows = []
+    for stitch in np.argsort(-largest)[:_WORST].tolist():
+        turn = int(run.turns[stitch])
+        ways = " ".join(
+            f"{axis}{value * plan.stitched.pace.tables.unit.si * 1e3:+.4g}"
+            for axis, value in zip(plan.axes, turns.moves.units[turn].tolist(), strict=True)
+        )
+        rows.append(
+            [
+                turns.name(turn),
+                str(turns.line[turn]),
+                ways,
+                f"{largest[stitch] * 1e3:.4f}",
+                f"{_MINUTE / turns.turn_s[turn]:.4g}",
+                f"{_MINUTE / alone_s[turn]:.4g}",
+            ]
+        )
+    header = ["stitch", "record", "move mm", "residual mm", "stitches/min", "alone it can at"]
+    return Table(title="The stitches that are farthest off", header=header, rows=rows)
 
 
 def _facts(proof: Proof) -> list[tuple[str, str]]:

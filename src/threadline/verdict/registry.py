@@ -307,7 +307,13 @@ _KINDS = (
         of_worst=True,
         reads=(_sewn(stitch_measures.servo_force, ChannelKind.TORQUE_SHARE),),
     ),
-    MeasureKind(name="window_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
+    MeasureKind(
+        name="window_use",
+        dimension="ratio",
+        per_axis=False,
+        slack=demands.SLACK,
+        reads=(_TABLES,),
+    ),
     MeasureKind(name="step_rate", dimension="rate", per_axis=True, reads=(_TABLES,)),
     MeasureKind(name="fetch_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
 )

@@ -7,18 +7,19 @@ shaft at which the worst would be in.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.targets.stitched import Stitched
+from threadline.verdict.demands import SLACK
 from threadline.verdict.measure import Finding
 from threadline.verdict.stitch_run import StitchRun
 
-_SLOWER = 1.02
-_SLOWEST = 200
-_WITHIN = 1.0 + 1e-9
+_MINUTE = 60.0
 
 
 def measure_tables(plan: Plan) -> Mapping[str, Sequence[Finding]]:
@@ -54,8 +55,9 @@ def _window_use(stitched: Stitched) -> Finding:
     use = needed / windows
     worst = int(np.argmax(use))
     note = ""
-    if use[worst] > 1.0 + 1e-6:
-        note = f"{_out(use > _WITHIN)}; it can at {_speed(float(needed[worst]), stitched)}"
+    if use[worst] > SLACK:
+        turn_s = float(needed[worst]) / stitched.pace.share
+        note = f"{_out(use > SLACK, 'turns')}; it can at {_speed(turn_s)}"
     # A window is rounded to a period of the timer, and is not too short for that.
     period_s = float(stitched.commands.clock.period_s)
     return _at(stitched, worst, max(0.0, float(use[worst] - period_s / windows[worst])), note)
@@ -105,11 +107,22 @@ def _travel(stitched: Stitched) -> list[Finding]:
 
 def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Per axis: the largest distance of the frame from its place while the needle is in, m."""
-    sewn = run.sewn
-    return [
-        _worst(run, sewn.residual_m[:, k], sewn.time_s[:, k], axis)
-        for k, axis in enumerate(run.plan.axes)
-    ]
+    sewn, pace = run.sewn, run.stitched.pace
+    alone_s = pace.needed_turns_s(run.stitched.turns.moves)[run.turns]
+    found = []
+    for k, axis in enumerate(run.plan.axes):
+        residual = sewn.residual_m[:, k]
+        worst = _worst(run, residual, sewn.time_s[:, k], axis)
+        over = residual > pace.tolerance_m
+        if over.any():
+            # Those of the planner's tolerance: a limit is none of a measure's business.
+            note = (
+                f"{_out(over, 'stitches')} beyond {pace.tolerance_m * 1e3:.4g} mm; alone it can "
+                f"at {_speed(float(alone_s[int(np.nanargmax(residual))]))}"
+            )
+            worst = replace(worst, note=f"{worst.note}; {note}")
+        found.append(worst)
+    return found
 
 
 def servo_force(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
@@ -127,16 +140,12 @@ def _worst(run: StitchRun, values: FloatArray, times: FloatArray, axis: str) -> 
     worst = int(np.nanargmax(values))
     turn = int(run.turns[worst])
     found = _at(run.stitched, turn, float(values[worst]), axis=axis)
-    return Finding(
-        value=found.value, axis=axis, time_s=float(times[worst]), operation=found.operation,
-        job_line=found.job_line, position=found.position, note=found.note,
-    )  # fmt: skip
+    return replace(found, time_s=float(times[worst]))
 
 
-def _out(over: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> str:
-    return f"{int(over.sum())} of {len(over)} turns"
+def _out(over: NDArray[np.bool_], what: str) -> str:
+    return f"{int(over.sum())} of {len(over)} {what}"
 
 
-def _speed(window_s: float, stitched: Stitched) -> str:
-    turn_s = window_s / stitched.pace.share
-    return f"{60.0 / turn_s:.4g} stitches a minute"
+def _speed(turn_s: float) -> str:
+    return f"{_MINUTE / turn_s:.4g} stitches a minute"

@@ -1,0 +1,130 @@
+"""A recording of a frame beside its stitches: the right stitch fails, and what lacks passes not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.made import Made
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options, parse_feed
+from threadline.pipeline import Proof, plan_job, prove
+from threadline.signals import Recording, RecordingBlock
+from threadline.verdict import Status, judge, load_spec
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+MACHINE = load_machine("schiffli-frame")
+SPEC = load_spec(None, MACHINE)
+
+
+@cache
+def proof() -> Proof:
+    return prove(EXAMPLES / "rosette.dst", MACHINE, SPEC, Options())
+
+
+def changed(change) -> Recording:
+    """Return the recording with each block's samples changed."""
+    recording = proof().recording
+
+    def blocks():
+        for block in recording:
+            yield RecordingBlock(
+                first_tick=block.first_tick,
+                samples=change({k: v.copy() for k, v in block.samples.items()}, block),
+                events=block.events,
+            )
+
+    return replace(recording, blocks=Made(blocks))
+
+
+def test_the_stitch_that_is_off_is_named() -> None:
+    """The frame is pushed by 0.3 mm while the needle is in for the 100th time, and at no other."""
+    plan = proof().plan
+    turn = int(np.flatnonzero(plan.stitched.turns.moves.needle)[99])
+    when = plan.stitched.turns.begin[turn] / 16e6
+
+    def push(samples, block):
+        first = block.first_tick["servo"]
+        times = (first + np.arange(len(samples["needle"]))) * 1e-3
+        samples["Y.load"][(times > when + 0.3) & (times < when + 0.31)] += 3e-4
+        return samples
+
+    verdict = judge([changed(push)], plan, SPEC)
+    found = verdict.result("stitch_residual", "Y")
+    assert found.status is Status.FAILED
+    assert found.note.startswith("block 1, stitch 100; 1 of 185 stitches beyond 0.1 mm; alone it")
+    assert found.job_line == plan.stitched.turns.line[turn]
+    assert 3e-4 - 1e-4 < found.measured < 3e-4 + 1e-4
+    assert verdict.result("stitch_residual", "X").status is Status.PASSED
+
+
+def test_a_frame_that_is_off_while_the_needle_is_up_sews_well() -> None:
+    def wander(samples, block):
+        samples["X.load"][samples["needle"] == 0] += 5e-3
+        return samples
+
+    verdict = judge([changed(wander)], proof().plan, SPEC)
+    before = proof().verdict.result("stitch_residual", "X").measured
+    assert verdict.result("stitch_residual", "X").measured == before
+
+
+def test_a_stitch_too_few_passes_nothing_that_it_measures() -> None:
+    def blunt(samples, block):
+        if block.first_tick["servo"] == 0:
+            samples["needle"][:5000] = 0.0
+        return samples
+
+    verdict = judge([changed(blunt)], proof().plan, SPEC)
+    for axis in "XY":
+        found = verdict.result("stitch_residual", axis)
+        assert found.status is not Status.PASSED
+        assert "needle entered" in found.note
+    assert not verdict.passed
+
+
+def test_without_a_needle_or_a_load_nothing_is_measured() -> None:
+    recording = proof().recording
+    for name in ("needle", "X.load"):
+        channels = tuple(c for c in recording.channels if c.name != name)
+        verdict = judge([replace(recording, channels=channels)], proof().plan, SPEC)
+        found = verdict.result("stitch_residual", "X")
+        assert found.status is Status.NOT_MEASURED
+        assert not verdict.passed
+
+
+def test_what_no_window_holds_fails_and_is_told_its_speed() -> None:
+    """Full speed with half of the acceleration: 16.5 mm needs 1.414 times the window."""
+    soft = load_machine("schiffli-frame")
+    axes = {
+        name: replace(axis, acceleration=replace(axis.acceleration, si=3.165))
+        for name, axis in soft.axes.items()
+    }
+    soft = replace(soft, axes=axes, sha256="soft")
+    options = Options(feed=parse_feed("166.66666 stitch/min"))
+    plan = plan_job(read_job(EXAMPLES / "rosette.dst", soft), soft, options)
+    from threadline.verdict.stitch_measures import measure_tables
+
+    (found,) = measure_tables(plan)["window_use"]
+    assert found.value == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    # Half of the acceleration is enough for half of the way: 8.25 mm.
+    long = int((np.abs(plan.stitched.turns.moves.units).max(axis=1) > 82).sum())
+    assert found.note == (
+        f"block 2, stitch 172; {long} of 186 turns; it can at 117.8 stitches a minute"
+    )
+
+
+@pytest.mark.parametrize(
+    "reference",
+    ["table-embroiderer", "schiffli-frame+fifteen-yards", "schiffli-frame+ten-yards"],
+)
+def test_every_machine_sews_the_example(reference: str) -> None:
+    machine = load_machine(reference)
+    found = prove(EXAMPLES / "rosette.dst", machine, load_spec(None, machine), Options())
+    assert found.verdict.passed
+    fastest = 60.0 / found.plan.stitched.turns.turn_s.min()
+    assert fastest <= (1000.0 if reference == "table-embroiderer" else 166.67) * (1 + 1e-4)
