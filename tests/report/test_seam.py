@@ -82,7 +82,7 @@ def test_of_many_stitches_the_worst_is_drawn_and_all_are_counted(
 def test_the_worst_stitch_is_that_of_the_verdict(proof: Proof) -> None:
     sewn = list(sewn_stitches(proof.plan, proof.recording, 0.018))
     exempt = np.concatenate([run.stitches.exempt for run in sewn])
-    off = np.abs(np.concatenate([run.length_error for run in sewn]))
+    off = np.abs(np.concatenate([run.length_error[:, 0] for run in sewn]))
     found = proof.verdict.result("stitch_length_error")
     assert found.measured == pytest.approx(off[~exempt].max(), abs=1e-12)
     placement = np.concatenate([run.placement_m for run in sewn])

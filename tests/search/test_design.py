@@ -23,7 +23,7 @@ from threadline.plant.values import Values
 from threadline.search.design import DesignResult, design, with_delay
 from threadline.search.design_evaluate import Effort, Evaluator
 from threadline.search.design_gains import design_gains
-from threadline.search.design_judge import quick_judge
+from threadline.search.design_judge import design_judge
 from threadline.search.design_search import known_points, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
@@ -120,20 +120,22 @@ def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None
     assert asked >= 8
 
 
-def test_the_batch_is_judged_as_the_judge_does(stitcher: Machine, spec: Spec, corner: Path) -> None:
+def test_candidates_are_judged_as_the_judge_does(
+    stitcher: Machine, spec: Spec, corner: Path
+) -> None:
     """The same recordings, so the same figures: to rounding, for every candidate and delay."""
     space = design_space(stitcher)
     plan = plan_job(read_job(corner, stitcher), stitcher, Options(limit_share=0.5))
-    quick = quick_judge(plan, stitcher, spec, np.array([0.012, 0.018, 0.027]))
+    judge = design_judge(plan, stitcher, spec, np.array([0.012, 0.018, 0.027]))
     points = with_settings(space, np.log([3.0, 2.0, 0.8, 1.1, 0.9]), 2)
     points = np.concatenate([points, with_settings(space, np.zeros(5), 1)])
     variants = space.numbers(points) | design_gains(space, points)[0]
-    ratios = quick.ratios(variants, len(points))
+    ratios = judge.ratios(variants)
     assert ratios.length is not None
     for index in range(len(points)):
         numbers = {k: float(v[index]) for k, v in variants.items()}
         as_one = replace(plan, machine=with_numbers(stitcher, numbers))
-        for d, delay_s in enumerate(quick.delays_s):
+        for d, delay_s in enumerate(judge.delays_s):
             verdict = prove_plan(as_one, with_delay(spec, float(delay_s))).verdict
             for name, mine in (
                 ("contour_error", ratios.others[index, 0]),

@@ -286,9 +286,10 @@ def test_a_recording_that_ends_early_proves_nothing_of_the_rest(vertices_per_blo
 def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
     """A cut across a right angle: half a diagonal from the corner, half-way in time."""
     vertices = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    best, best_time_s = np.full(3, np.inf), np.zeros(3)
+    best, best_time_s = np.full((3, 1), np.inf), np.zeros((3, 1))
     vertices_to_path(
-        np.array([[0.0, 0.0], [1.0, 1.0]]),
+        np.array([[[1.0], [1.0]]]),
+        np.array([[0.0], [0.0]]),
         np.array([2.0, 4.0]),
         np.array([1, 1]),
         np.array([1, 2]),

@@ -282,7 +282,7 @@ def test_a_wider_limit_of_a_valve_holds_beside_the_machines(tmp_path: Path) -> N
 
 
 SHARE = 'name = "m"\n[[criteria]]\nname = "{}"\nlimit = {}\n'
-SHARES = sorted(n for n, k in MEASURES.items() if k.dimension == "ratio" and k.start is not None)
+SHARES = sorted(n for n, k in MEASURES.items() if k.dimension == "ratio")
 
 
 @pytest.mark.parametrize("name", SHARES)

@@ -82,10 +82,10 @@ def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> Floa
         [
             run.stitches.contour,
             exempt,
-            run.actual[:, :2] * 1e3,
+            run.actual[:, :2, 0] * 1e3,
             run.stitches.point[:, :2] * 1e3,
-            np.where(exempt, 0.0, np.abs(run.length_error) / length_limit),
-            run.placement_m / place_limit,
+            np.where(exempt, 0.0, np.abs(run.length_error[:, 0]) / length_limit),
+            run.placement_m[:, 0] / place_limit,
         ]
     )
 

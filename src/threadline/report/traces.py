@@ -134,8 +134,8 @@ def _kept(
     """
     before: FloatArray | None = None
     for block in blocks:
-        actual = block.actual if block.actual is not None else block.own
-        commanded = block.commanded
+        moved = block.actual if block.actual is not None else block.own
+        actual, commanded = None if moved is None else moved[:, 0], block.commanded
         shape = next(c.shape for c in (actual, commanded) if c is not None)
         nothing = np.full(shape, np.nan)
         actual = nothing if actual is None else actual

@@ -15,7 +15,7 @@ from threadline.machine.numbers import with_numbers
 from threadline.options import Options
 from threadline.pipeline import plan_job
 from threadline.search.design_gains import design_gains
-from threadline.search.design_judge import HOPELESS, QuickJudge, Ratios, quick_judge
+from threadline.search.design_judge import HOPELESS, DesignJudge, Ratios, design_judge
 from threadline.search.design_space import Space
 from threadline.verdict import Spec
 
@@ -131,7 +131,7 @@ class Evaluator:
         self.tolerances = tolerances and space.corner_count > 1
         self.read, self._spec, self._options = read, spec, options
         self.simulated = 0
-        self.judges: tuple[QuickJudge, ...] = ()
+        self.judges: tuple[DesignJudge, ...] = ()
         if space.ahead:
             return
         judges = []
@@ -139,7 +139,7 @@ class Evaluator:
             # The reader of a seam asks the machine for its acceleration: it is read anew.
             machine = with_numbers(space.machine, space.slower(share))
             plan = plan_job(read(machine), machine, options)
-            judges.append(quick_judge(plan, machine, spec, space.delays_s))
+            judges.append(design_judge(plan, machine, spec, space.delays_s))
         self.judges = tuple(judges)
 
     def delay_s(self, level: int, delay: int) -> float | None:
@@ -195,15 +195,15 @@ class Evaluator:
             machine = with_numbers(self.space.machine, numbers)
             try:
                 plan = plan_job(self.read(machine), machine, self.options_at(width))
-                judge = quick_judge(plan, machine, self._spec, self.space.delays_s)
+                judge = design_judge(plan, machine, self._spec, self.space.delays_s)
             except (PlanError, MachineError):
                 continue
-            found = judge.ratios({k: np.array([v]) for k, v in numbers.items()}, 1)
+            found = judge.ratios({k: np.array([v]) for k, v in numbers.items()})
             self.simulated += 1
             nominal[index] = ratio[index] = found.best()[0][0]
             if self.tolerances and nominal[index] <= beyond:
                 corners = self.space.corners(point[None])
-                worst = judge.ratios(self.space.numbers(corners), len(corners))
+                worst = judge.ratios(self.space.numbers(corners))
                 self.simulated += len(corners)
                 found = worst.worst_of(len(corners)).worse(found)
                 ratio[index] = found.best()[0][0]
@@ -227,7 +227,7 @@ class Evaluator:
         at = np.flatnonzero(possible)
         if len(at):
             own = {k: v[at] for k, v in gains.items()}
-            found = judge.ratios(self.space.numbers(points[at]) | own, len(at))
+            found = judge.ratios(self.space.numbers(points[at]) | own)
             self.simulated += len(at)
             nominal[at], delay[at] = found.best()
             ratio[at] = nominal[at]
@@ -250,7 +250,7 @@ class Evaluator:
         at: IntArray,
         gains: dict[str, FloatArray],
         found: Ratios,
-        judge: QuickJudge,
+        judge: DesignJudge,
         beyond: float,
         ratio: FloatArray,
         delay: IntArray,
@@ -266,7 +266,7 @@ class Evaluator:
         numbers = self.space.numbers(corners) | {
             k: np.repeat(v[near], count) for k, v in gains.items()
         }
-        worst = judge.ratios(numbers, len(corners)).worst_of(count)
+        worst = judge.ratios(numbers).worst_of(count)
         self.simulated += len(corners)
         own = Ratios(
             names=found.names,

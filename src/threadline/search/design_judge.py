@@ -1,49 +1,30 @@
-"""The judge for thousands of candidates: its own measures, fed from a batch's load channels.
-
-Everything that doesn't depend on the candidate (which chords the command is on, when the needle
-goes down) is worked out once. Contour and the other criteria are measured by the very measures of
-the verdict; stitch lengths in one sweep over candidates and needle delays.
-"""
+"""How much of every limit the candidates of a redesign use: the judge of many runs, in ratios."""
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import MachineError, OptionError
-from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Stream, tick_table
-from threadline.twin import simulate, simulate_batch
-from threadline.verdict import Criterion, Spec
-from threadline.verdict.blocks import judged_blocks, setting_of
+from threadline.search.judge_runs import RunsJudge
+from threadline.signals import Stream
+from threadline.verdict import Criterion, EachRun, Spec
 from threadline.verdict.measure import OfRun
-from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.needle import has_stitches
 from threadline.verdict.registry import MEASURES
-from threadline.verdict.samples import Block, Setting
-from threadline.verdict.window import PathWindow
 
 SETTLE_S = 0.25
-MOST_SAMPLES = 60_000
+KEPT_S = 300.0
+"""A job that takes no longer is kept in memory while it is judged over and over."""
 HOPELESS = 1e3
 """The ratio, and the most, of a variant that cannot be planned, simulated or measured."""
 
-_CHUNK_BYTES = 2.5e8
-_AT_ONCE = 256
 _LENGTH = "stitch_length_error"
 _SEAM = "seam_error"
-_CHANNELS: Mapping[ChannelKind, tuple[tuple[str, str], ...]] = {
-    ChannelKind.LOAD: (("actual", "load"),),
-    ChannelKind.MEASURED: (("own", "measured"),),
-    ChannelKind.VOLTAGE: (("voltage", "voltage"),),
-    ChannelKind.CURRENT: (("current", "current"), ("current_peak", "current_peak")),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,225 +80,111 @@ class Ratios:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class QuickJudge:
+class DesignJudge:
     """Judges variants of a machine under the commands of one plan.
 
     Parameters
     ----------
-    plan
-        Whose commands every variant gets, kept in memory.
-    criteria
-        With a limit, measured on a recording.
-    lag_s
-        Of the specification.
+    runs
+        Judges them, by every criterion with a limit; by that of the stitch length once for each
+        needle delay.
+    others
+        Criteria other than the stitch length.
+    length
+        That of the stitch length, for each of ``delays_s``; none where it is not asked for.
     delays_s
         (D,) needle delays; what the specification says where there are none.
-    blocks
-        Of the plan's own recording: all that doesn't depend on the variant.
-    stitches
-        Needle-downs of the plan.
-    plan_ratio
-        Criteria of the plan itself: measured over limit.
     """
 
-    plan: Plan
-    criteria: tuple[Criterion, ...]
-    lag_s: float
+    runs: RunsJudge
+    others: tuple[Criterion, ...]
+    length: tuple[Criterion, ...]
     delays_s: FloatArray
-    blocks: tuple[Block, ...]
-    stitches: tuple[Stitches, ...]
-    columns: tuple[tuple[str, str], ...]
-    setting: Setting
-    settle_s: float = SETTLE_S
-    _others: tuple[Criterion, ...] = field(default=())
 
-    def ratios(self, variants: Mapping[str, FloatArray], count: int) -> Ratios:
-        """Return how much of each limit ``count`` variants use; 1000 where there is no answer."""
-        samples = sum(len(block) for block in self.blocks)
-        chunk = max(int(_CHUNK_BYTES / (8 * samples * max(len(self._channels()), 1))), 1)
-        parts = [
-            self._part({k: v[at : at + chunk] for k, v in variants.items()}, min(chunk, count - at))
-            for at in range(0, count, chunk)
+    def ratios(self, variants: Mapping[str, FloatArray]) -> Ratios:
+        """Return how much of each limit variants use; 1000 where there is no answer."""
+        found = self.runs.judged(variants)
+        by_delay = [row for row in found.rows if row.name == _LENGTH]
+        length = [
+            _share(row.values, criterion.limit)
+            for row, criterion in zip(by_delay, self.length, strict=True)
         ]
         return Ratios(
-            names=parts[0].names,
-            others=np.concatenate([p.others for p in parts]),
-            length=None
-            if parts[0].length is None
-            else np.concatenate([p.length for p in parts if p.length is not None]),
+            names=tuple(f"{c.name} {c.axis}".strip() for c in self.others),
+            others=np.array([_used(c, found) for c in self.others]).reshape(-1, found.runs).T,
+            length=np.stack(length, axis=1) if length else None,
         )
 
-    def _channels(self) -> tuple[str, ...]:
-        axes = self.plan.motion.programmed.axes
-        return tuple(f"{axis}.{name}" for _, name in self.columns for axis in axes)
 
-    def _part(self, variants: Mapping[str, FloatArray], count: int) -> Ratios:
-        names = tuple(f"{c.name} {c.axis}".strip() for c in self._others)
-        delays = len(self.delays_s) if len(self._others) < len(self.criteria) else 0
-        try:
-            found = simulate_batch(
-                tick_table(self.plan.commands),
-                self.plan.machine,
-                variants,
-                settle_s=self.settle_s,
-                channels=self._channels(),
-            )
-        except MachineError:
-            # One variant without an answer ends the batch: the halves say which.
-            if count == 1:
-                return Ratios(
-                    names=names,
-                    others=np.full((1, len(names)), HOPELESS),
-                    length=np.full((1, delays), HOPELESS) if delays else None,
-                )
-            half = count // 2
-            low = self._part({k: v[:half] for k, v in variants.items()}, half)
-            high = self._part({k: v[half:] for k, v in variants.items()}, count - half)
-            return Ratios(
-                names=names,
-                others=np.concatenate([low.others, high.others]),
-                length=np.concatenate([low.length, high.length])
-                if low.length is not None and high.length is not None
-                else None,
-            )
-        axes = self.plan.motion.programmed.axes
-        data = {
-            column: np.stack([found.samples[f"{axis}.{name}"] for axis in axes], axis=2)
-            for column, name in self.columns
-        }
-        others = np.array([self._measured(data, v) for v in range(count)]).reshape(count, -1)
-        length = self._length(data["actual"]) if delays else None
-        return Ratios(names=names, others=others, length=length)
-
-    def _measured(self, data: Mapping[str, FloatArray], variant: int) -> list[float]:
-        running = []
-        for criterion in self._others:
-            kind = MEASURES[criterion.name]
-            measure = kind.start(self.setting, criterion.options)
-            assert measure is not None
-            running.append(measure)
-        for block in self.blocks:
-            own = slice(block.first, block.first + len(block))
-            columns: dict[str, Any] = {k: v[own, variant] for k, v in data.items()}
-            filled = replace(block, **columns)
-            for measure in running:
-                measure.feed(filled)
-        found = []
-        for criterion, measure in zip(self._others, running, strict=True):
-            values = [
-                f.value
-                for f in measure.finish()
-                if f.value is not None and criterion.axis in {"", f.axis}
-            ]
-            assert criterion.limit is not None
-            found.append(_share(max(values, default=0.0), criterion.limit))
-        return found
-
-    def _length(self, load: FloatArray) -> FloatArray:
-        """Return (n, D) the stitch length error over its limit, from (samples, n, axes) loads."""
-        (criterion,) = (c for c in self.criteria if c.name == _LENGTH)
-        assert criterion.limit is not None
-        worst = np.zeros((load.shape[1], len(self.delays_s)))
-        columns = [self.plan.motion.programmed.axes.index(axis) for axis in self.plan.job.axes]
-        points = (load * self.plan.motion.programmed.radius_m)[:, :, columns]
-        for run in self.stitches:
-            kept = ~run.exempt
-            target = run.target_m[kept, None]
-            for d, delay_s in enumerate(self.delays_s):
-                moved = self._at(points, run.down_s[kept] + delay_s)
-                moved -= self._at(points, run.from_s[kept] + delay_s)
-                error = np.abs(np.sqrt((moved**2).sum(axis=2)) / target - 1.0)
-                worst[:, d] = np.maximum(worst[:, d], error.max(axis=0, initial=0.0))
-        return np.asarray(worst / criterion.limit)
-
-    def _at(self, points: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return (m, n, axes) the points at (m,) times, straight between samples."""
-        place = np.clip(time_s / self.setting.interval_s, 0.0, len(points) - 1.0)
-        index = np.minimum(place.astype(np.int64), len(points) - 2)
-        part = (place - index)[:, None, None]
-        return np.asarray(points[index] * (1.0 - part) + points[index + 1] * part)
+def _used(criterion: Criterion, found: EachRun) -> FloatArray:
+    """Return (runs,) the largest share of a limit that any of the axes it is asked of uses."""
+    shares = [
+        _share(row.values, criterion.limit)
+        for row in found.rows
+        if row.name == criterion.name and criterion.axis in ("", row.axis)
+    ]
+    return np.asarray(np.max(shares, axis=0, initial=0.0))
 
 
-def _share(value: float, limit: float) -> float:
+def _share(values: FloatArray, limit: float | None) -> FloatArray:
+    """Return values over a limit; what was not measured uses nothing of it."""
+    assert limit is not None
+    known = np.nan_to_num(values, nan=0.0, posinf=np.inf)
     if limit <= 0.0:
-        return 0.0 if value <= 0.0 else HOPELESS
-    return min(value / limit, HOPELESS)
+        return np.where(known <= 0.0, 0.0, HOPELESS)
+    return np.minimum(known / limit, HOPELESS)
 
 
-def quick_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) -> QuickJudge:
+def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) -> DesignJudge:
     """Prepare to judge variants of ``machine`` under the commands of ``plan``.
 
     Parameters
     ----------
     delays_s
         (D,) needle delays to try; empty for the one of the specification.
-
-    Raises
-    ------
-    OptionError
-        If the job is too long to be simulated thousands of times.
     """
-    recording = simulate(tick_table(plan.commands), machine, settle_s=SETTLE_S)
-    kept = []
-    count = 0
-    for block in recording:
-        kept.append(block)
-        count += len(block.samples["operation"])
-        if count > MOST_SAMPLES:
-            raise OptionError(
-                f"{plan.job.name}: the job is longer than {MOST_SAMPLES} ticks, too long to be "
-                "simulated for thousands of machines",
-                remedy="Search on a short job that has the hard places of it, then prove the long.",
-            )
-    recording = replace(recording, blocks=Stream.of(kept))
-    trajectory = plan.motion.trajectory
-    steady_trajectory = replace(trajectory, blocks=Stream.of(trajectory.blocks))
-    steady = replace(
-        plan,
-        machine=machine,
-        job=_kept_job(plan.job),
-        intent=replace(plan.motion, trajectory=steady_trajectory),
-    )
-    setting = setting_of(steady, recording, spec.lag_s)
-    blocks = tuple(
-        replace(block, path=copy.copy(block.path))
-        for block in judged_blocks(
-            recording, setting.axes, setting.lag_samples, PathWindow(plan.motion.programmed)
+    kept = _kept(replace(plan, machine=machine))
+    asked = tuple(c for c in spec.criteria if _is_asked(c, kept))
+    length = tuple(c for c in asked if c.name == _LENGTH)
+    if not has_stitches(kept.job):
+        length = ()
+    if length:
+        own = length[0]
+        if not len(delays_s):
+            delays_s = np.array([own.options.get("delay", 0.0)])
+        length = tuple(
+            replace(own, options={**own.options, "delay": delay_s}) for delay_s in delays_s.tolist()
         )
-    )
-    criteria = tuple(c for c in spec.criteria if _is_quick(c, setting))
-    stitched = has_stitches(steady.job)
-    length = [c for c in criteria if c.name == _LENGTH]
-    if not stitched:
-        criteria = tuple(c for c in criteria if c.name != _LENGTH)
-    elif length and not len(delays_s):
-        delays_s = np.array([length[0].options.get("delay", 0.0)])
-    kinds = {kind for c in criteria for needs in MEASURES[c.name].needs for kind in needs}
-    return QuickJudge(
-        plan=steady,
-        criteria=criteria,
-        lag_s=spec.lag_s,
+    others = tuple(c for c in asked if c.name != _LENGTH)
+    judged = replace(spec, criteria=(*others, *length))
+    return DesignJudge(
+        runs=RunsJudge(kept, judged, settle_s=SETTLE_S),
+        others=others,
+        length=length,
         delays_s=delays_s,
-        blocks=blocks,
-        stitches=tuple(planned_stitches(steady)) if stitched else (),
-        columns=tuple(
-            pair
-            for kind, pairs in _CHANNELS.items()
-            for pair in pairs
-            if kind in kinds or kind is ChannelKind.LOAD
-        ),
-        setting=setting,
-        _others=tuple(c for c in criteria if c.name != _LENGTH),
     )
 
 
-def _is_quick(criterion: Criterion, setting: Setting) -> bool:
-    # What the drawing adds to the contour is the same for every machine: the proof asks for it.
-    if criterion.name == _SEAM:
+def _is_asked(criterion: Criterion, plan: Plan) -> bool:
+    """Say whether a criterion tells one machine from another.
+
+    What the drawing adds to the contour is the same for every machine: the proof asks for it.
+    """
+    if criterion.name == _SEAM or criterion.limit is None:
         return False
-    of_one_run = isinstance(MEASURES[criterion.name].of_run(setting), OfRun)
-    return criterion.limit is not None and of_one_run
+    kind = MEASURES[criterion.name]
+    return kind.of_plan(plan) is None and any(isinstance(r, OfRun) for r in kind.reads)
 
 
-def _kept_job(job: Job) -> Job:
-    return replace(job, operations=Stream.of(job))
+def _kept(plan: Plan) -> Plan:
+    """Return a plan whose job and trajectory are in memory, if they are short."""
+    if plan.duration_s > KEPT_S:
+        return plan
+    trajectory = plan.motion.trajectory
+    return replace(
+        plan,
+        job=replace(plan.job, operations=Stream.of(plan.job)),
+        intent=replace(
+            plan.motion, trajectory=replace(trajectory, blocks=Stream.of(trajectory.blocks))
+        ),
+    )

@@ -66,7 +66,8 @@ class RecordingBlock:
     first_tick
         Per clock name: the tick of the first sample of each channel of that clock.
     samples
-        Per channel name: (n,) float64, n the same for channels of one clock and stride.
+        Per channel name: (n,) float64, n the same for channels of one clock and stride; of several
+        runs side by side (n, runs) where they differ.
     events
         Events that took effect within the block.
     """
@@ -96,6 +97,8 @@ class Recording:
     origin
         How the plan was made (job file, machine, interpolation, feed, tolerance ...), so that a
         recording can be judged on its own.
+    runs
+        How many runs of the same commands it holds side by side.
     """
 
     channels: tuple[Channel, ...]
@@ -104,6 +107,7 @@ class Recording:
     machine_sha256: str
     simulated: bool
     origin: Mapping[str, str] = field(default_factory=dict)
+    runs: int = 1
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         return iter(self.blocks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -13,8 +13,10 @@ from threadline.signals import Channel, ChannelKind
 from threadline.twin.kernel import Reading, Signal
 
 
-def tick_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
-    """Return the channels of a recording with a sample every so many ticks."""
+def tick_channels(
+    machine: Machine, every: int, kinds: Collection[ChannelKind] = tuple(ChannelKind)
+) -> tuple[Channel, ...]:
+    """Return the channels of a recording with a sample every so many ticks, of some kinds."""
     clock = machine.tick_clock
     found = []
 
@@ -34,11 +36,34 @@ def tick_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
     add("operation", ChannelKind.OPERATION, "")
     for name, switch in machine.inputs.items():
         add(name, ChannelKind.INPUT, "", switch.axis)
-    return tuple(found)
+    return tuple(c for c in found if c.kind in kinds)
+
+
+_SIGNALS = {
+    "measured": Signal.READ,
+    "load": Signal.LOAD,
+    "frame": Signal.FRAME,
+    "voltage": Signal.VOLTS,
+    "current": Signal.CURRENT,
+    "current_peak": Signal.CURRENT_PEAK,
+}
+
+
+def readings_of(channels: Sequence[Channel]) -> dict[str, Reading]:
+    """Return what has to be read of the engine for each channel that comes from there."""
+    found = {}
+    for channel in channels:
+        ending = channel.name.rpartition(".")[2]
+        if channel.kind is ChannelKind.INPUT:
+            found[channel.name] = Reading(Signal.TRIPPED, channel.name)
+        elif channel.axis and ending in _SIGNALS:
+            found[channel.name] = Reading(_SIGNALS[ending], channel.axis)
+    return found
 
 
 def samples_of(
     machine: Machine,
+    channels: Sequence[Channel],
     start_counts: IntArray,
     read: Mapping[Reading, FloatArray],
     travelled: IntArray,
@@ -50,30 +75,36 @@ def samples_of(
     start_counts
         (axes,) commanded position before the first row.
     read
-        (n, 1) of every reading.
+        (n, runs) of every reading.
     travelled
-        (n, axes) counts commanded since then.
+        (n, axes) counts commanded since then, of all runs.
+
+    Returns
+    -------
+    dict
+        (n,) of each channel; of several runs (n, runs) but for what they have in common.
     """
     samples: dict[str, FloatArray] = {}
-    for at, (name, axis) in enumerate(machine.axes.items()):
-        scale, start = axis.counts.si, float(start_counts[at])
-
-        def of(signal: Signal, name: str = name) -> FloatArray:
-            return read[Reading(signal, name)][:, 0]
-
-        # Counts below 2^53 are exact as floats: one new array for a channel, divided in place.
-        for channel, counts in (("commanded", travelled[:, at]), ("measured", of(Signal.READ))):
-            whole = (counts + start).astype(np.float64, copy=False)
-            whole /= scale
-            samples[f"{name}.{channel}"] = whole
-        samples[f"{name}.load"] = start / scale + of(Signal.LOAD)
-        if axis.frame is not None:
-            samples[f"{name}.frame"] = of(Signal.FRAME)
-        samples[f"{name}.voltage"] = of(Signal.VOLTS)
-        samples[f"{name}.current"] = of(Signal.CURRENT)
-        samples[f"{name}.current_peak"] = of(Signal.CURRENT_PEAK)
-    for name in machine.inputs:
-        samples[name] = read[Reading(Signal.TRIPPED, name)][:, 0]
+    readings, names = readings_of(channels), machine.axis_names
+    for channel in channels:
+        name = channel.name
+        if channel.kind is ChannelKind.COMMANDED:
+            at = names.index(channel.axis)
+            counts: FloatArray | IntArray = travelled[:, at]
+        elif name in readings:
+            values = read[readings[name]]
+            values = values[:, 0] if values.shape[1] == 1 else values
+            samples[name] = counts = values
+        if channel.kind in (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD):
+            at = names.index(channel.axis)
+            scale, start = machine.axes[channel.axis].counts.si, float(start_counts[at])
+            if channel.kind is ChannelKind.LOAD:
+                samples[name] = np.add(start / scale, counts, dtype=np.float64)
+            else:
+                # Counts below 2^53 are exact as floats: one new array, divided in place.
+                whole = (counts + start).astype(np.float64, copy=False)
+                whole /= scale
+                samples[name] = whole
     return samples
 
 
@@ -92,3 +123,23 @@ def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
     if not ((phases >= 0.0) & (phases < 1.0)).all():
         raise OptionError(f"encoder_phase must lie in [0, 1), got {phases.tolist()}")
     return phases
+
+
+def run_phases(machine: Machine, phase: FloatArray | None, runs: int) -> FloatArray:
+    """Return (runs, axes) encoder phases; what is given for one run, all have.
+
+    Raises
+    ------
+    OptionError
+        As ``encoder_phases``; or if they are of another number of runs.
+    """
+    given = None if phase is None else np.asarray(phase, dtype=np.float64)
+    if given is None or given.ndim == 1:
+        return np.broadcast_to(encoder_phases(machine, given), (runs, len(machine.axes)))
+    if given.shape != (runs, len(machine.axes)):
+        raise OptionError(
+            f"encoder_phase has shape {given.shape}, expected {(runs, len(machine.axes))}"
+        )
+    if not ((given >= 0.0) & (given < 1.0)).all():
+        raise OptionError("encoder_phase must lie in [0, 1)")
+    return given

@@ -6,7 +6,7 @@ A simulated machine that is driven live is a session; ``simulate`` is a loop ove
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,8 +16,16 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.values import Values
-from threadline.signals import Channel, Ended, Event, EventKind, RecordingBlock, TickBlock
-from threadline.twin.channels import encoder_phases, samples_of, tick_channels
+from threadline.signals import (
+    Channel,
+    ChannelKind,
+    Ended,
+    Event,
+    EventKind,
+    RecordingBlock,
+    TickBlock,
+)
+from threadline.twin.channels import readings_of, run_phases, samples_of, tick_channels
 from threadline.twin.kernel import Engine, Reading, Run
 
 _HALTING = ("stop", "wait")
@@ -41,13 +49,19 @@ class Session:
     start_counts
         (axes,) commanded position before the first row; 0 when None.
     encoder_phase
-        (axes,) where between two counts each encoder stands at the start; 0.5 when None.
+        (axes,) where between two counts each encoder stands at the start, or (runs, axes) of each
+        run; 0.5 when None.
     record_every
         Ticks from sample to sample.
     quantised
         False leaves out the rounding of encoders and DACs: for comparisons.
+    values
+        Numbers of the runs where several go side by side, all under the same rows; the machine's
+        own when None.
+    kinds
+        Of the channels to record.
     engine
-        Of this machine at this start, where there is one already.
+        Of this machine and these values at this start, where there is one already.
 
     Attributes
     ----------
@@ -87,6 +101,8 @@ class Session:
         encoder_phase: FloatArray | None = None,
         record_every: int = 1,
         quantised: bool = True,
+        values: Values | None = None,
+        kinds: Collection[ChannelKind] = tuple(ChannelKind),
         engine: Engine | None = None,
     ) -> None:
         if record_every < 1:
@@ -96,7 +112,9 @@ class Session:
         if start.shape != (axes,):
             raise OptionError(f"start_counts has shape {start.shape}, expected {(axes,)}")
         self._machine, self._start = machine, start
-        self._phases = encoder_phases(machine, encoder_phase)
+        self._values = Values.of(machine) if values is None else values
+        self._phases = run_phases(machine, encoder_phase, self._values.count)
+        self._kinds = tuple(kinds)
         self._every, self._quantised = record_every, quantised
         self._rows: deque[tuple[IntArray, IntArray]] = deque()
         self._events: deque[Event] = deque()  # of the commands, not met yet
@@ -114,11 +132,15 @@ class Session:
         machine = self._machine
         if engine is None:
             start_si = self._start / machine.counts_per_unit
-            engine = Engine(machine, Values.of(machine), start_si)
-        self.channels: tuple[Channel, ...] = tick_channels(machine, self._every)
+            engine = Engine(machine, self._values, start_si)
+        self.channels: tuple[Channel, ...] = tick_channels(machine, self._every, self._kinds)
         self._clock = machine.tick_clock.name
-        self._readings = engine.readings()
-        self._run: Run = engine.start(self._phases[None], quantised=self._quantised)
+        self._readings = tuple(readings_of(self.channels).values())
+        self._run: Run = engine.start(
+            self._phases,
+            watch_current=ChannelKind.CURRENT in self._kinds,
+            quantised=self._quantised,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name not in _REBUILT}
@@ -351,7 +373,9 @@ class Session:
         begin = -(-first // self._every) * self._every
         whole = parts[0] if len(parts) == 1 else self._joined(parts)
         kept = slice(begin - first, None, self._every)
-        samples = samples_of(self._machine, self._start, whole.read, whole.travelled[kept])
+        samples = samples_of(
+            self._machine, self.channels, self._start, whole.read, whole.travelled[kept]
+        )
         samples["operation"] = whole.operation[kept].astype(np.float64)
         events, self._told = tuple(self._told), []
         return RecordingBlock(first_tick={self._clock: begin}, samples=samples, events=events)
@@ -359,11 +383,12 @@ class Session:
     def _joined(self, parts: list[_Part]) -> _Part:
         """Return parts that follow each other as one; without any, one of no ticks."""
         nothing = np.zeros((0, len(self._position)), dtype=np.int64)
+        unread = np.zeros((0, self._values.count))
         return _Part(
             np.concatenate([nothing, *(part.travelled for part in parts)]),
             np.concatenate([nothing[:, 0], *(part.operation for part in parts)]),
             {
-                reading: np.concatenate([np.zeros((0, 1)), *(part.read[reading] for part in parts)])
+                reading: np.concatenate([unread, *(part.read[reading] for part in parts)])
                 for reading in self._readings
             },
         )
@@ -371,7 +396,7 @@ class Session:
 
 @dataclass(slots=True)
 class _Part:
-    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, and what was read."""
+    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, (n, runs) readings."""
 
     travelled: IntArray
     operation: IntArray

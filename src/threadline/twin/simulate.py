@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from math import ceil
@@ -14,6 +14,7 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.plant.values import Values
 from threadline.signals import (
+    ChannelKind,
     Ended,
     Event,
     Recording,
@@ -22,7 +23,7 @@ from threadline.signals import (
     TickBlock,
     TickTable,
 )
-from threadline.twin.channels import encoder_phases, tick_channels
+from threadline.twin.channels import encoder_phases, run_phases, tick_channels
 from threadline.twin.kernel import Engine
 from threadline.twin.prescribed import simulate_prescribed
 from threadline.twin.session import Session
@@ -31,6 +32,9 @@ DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
 _MOST_SAMPLES = 1 << 14
 """In one block: more of them leave the processor's cache and are paged in anew for each block."""
+_MOST_OF_RUNS = 1 << 18
+"""Samples times runs of one block."""
+_LEAST_ROWS = 256
 
 
 def simulate(
@@ -91,21 +95,66 @@ def simulate(
             )
         phases = encoder_phases(machine, encoder_phase)
         return simulate_prescribed(commands, machine, phases, record_every, settle_s)
-    start_si = commands.start_counts / commands.counts_per_unit
-    engine = Engine(machine, Values.of(machine), start_si)
     options = _Options(
-        phases=encoder_phases(machine, encoder_phase),
+        phases=encoder_phases(machine, encoder_phase)[None],
         record_every=record_every,
         settle_s=settle_s,
         quantised=quantised,
         answers=answers,
     )
+    return _recording(commands, Values.of(machine), options)
+
+
+def simulate_runs(
+    commands: TickTable,
+    values: Values,
+    *,
+    encoder_phase: FloatArray | None = None,
+    settle_s: float = DEFAULT_SETTLE_S,
+    kinds: Collection[ChannelKind] = tuple(ChannelKind),
+) -> Recording:
+    """Simulate runs of a machine side by side, each with numbers of its own, as one recording.
+
+    Each does what ``simulate`` does with a machine of those numbers, to the bit; stops and waits
+    are answered at once. Memory grows with the number of runs, not with the length of the commands.
+
+    Parameters
+    ----------
+    values
+        Numbers of the runs; all of one dead time, see ``Values.by_delay``.
+    encoder_phase
+        (runs, axes) of each run, or (axes,); 0.5 when None.
+    kinds
+        Of the channels to record.
+
+    Raises
+    ------
+    MachineError, OptionError
+        As ``simulate``; while it is read, if one of the runs has no answer.
+    """
+    machine = values.machine
+    check_commands(commands, machine, 1, settle_s)
+    options = _Options(
+        phases=run_phases(machine, encoder_phase, values.count),
+        record_every=1,
+        settle_s=settle_s,
+        quantised=True,
+        answers=None,
+        kinds=tuple(kinds),
+    )
+    return _recording(commands, values, options)
+
+
+def _recording(commands: TickTable, values: Values, options: _Options) -> Recording:
+    machine = values.machine
+    engine = Engine(machine, values, commands.start_counts / commands.counts_per_unit)
     return Recording(
-        channels=tick_channels(machine, record_every),
-        blocks=Stream(_blocks, engine, commands, options),
+        channels=tick_channels(machine, options.record_every, options.kinds),
+        blocks=Stream(_blocks, engine, values, commands, options),
         job_sha256=commands.job_sha256,
         machine_sha256=machine.sha256,
         simulated=True,
+        runs=values.count,
     )
 
 
@@ -141,14 +190,18 @@ class _Options:
     settle_s: float
     quantised: bool
     answers: Iterable[float] | None
+    kinds: tuple[ChannelKind, ...] = tuple(ChannelKind)
 
     @property
     def most_rows(self) -> int:
         """How many rows make one block."""
-        return min(_MOST_ROWS, _MOST_SAMPLES * self.record_every)
+        of_runs = max(_MOST_OF_RUNS // len(self.phases), _LEAST_ROWS)
+        return min(_MOST_ROWS, min(_MOST_SAMPLES, of_runs) * self.record_every)
 
 
-def _blocks(engine: Engine, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
+def _blocks(
+    engine: Engine, values: Values, commands: TickTable, options: _Options
+) -> Iterator[RecordingBlock]:
     """Run a session over the commands and its settling; every reading starts anew."""
     machine = engine.machine
     session = Session(
@@ -157,6 +210,8 @@ def _blocks(engine: Engine, commands: TickTable, options: _Options) -> Iterator[
         encoder_phase=options.phases,
         record_every=options.record_every,
         quantised=options.quantised,
+        values=values,
+        kinds=options.kinds,
         engine=engine,
     )
     tick_s = float(machine.tick_clock.period_s)

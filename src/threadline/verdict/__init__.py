@@ -1,7 +1,8 @@
 """Specification, measures and the judge of recordings."""
 
+from threadline.verdict.each_run import CriterionRow, EachRun
 from threadline.verdict.intended import as_intended
-from threadline.verdict.judge import judge
+from threadline.verdict.judge import Judge, judge
 from threadline.verdict.present import (
     closing,
     closing_of_all,
@@ -11,12 +12,16 @@ from threadline.verdict.present import (
     verdict_json,
     verdict_rows,
 )
+from threadline.verdict.registry import needed_channels
 from threadline.verdict.spec import load_spec
 from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
 
 __all__ = [
     "Criterion",
+    "CriterionRow",
+    "EachRun",
+    "Judge",
     "Result",
     "SewnStitches",
     "Spec",
@@ -28,6 +33,7 @@ __all__ = [
     "criteria_json",
     "judge",
     "load_spec",
+    "needed_channels",
     "of_moving_axes",
     "sewn_stitches",
     "step_rows",

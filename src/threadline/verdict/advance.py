@@ -10,8 +10,9 @@ from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory import TrajectoryReader
-from threadline.verdict.measure import Finding, Measure
-from threadline.verdict.nearest import squared_distances, squared_to_segment
+from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.measure import Measure
+from threadline.verdict.nearest import chord_ways
 from threadline.verdict.samples import Block, Setting
 
 COMMAND_BY_TIME = "command from the plan by time"
@@ -22,51 +23,87 @@ def _advance(
     points: FloatArray,
     off: FloatArray,
     command: FloatArray,
+    way: FloatArray,
+    inverse: FloatArray,
     heading: FloatArray,
+    axes: tuple[int, ...],
     first: int,
     number: int,
     lag: int,
     low: int,
     value: FloatArray,
-    origin: IntArray,
+    worst: FloatArray,
+    at: IntArray,
     side: FloatArray,
 ) -> int:
     """Advance ``value`` by the samples ``points``; return the first place that still counts.
 
-    Place k is the way of the command from its sample k - 1 to k. ``value[k]`` is the least of
-    the largest errors with which the tool can have come to place k by now without going back;
-    ``origin`` is the sample of that largest error and ``side`` its sign. Sample i, the
-    ``number + i``-th of all, belongs to place ``first + i``. ``off`` is its squared distance from
-    the path, which is no error of progress.
+    Place k is the way of the command from its sample k - 1 to k. ``value[k]``, of each run, is the
+    least of the largest squared errors with which the tool can have come to place k by now without
+    going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
+    its squared distance from the path, which is no error of progress. The least of all values only
+    grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
+    the tool was then, along the way of the command from the place that is nearest to being right.
+
+    ``axes`` has one entry for each axis: its length is known when this is compiled.
     """
-    for i in range(len(points)):
+    samples, _, runs = points.shape
+    carry, least = np.empty(runs), np.empty(runs)
+    for i in range(samples):
         last = first + i
         begin = max(last - lag, 0)
-        carry, carried, carried_side = np.inf, -1, 0.0
-        if number + i == 0:
-            carry = 0.0
+        for r in range(runs):
+            carry[r] = 0.0 if number + i == 0 else np.inf
+            least[r] = np.inf
         for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
-            if value[k] < carry:
-                carry, carried, carried_side = value[k], origin[k], side[k]
+            for r in range(runs):
+                carry[r] = value[k, r] if value[k, r] < carry[r] else carry[r]
         for k in range(begin, last + 1):
-            if k < last and number + i > 0 and value[k] < carry:
-                carry, carried, carried_side = value[k], origin[k], side[k]
-            before = k - 1 if k > begin else k
-            squared, where = squared_to_segment(points[i], command[before], command[k])
-            error = np.sqrt(max(squared - off[i], 0.0))
-            if error > carry or carried < 0:
+            # Of the first place only its end is within the lag.
+            start = k - 1 if k > begin else k
+            per_length = inverse[k] if k > begin else 0.0
+            for r in range(runs):
+                carried = value[k, r] if value[k, r] < carry[r] else carry[r]
                 along = 0.0
-                for j in range(points.shape[1]):
-                    foot = command[before, j] + where * (command[k, j] - command[before, j])
-                    along += (points[i, j] - foot) * heading[k, j]
-                value[k], origin[k], side[k] = error, number + i, along
-            else:
-                value[k], origin[k], side[k] = carry, carried, carried_side
+                for a in range(len(axes)):
+                    along += (points[i, a, r] - command[start, a]) * way[k, a]
+                where = along * per_length
+                where = where if where > 0.0 else 0.0
+                where = where if where < 1.0 else 1.0
+                away = 0.0
+                for a in range(len(axes)):
+                    gap = points[i, a, r] - command[start, a] - where * way[k, a]
+                    away += gap * gap
+                error = away - off[i, r]
+                error = error if error > carried else carried
+                carry[r] = carried
+                value[k, r] = error
+                least[r] = error if error < least[r] else least[r]
+        grown = False
+        for r in range(runs):
+            grown |= least[r] > worst[r]
+        if grown:
+            for r in range(runs):
+                if least[r] > worst[r]:
+                    worst[r], at[r] = least[r], number + i
+                    k = begin
+                    while value[k, r] > least[r]:
+                        k += 1
+                    start = k - 1 if k > begin else k
+                    length, along = 0.0, 0.0
+                    for a in range(len(axes)):
+                        length += (points[i, a, r] - command[start, a]) * way[k, a]
+                    where = length * (inverse[k] if k > begin else 0.0)
+                    where = min(max(where, 0.0), 1.0)
+                    for a in range(len(axes)):
+                        foot = command[start, a] + where * way[k, a]
+                        along += (points[i, a, r] - foot) * heading[k, a]
+                    side[r] = along
         low = begin
     return low
 
 
-_advance_fast = njit(cache=True, nogil=True)(_advance)
+_advance_fast = njit(cache=True, nogil=True, error_model="numpy")(_advance)
 
 
 class _Progress:
@@ -85,7 +122,7 @@ class _Progress:
     """
 
     def __init__(self, setting: Setting) -> None:
-        axes = len(setting.axes)
+        axes, runs = len(setting.axes), setting.runs
         self._radius_m = setting.radius_m
         self._lag = setting.lag_samples
         self._number = 0  # samples so far
@@ -93,58 +130,61 @@ class _Progress:
         # The command's places within the lag, and one before them.
         self._command: FloatArray = np.empty((0, axes))
         self._heading: FloatArray = np.empty((0, axes))
-        self._value: FloatArray = np.empty(0)
-        self._origin: IntArray = np.empty(0, dtype=np.int64)
-        self._side: FloatArray = np.empty(0)
-        self._places: dict[int, Finding] = {}  # of the samples that an origin names
+        self._value: FloatArray = np.empty((0, runs))  # m^2
+        self._squared: FloatArray = np.full(runs, -np.inf)
+        self._at: IntArray = np.zeros(runs, dtype=np.int64)
+        self._side: FloatArray = np.zeros(runs)
+        self._worst = Worst(runs, axes, note="the recording is empty")
         self._trajectory = setting.plan.motion.trajectory
         self._columns = [self._trajectory.axes.index(axis) for axis in setting.axes]
         self._planned: TrajectoryReader | None = None
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        assert block.actual is not None
-        points = np.ascontiguousarray(block.actual * self._radius_m)
-        path, begin, end = block.window()
+        points, off = block.at_tool, block.nearest[0]
         fresh = self._commanded(block) * self._radius_m
         first, count = len(self._command), len(block)
         command = np.concatenate([self._command, fresh])
         heading = np.concatenate([self._heading, _headings(self._command, self._heading, fresh)])
-        value = np.concatenate([self._value, np.zeros(count)])
-        origin = np.concatenate([self._origin, np.full(count, -1)])
-        side = np.concatenate([self._side, np.zeros(count)])
-        off = squared_distances(points, begin, end, path.vertices)
+        value = np.concatenate([self._value, np.full((count, points.shape[2]), np.inf)])
+        way, length = chord_ways(command)
         low = _advance_fast(
             points,
             off,
             command,
+            way,
+            1.0 / length,
             heading,
+            (0,) * points.shape[1],
             first,
             self._number,
             self._lag,
             self._low,
             value,
-            origin,
-            side,
+            self._squared,
+            self._at,
+            self._side,
         )
         keep = max(low - 1, 0)
         self._low = low - keep
-        self._command, self._heading = command[keep:], heading[keep:]
-        self._value, self._origin, self._side = value[keep:], origin[keep:], side[keep:]
-        self._remember(block)
+        self._command, self._heading, self._value = command[keep:], heading[keep:], value[keep:]
+        index = np.maximum(self._at - self._number, 0)
+        sides = np.where(self._side > 0.0, "ahead", np.where(self._side < 0.0, "behind", ""))
+        self._worst.offer(
+            np.sqrt(self._squared),
+            time_s=block.time_s[index],
+            operation=block.operations_at(index),
+            position=block.positions_at(index),
+            note=sides.astype(object),
+        )
         self._number += count
 
-    def finish(self) -> Sequence[Finding]:
+    def finish(self) -> Sequence[Found]:
         """Return the least error with which the tool can have come to any place by the end."""
-        if not self._number:
-            return [Finding(value=None, note="the recording is empty")]
-        at = self._low + int(np.argmin(self._value[self._low :]))
-        side = self._side[at]
-        note = "ahead" if side > 0.0 else "behind" if side < 0.0 else ""
-        if self._planned is not None:
-            note = "; ".join(filter(None, (note, COMMAND_BY_TIME)))
-        place = self._places[int(self._origin[at])]
-        return [replace(place, value=float(self._value[at]), note=note)]
+        found = self._worst.found()
+        if self._planned is None:
+            return [found]
+        return [found.each(_by_time)]
 
     def _commanded(self, block: Block) -> FloatArray:
         """Return (n, axes) the command of a block, from the plan where an axis has none."""
@@ -156,19 +196,9 @@ class _Progress:
         self._planned.drop(float(block.time_s[-1]))
         return np.asarray(found)
 
-    def _remember(self, block: Block) -> None:
-        """Keep the places of the samples that may turn out to be the worst, and no others."""
-        named = np.unique(self._origin[self._low :])
-        kept = {n: self._places[n] for n in named[named < self._number].tolist()}
-        for number in named[named >= self._number].tolist():
-            at = number - self._number
-            kept[number] = Finding(
-                value=0.0,
-                time_s=float(block.time_s[at]),
-                operation=block.operation_at(at),
-                position=block.position_at(at),
-            )
-        self._places = kept
+
+def _by_time(finding: Finding) -> Finding:
+    return replace(finding, note="; ".join(filter(None, (finding.note, COMMAND_BY_TIME))))
 
 
 def _headings(before: FloatArray, heading: FloatArray, fresh: FloatArray) -> FloatArray:

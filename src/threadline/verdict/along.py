@@ -9,7 +9,6 @@ from threadline.plan import Plan
 from threadline.signals import Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
 from threadline.verdict.intended import as_intended
-from threadline.verdict.nearest import squared_distances
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.window import PathWindow
 
@@ -46,10 +45,7 @@ def contour_along(
     time_s = np.zeros(stretches + 1)
     window = PathWindow(plan.motion.programmed)
     for block in judged_blocks(recording, axes, setting.lag_samples, window):
-        assert block.actual is not None
-        path, begin, end = block.window()
-        points = np.ascontiguousarray(block.actual * plan.motion.programmed.radius_m)
-        squared = squared_distances(points, begin, end, path.vertices)
+        squared = block.nearest[0][:, 0]
         stretch = np.minimum((block.time_s / width_s).astype(np.int64), stretches)
         # The largest of each stretch comes last, and what is assigned last stays.
         order = np.argsort(squared, kind="stable")

@@ -28,6 +28,7 @@ _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 # The value of largest magnitude since the sample before: a second channel of the same kind.
 _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: a sample beyond it is no measurement
+_CHORDS = ("low", "high", "safe")
 _ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may differ by a rounding
 
 
@@ -106,8 +107,9 @@ class _Follower:
         self._values: FloatArray = np.empty(0)
 
     def at(self, block: RecordingBlock, time_s: FloatArray) -> FloatArray:
+        """Return (n, ...) values at (n,) instants."""
         values = block.samples[self._channel.name]
-        if not np.isfinite(values).all():
+        if values.ndim == 1 and not np.isfinite(values).all():
             when = "" if not len(time_s) else f" near {float(time_s[0]):.6g} s"
             raise RecordingError(
                 f"channel {self._channel.name!r} holds a value that is not finite{when}",
@@ -116,7 +118,8 @@ class _Follower:
         if self._slack_s is None:
             # What is missing of it in this block is no number; whoever needs it is told so.
             lacking = max(len(time_s) - len(values), 0)
-            return np.concatenate([values[: len(time_s)], np.full(lacking, np.nan)])
+            known = values[: len(time_s)]
+            return known if not lacking else np.concatenate([known, np.full(lacking, np.nan)])
         first = block.first_tick[self._channel.clock.name]
         times = self._channel.clock.times_s(first, len(values), self._channel.stride)
         times = np.concatenate([self._time_s, times])
@@ -145,18 +148,14 @@ def sample_interval_s(channel: Channel) -> float:
 
 @dataclass(slots=True)
 class _Held:
-    """Samples that wait for those within the lag after them."""
+    """Samples in hand: instants, columns of all axes, and whole numbers."""
 
     time_s: FloatArray
     columns: dict[str, FloatArray]
     whole: dict[str, IntArray]
 
-    def join(self, other: _Held) -> _Held:
-        return _Held(
-            np.concatenate([self.time_s, other.time_s]),
-            {k: np.concatenate([v, other.columns[k]]) for k, v in self.columns.items()},
-            {k: np.concatenate([v, other.whole[k]]) for k, v in self.whole.items()},
-        )
+    def __len__(self) -> int:
+        return len(self.time_s)
 
     def part(self, begin: int, end: int) -> _Held:
         return _Held(
@@ -198,11 +197,12 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
             continue
         first = block.first_tick[master.clock.name]
         time_s = master.clock.times_s(first, count, master.stride)
-        nothing = np.full(count, np.nan)
         columns = {
-            name: np.column_stack([nothing if f is None else f.at(block, time_s) for f in row])
+            name: _columns([None if f is None else f.at(block, time_s) for f in row], recording)
             for name, row in followers.items()
         }
+        if "commanded" in columns:  # the same of all runs
+            columns["commanded"] = columns["commanded"][:, 0]
         whole = {}
         if operation_follower is not None:
             # Where samples are missing it is unknown, as before the first.
@@ -215,9 +215,30 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
         yield _Held(time_s, columns, whole)
 
 
+def _columns(channels: Sequence[FloatArray | None], recording: Recording) -> FloatArray:
+    """Return (n, runs, axes) of a channel of each axis, NaN where it has none.
+
+    The runs of one axis at one instant lie side by side.
+    """
+    count = next(len(values) for values in channels if values is not None)
+    shape = count, 1 if all(v is None or v.ndim == 1 for v in channels) else recording.runs
+    rows = np.empty((count, len(channels), shape[1]))
+    for column, values in enumerate(channels):
+        if values is None:
+            rows[:, column] = np.nan
+        else:
+            rows[:, column] = values[:, None] if values.ndim == 1 else values
+    return rows.transpose(0, 2, 1)
+
+
 def _refuse_absurd(block: RecordingBlock) -> None:
-    """Refuse samples whose squares could overflow; what is not a number is not measured."""
+    """Refuse samples whose squares could overflow; what is not a number is not measured.
+
+    Runs side by side come from the simulation itself, which looks at what it gives.
+    """
     for name, samples in block.samples.items():
+        if samples.ndim > 1:
+            continue
         if np.isinf(samples).any():
             raise RecordingError(
                 f"channel {name!r} holds a value that is not finite",
@@ -249,35 +270,59 @@ def judged_blocks(
     path
         Moved along with the blocks; None leaves it out.
     """
-    held: _Held | None = None
-    before = first = 0  # samples of `held` that were yielded already; number of the next one
+    waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
+    past: dict[str, IntArray] = {}  # chords of the samples before them, as far as the lag reaches
+    last: FloatArray | None = None  # the command before the next samples
+    first = 0
     for fresh in _samples(recording, axes):
         if path is not None and "operation" in fresh.whole:
-            fresh.whole |= _chords(fresh, path, held)
-        held = fresh if held is None else held.join(fresh)
-        ready = len(held.time_s) - lag_samples
-        if ready <= before:
-            continue
-        yield _block(held, before, ready, first, lag_samples, path)
-        first += ready - before
-        drop = max(ready - lag_samples - 1, 0)
-        held, before = held.part(drop, len(held.time_s)), ready - drop
-    if held is not None and len(held.time_s) > before:
-        yield _block(held, before, len(held.time_s), first, lag_samples, path)
+            fresh.whole |= _chords(fresh, path, last)
+            commanded = fresh.columns.get("commanded")
+            last = None if commanded is None else commanded[-1] * path.radius_m
+        waiting.append(fresh)
+        ready = sum(map(len, waiting)) - lag_samples
+        chords = _joined([past, *(one.whole for one in waiting)])
+        at = len(past.get("low", ()))
+        while waiting and ready > 0:
+            part = waiting[0].part(0, ready)
+            yield _block(part, chords, at, first, lag_samples, path)
+            first, at, ready = first + len(part), at + len(part), ready - len(part)
+            waiting[0] = waiting[0].part(len(part), len(waiting[0]))
+            if not len(waiting[0]):
+                del waiting[0]
+        past = {k: v[max(at - lag_samples - 1, 0) : at] for k, v in chords.items()}
+    chords = _joined([past, *(one.whole for one in waiting)])
+    at = len(past.get("low", ()))
+    for part in waiting:
+        yield _block(part, chords, at, first, lag_samples, path)
+        first, at = first + len(part), at + len(part)
+
+
+def _joined(parts: Sequence[Mapping[str, IntArray]]) -> dict[str, IntArray]:
+    """Return the chords of consecutive samples as one; nothing where they are not known."""
+    known = [part for part in parts if "low" in part]
+    return {
+        name: np.concatenate([part[name] for part in known]) for name in (_CHORDS if known else ())
+    }
 
 
 def _block(
-    held: _Held, begin: int, end: int, first: int, lag_samples: int, path: PathWindow | None
+    part: _Held,
+    chords: Mapping[str, IntArray],
+    at: int,
+    first: int,
+    lag_samples: int,
+    path: PathWindow | None,
 ) -> Block:
-    part = held.part(begin, end)
+    """Return a block of ``part``, whose first sample has row ``at`` of ``chords``."""
     chord_begin = chord_end = None
-    if path is not None and "low" in held.whole:
-        low, high = held.whole["low"], held.whole["high"]
-        at = np.arange(begin, end)
-        chord_begin = np.minimum(low[np.maximum(at - lag_samples, 0)], low[at])
-        chord_end = np.maximum(high[np.minimum(at + lag_samples, len(high) - 1)], high[at])
+    if path is not None and chords:
+        low, high = chords["low"], chords["high"]
+        rows = np.arange(at, at + len(part))
+        chord_begin = np.minimum(low[np.maximum(rows - lag_samples, 0)], low[rows])
+        chord_end = np.maximum(high[np.minimum(rows + lag_samples, len(high) - 1)], high[rows])
         # One sample back: the way from the last sample to this one still counts there.
-        path.drop(int(held.whole["safe"][max(begin - 1 - lag_samples, 0)]))
+        path.drop(int(chords["safe"][max(at - 1 - lag_samples, 0)]))
     return Block(
         first=first,
         time_s=part.time_s,
@@ -296,14 +341,11 @@ def _block(
     )
 
 
-def _chords(fresh: _Held, path: PathWindow, held: _Held | None) -> dict[str, IntArray]:
+def _chords(fresh: _Held, path: PathWindow, before: FloatArray | None) -> dict[str, IntArray]:
     """Return the chords that the samples are on, and the first that any later one can be on."""
     operation = fresh.whole["operation"]
     path.reach(int(operation[-1]))
     commanded = fresh.columns.get("commanded")
-    at_tool = before = None
-    if commanded is not None:
-        at_tool = commanded * path.radius_m
-        before = None if held is None else held.columns["commanded"][-1] * path.radius_m
+    at_tool = None if commanded is None else commanded * path.radius_m
     low, high = chords_under_way(path, operation, at_tool, before)
     return {"low": low, "high": high, "safe": path.chord_from(operation) - 1 + path.first}

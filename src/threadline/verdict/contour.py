@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.measure import Finding, Measure
-from threadline.verdict.nearest import path_to_chords, vertices_to_path
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.measure import Measure
+from threadline.verdict.nearest import between, vertices_to_path
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 _UNREACHED = "the recording ends before this point"
+_EMPTY = "the recording is empty"
 _NOTHING_M = 1e-9
 """A move that is no longer than this has no sample of its own, and no piece of a planned path."""
+
+
+@dataclass(slots=True)
+class _Last:
+    """The sample before the next block: of each run its point and nearest chord, and its window.
+
+    Chords are counted from the start of the path.
+    """
+
+    point: FloatArray  # (axes, runs)
+    chord: IntArray  # (runs,)
+    time_s: float
+    begin: int
+    end: int
 
 
 class Contour:
@@ -30,48 +46,64 @@ class Contour:
     accelerates by a bows out of it by at most a T^2 / 8 in a sample interval T.
     """
 
-    def __init__(self, radius_m: FloatArray) -> None:
-        self._radius_m = radius_m
-        self._worst = Finding(value=None, note="the recording is empty")
+    def __init__(self, radius_m: FloatArray, runs: int = 1) -> None:
+        self._radius_m, self._runs = radius_m, runs
+        self._worst = Worst(runs, len(radius_m), note=_EMPTY)
         self._path: PathWindow | None = None
         # Vertices whose nearest approach is still open, as the last block's window had them.
         self._first = 0
         self._vertices: FloatArray = np.empty((0, len(radius_m)))
         self._operation: IntArray = np.empty(0, dtype=np.int64)
         self._line: IntArray = np.empty(0, dtype=np.int64)
-        self._best: FloatArray = np.empty(0)  # m^2
-        self._best_time_s: FloatArray = np.empty(0)
-        self._last: tuple[FloatArray, float, int] | None = None  # point, time, first chord
+        self._best: FloatArray = np.empty((0, runs))  # m^2
+        self._best_time_s: FloatArray = np.empty((0, runs))
+        self._last: _Last | None = None
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        assert block.actual is not None
-        points = np.ascontiguousarray(block.actual * self._radius_m)
+        points = block.at_tool
         path, begin, end = block.window()
-        last, last_s, chord = self._last or (
+        squared, chord = block.nearest
+        last = self._last or _Last(
             points[0],
+            chord[0] + path.first,
             float(block.time_s[0]),
             _from_rest(int(begin[0]), path) + path.first,
+            int(end[0]) + path.first,
         )
-        begins = np.concatenate([[max(chord - path.first, 1)], begin])
-        ends = np.concatenate([end[:1], end])
-        way = np.concatenate([last[None], points])
-        times_s = np.concatenate([[last_s], block.time_s])
-        squared, at, part, nearest = path_to_chords(way, begins, ends, path.vertices)
-        sample = max(at - 1 + round(part), 0)
-        self._offer(
-            Finding(
-                value=float(np.sqrt(squared)),
-                time_s=float(np.interp(at + part, np.arange(len(times_s)), times_s)),
-                operation=block.operation_at(sample),
-                job_line=int(path.line[nearest]),
-                position=block.position_at(sample),
-            )
+        begins = np.concatenate([[max(last.begin - path.first, 1)], begin])
+        ends = np.concatenate([[max(last.end - path.first, int(begins[0]))], end])
+        times_s = np.concatenate([[last.time_s], block.time_s])
+        at = np.argmax(squared, axis=0)
+        runs = np.arange(self._runs)
+        worst, part = squared[at, runs], np.ones(self._runs)
+        nearest = chord[at, runs]
+        between(
+            points,
+            last.point,
+            chord,
+            last.chord - path.first,
+            begins,
+            ends,
+            path.vertices,
+            worst,
+            at,
+            part,
+            nearest,
+        )
+        sample = np.maximum(np.where(part <= 0.5, at - 1, at), 0)
+        self._worst.offer(
+            np.sqrt(worst),
+            time_s=times_s[at] + part * (times_s[at + 1] - times_s[at]),
+            operation=block.operations_at(sample),
+            line=path.line[nearest],
+            position=block.positions_at(sample),
         )
         self._settle(path.first - self._first)
         self._hold(path)
         vertices_to_path(
-            way,
+            points,
+            last.point,
             times_s,
             begins,
             ends,
@@ -79,66 +111,65 @@ class Contour:
             self._best,
             self._best_time_s,
         )
-        self._last = (points[-1], float(block.time_s[-1]), int(begin[-1]) + path.first)
+        self._last = _Last(
+            points[-1],
+            chord[-1] + path.first,
+            float(block.time_s[-1]),
+            int(begin[-1]) + path.first,
+            int(end[-1]) + path.first,
+        )
 
-    def finish(self) -> Sequence[Finding]:
+    def finish(self) -> Sequence[Found]:
         """Return the worst of what was fed, and of the programmed points that it came to."""
-        seen = self._worst
+        seen = self._worst.copy()
         if self._path is not None and self._last is not None:
-            point, time_s, _ = self._last
-            unreached = int(np.isinf(self._best).argmax()) if np.isinf(self._best).any() else None
-            if unreached is not None:
-                away = ((self._vertices[unreached:] - point) ** 2).sum(axis=1)
-                self._best[unreached:] = away
-                self._best_time_s[unreached:] = time_s
-            self._settle(len(self._best) if unreached is None else unreached)
+            point, time_s = self._last.point, self._last.time_s
+            # Which vertices a window held is the same for all runs.
+            open_ = np.isinf(self._best).any(axis=1)
+            reached = int(open_.argmax()) if open_.any() else len(self._best)
+            rest = self._vertices[reached:, :, None] - point
+            self._best[reached:] = (rest**2).sum(axis=1)
+            self._best_time_s[reached:] = time_s
+            self._settle(reached)
             self._settle(len(self._best), _UNREACHED)
-            rest = self._path.remainder(point)
-            if rest is not None:
-                self._offer(
-                    Finding(
-                        value=rest.distance_m,
-                        time_s=time_s,
-                        operation=rest.operation,
-                        job_line=rest.line,
-                        position=rest.position,
-                        note=_UNREACHED,
-                    )
+            left = self._path.remainder(point)
+            if left is not None:
+                self._worst.offer(
+                    left.distance_m,
+                    time_s=time_s,
+                    operation=left.operation,
+                    line=left.line,
+                    position=left.position,
+                    note=_UNREACHED,
                 )
-        return [replace(self._worst, seen=seen)]
+        return [self._worst.found(seen)]
 
     def _hold(self, path: PathWindow) -> None:
         """Take over the window; its new vertices have not been approached yet."""
         grown = len(path) - len(self._best)
         self._path, self._first = path, path.first
         self._vertices, self._operation, self._line = path.vertices, path.operation, path.line
-        self._best = np.concatenate([self._best, np.full(grown, np.inf)])
-        self._best_time_s = np.concatenate([self._best_time_s, np.zeros(grown)])
+        self._best = np.concatenate([self._best, np.full((grown, self._runs), np.inf)])
+        fresh = np.zeros((grown, self._runs))
+        self._best_time_s = np.concatenate([self._best_time_s, fresh])
 
     def _settle(self, count: int, note: str = "programmed point missed") -> None:
         """Judge the first ``count`` vertices, which no later sample can come nearer to."""
         count = min(count, len(self._best))  # a recording may begin in the middle of the path
         if count <= 0:
             return
-        at = int(np.argmax(self._best[:count]))
-        self._offer(
-            Finding(
-                value=float(np.sqrt(self._best[at])),
-                time_s=float(self._best_time_s[at]),
-                operation=int(self._operation[at]),
-                job_line=int(self._line[at]),
-                position=tuple((self._vertices[at] / self._radius_m).tolist()),
-                note=note,
-            )
+        at, runs = np.argmax(self._best[:count], axis=0), np.arange(self._runs)
+        self._worst.offer(
+            np.sqrt(self._best[at, runs]),
+            time_s=self._best_time_s[at, runs],
+            operation=self._operation[at],
+            line=self._line[at],
+            position=self._vertices[at] / self._radius_m,
+            note=note,
         )
         self._best, self._best_time_s = self._best[count:], self._best_time_s[count:]
         self._vertices, self._operation = self._vertices[count:], self._operation[count:]
         self._line = self._line[count:]
-
-    def _offer(self, finding: Finding) -> None:
-        assert finding.value is not None
-        if self._worst.value is None or finding.value > self._worst.value:
-            self._worst = finding
 
 
 def _from_rest(chord: int, path: PathWindow) -> int:
@@ -157,4 +188,4 @@ def _from_rest(chord: int, path: PathWindow) -> int:
 
 def start_contour(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
     """Begin measuring the contour error."""
-    return Contour(setting.radius_m)
+    return Contour(setting.radius_m, setting.runs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from threadline.errors import RecordingError
 from threadline.plan import Plan
@@ -111,6 +112,7 @@ def _s(channel: Channel, tick: int) -> str:
     return f"{channel.clock.time_s(tick):.6g} s"
 
 
+@lru_cache(maxsize=8)
 def motion_s(plan: Plan) -> tuple[float, float]:
     """Return when the motion of a plan begins and ends; reads the trajectory once."""
     begin_s, end_s = -1.0, 0.0

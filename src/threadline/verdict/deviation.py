@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
-from threadline.verdict.measure import Finding
+from threadline.verdict.found import Finding
 from threadline.verdict.samples import Block
 from threadline.verdict.window import PathWindow
 
@@ -32,7 +32,7 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.motion.path if len(b))
     for block in _blocks(pieces, PathWindow(plan.motion.programmed), 1):
         contour.feed(block)
-    return [replace(finding, time_s=None) for finding in contour.finish()]
+    return [replace(found.worst(), time_s=None) for found in contour.finish()]
 
 
 def measure_shaping_deviation(plan: Plan) -> list[Finding]:
@@ -60,7 +60,7 @@ def _smoothing_deviation(plan: Plan) -> list[Finding]:
     pieces = (_points(b.coefficients, b.operation, 1) for b in plan.motion.trajectory if len(b))
     for block in _blocks(pieces, PathWindow(plan.motion.programmed), _SMOOTHED):
         contour.feed(block)
-    return [replace(finding, time_s=None) for finding in contour.finish()]
+    return [replace(found.worst(), time_s=None) for found in contour.finish()]
 
 
 def _blocks(
@@ -79,7 +79,7 @@ def _blocks(
             first=0,
             time_s=np.zeros(len(points)),
             commanded=points,
-            actual=points,
+            actual=points[:, None],
             own=None,
             voltage=None,
             current=None,

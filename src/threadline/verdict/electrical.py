@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.machine.controllers import Dac
-from threadline.verdict.measure import Finding, Measure, largest
+from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.largest import add_squares, count_beyond, largest
+from threadline.verdict.measure import Measure
 from threadline.verdict.samples import Block, Setting
 
 
@@ -21,49 +24,50 @@ class _CurrentPeak:
     """
 
     def __init__(self, setting: Setting) -> None:
-        self._axes = setting.axes
-        self._machine = setting.plan.machine
-        self._worst: dict[str, Finding] = {}
+        machine = setting.plan.machine
+        self._limits = [machine.drive_of(axis).amplifier.current_limit for axis in setting.axes]
+        self._drives = [machine.controller_of(axis).drive for axis in setting.axes]
+        count = len(setting.axes)
+        self._worst = [Worst(setting.runs, count, axis) for axis in setting.axes]
 
     def feed(self, block: Block) -> None:
         assert block.current is not None
-        sizes = np.abs(block.current)
+        sizes, at = largest(block.current)
         if block.current_peak is not None:  # of some axes it may be recorded, of others not
-            sizes = np.fmax(sizes, np.abs(block.current_peak))
-        for column, axis in enumerate(self._axes):
-            at, value = largest(sizes[:, column])
-            known = self._worst.get(axis)
-            if at >= 0 and (known is None or known.value is None or value > known.value):
-                self._worst[axis] = Finding(
-                    value=value,
-                    axis=axis,
-                    time_s=float(block.time_s[at]),
-                    operation=block.operation_at(at),
-                    position=block.position_at(at),
-                )
+            between, at_peak = largest(block.current_peak)
+            sooner = (between > sizes) | ((between == sizes) & (at_peak < at))
+            sizes, at = np.where(sooner, between, sizes), np.where(sooner, at_peak, at)
+        for column, worst in enumerate(self._worst):
+            worst.offer(
+                sizes[column],
+                time_s=block.time_s[at[column]],
+                operation=block.operations_at(at[column]),
+                position=block.positions_at(at[column]),
+            )
 
-    def finish(self) -> Sequence[Finding]:
-        limits = {
-            axis: self._machine.drive_of(axis).amplifier.current_limit for axis in self._worst
-        }
-        shares = {
-            axis: (finding.value or 0.0) / limit.si
-            for axis, finding in self._worst.items()
-            if (limit := limits[axis]) is not None
-        }
-        binds = max(shares, key=shares.__getitem__, default="")
-        found = []
-        for axis, finding in self._worst.items():
-            limit, note = limits[axis], ""
-            if limit is not None:
-                drive = self._machine.controller_of(axis).drive
-                note = f"{100.0 * shares[axis]:.3g} % of the {limit.si:g} A of drives.{drive}"
-            if axis == binds:
-                note += ", the axis that binds"
-            elif binds:
-                note = "; ".join(filter(None, (note, f"{binds} binds")))
-            found.append(replace(finding, note=note))
-        return found
+    def finish(self) -> Sequence[Found]:
+        found = [worst.found() for worst in self._worst]
+        limits = [np.nan if limit is None else limit.si for limit in self._limits]
+        shares = np.array([f.value / limit for f, limit in zip(found, limits, strict=True)])
+        return [
+            replace(f, of=partial(self._told, f, column, shares))
+            for column, f in enumerate(found)
+            if not np.isnan(f.value).all()
+        ]
+
+    def _told(self, found: Found, column: int, shares: FloatArray, run: int) -> Finding:
+        """Return the finding of a run with the share of its limit, and the axis that binds."""
+        finding, limit, own = found.of(run), self._limits[column], shares[:, run]
+        binds = None if np.isnan(own).all() else int(np.nanargmax(own))
+        note = ""
+        if limit is not None:
+            share = 100.0 * own[column]
+            note = f"{share:.3g} % of the {limit.si:g} A of drives.{self._drives[column]}"
+        if column == binds:
+            note += ", the axis that binds"
+        elif binds is not None:
+            note = "; ".join(filter(None, (note, f"{self._worst[binds].axis} binds")))
+        return replace(finding, note=note)
 
 
 class _CurrentRms:
@@ -71,21 +75,28 @@ class _CurrentRms:
 
     def __init__(self, setting: Setting) -> None:
         self._axes = setting.axes
-        self._sum: FloatArray = np.zeros(len(setting.axes))
+        self._sum: FloatArray = np.zeros((len(setting.axes), setting.runs))
         self._count = 0
 
     def feed(self, block: Block) -> None:
         assert block.current is not None
-        self._sum = self._sum + np.einsum("ij,ij->j", block.current, block.current)
+        add_squares(block.current, self._sum)
         self._count += len(block)
 
-    def finish(self) -> Sequence[Finding]:
+    def finish(self) -> Sequence[Found]:
         mean = self._sum / max(self._count, 1)
         return [
-            Finding(value=float(np.sqrt(value)), axis=axis)
-            for axis, value in zip(self._axes, mean, strict=True)
-            if self._count and np.isfinite(value)
+            _plain(axis, np.sqrt(row))
+            for axis, row in zip(self._axes, mean, strict=True)
+            if self._count and np.isfinite(row).any()
         ]
+
+
+def _plain(axis: str, values: FloatArray) -> Found:
+    """Return values without a place."""
+    found = Worst(len(values), 0, axis)
+    found.offer(values)
+    return found.found()
 
 
 class _DacSaturation:
@@ -98,44 +109,50 @@ class _DacSaturation:
     def __init__(self, setting: Setting) -> None:
         machine = setting.plan.machine
         self._axes = setting.axes
-        self._dacs: list[Dac] = [machine.controller_of(axis).dac for axis in setting.axes]
-        self._clamped = [0] * len(setting.axes)
+        dacs: list[Dac] = [machine.controller_of(axis).dac for axis in setting.axes]
+        self._clamp: FloatArray = np.array(
+            [dac.range.si - 1.5 * dac.volt_per_level for dac in dacs]
+        )
+        shape = len(setting.axes), setting.runs
+        self._clamped: IntArray = np.zeros(shape, dtype=np.int64)
+        self._first: IntArray = np.full(shape, -1, dtype=np.int64)
+        # Where the first sample at the clamp was: the only one that is offered.
+        self._where = [Worst(setting.runs, shape[0], axis) for axis in setting.axes]
         self._count = 0
-        self._first: dict[str, Finding] = {}
 
     def feed(self, block: Block) -> None:
         assert block.voltage is not None
+        count_beyond(block.voltage, self._clamp, self._clamped, self._first, self._count)
+        for column, where in enumerate(self._where):
+            at = self._first[column] - self._count
+            fresh = at >= 0
+            if fresh.any():
+                index = np.maximum(at, 0)
+                where.offer(
+                    np.where(fresh, 0.0, np.nan),
+                    time_s=block.time_s[index],
+                    operation=block.operations_at(index),
+                    position=block.positions_at(index),
+                )
         self._count += len(block)
-        for column, (axis, dac) in enumerate(zip(self._axes, self._dacs, strict=True)):
-            clamp = dac.range.si - 1.5 * dac.volt_per_level
-            at = np.flatnonzero(np.abs(block.voltage[:, column]) >= clamp)
-            self._clamped[column] += len(at)
-            if len(at) and axis not in self._first:
-                self._first[axis] = Finding(
-                    value=0.0,
-                    axis=axis,
-                    time_s=float(block.time_s[at[0]]),
-                    operation=block.operation_at(int(at[0])),
-                    position=block.position_at(int(at[0])),
-                )
 
-    def finish(self) -> Sequence[Finding]:
-        findings = []
-        for axis, clamped in zip(self._axes, self._clamped, strict=True):
-            if not self._count:
-                continue
-            first = self._first.get(axis, Finding(value=0.0, axis=axis))
-            findings.append(
-                Finding(
-                    value=clamped / self._count,
-                    axis=axis,
-                    time_s=first.time_s,
-                    operation=first.operation,
-                    position=first.position,
-                    note=f"{clamped} of {self._count} samples at the clamp" if clamped else "",
-                )
+    def finish(self) -> Sequence[Found]:
+        if not self._count:
+            return []
+        return [
+            Found(
+                axis=axis,
+                value=self._clamped[column] / self._count,
+                of=partial(self._told, column),
             )
-        return findings
+            for column, axis in enumerate(self._axes)
+        ]
+
+    def _told(self, column: int, run: int) -> Finding:
+        clamped = int(self._clamped[column, run])
+        first = self._where[column].of(run)
+        note = f"{clamped} of {self._count} samples at the clamp" if clamped else ""
+        return replace(first, value=clamped / self._count, note=note)
 
 
 def start_current_peak(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 from threadline.errors import RecordingError, SpecError
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording
+from threadline.signals import ChannelKind, Outcome, Recording
 from threadline.verdict.by_time import OPERATION_BY_TIME
+from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
 from threadline.verdict.ended import heard, not_beyond, told_end
-from threadline.verdict.measure import Finding, MeasureKind, OfRun, OfRuns, Run, Running, somewhere
+from threadline.verdict.found import Finding, Found, joined
+from threadline.verdict.measure import MeasureKind, OfRuns, Run, Running
 from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.runs import open_run
@@ -18,22 +21,22 @@ from threadline.verdict.types import Criterion, Result, Spec, Verdict
 from threadline.wording import nearest
 
 _KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
-_EXCUSED = ("acceleration", "jerk")
 _Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
-_Found = dict[_Key, list[Finding]]
+_Findings = dict[_Key, list[Found]]
 
 
 def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
-    """Measure every criterion of ``spec`` and say what came of it.
+    """Measure every criterion of ``spec`` and say what came of it: see ``Judge.verdict``."""
+    return Judge(plan, spec).verdict(recordings)
 
-    Each recording is read once, in bounded memory; of several, the worst counts. One without
-    operations has those of the commands at the same instant. Where a run ended before its last row
-    nothing passes: what had not failed until then was not measured.
+
+class Judge:
+    """Judges any number of runs of one plan by one specification.
+
+    What does not depend on a run is worked out once.
 
     Parameters
     ----------
-    recordings
-        Of one and the same job; at least one.
     plan
         What was intended.
     spec
@@ -43,40 +46,95 @@ def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
     ------
     SpecError
         If a criterion names no measure.
-    RecordingError
-        If there is no recording, one is of another job, one has angles of a linear axis or
-        lengths of a rotary one, or a trace is damaged.
     """
-    if not recordings:
-        raise RecordingError("there is no recording to judge", remedy="Give at least one.")
-    for recording in recordings:
-        _check_same_job(recording, plan)
-        _check_units(recording, plan)
-    keys = {_key(criterion): criterion for criterion in spec.criteria}
-    listened = heard(recordings)
-    runs = [open_run(recording, plan, spec.lag_s) for recording, _ in listened]
-    findings: _Found = {}
-    for run in runs:
-        for key, found in _of_run(run, keys).items():
-            findings[key] = _worse(findings.get(key, []), found)
-    findings |= _of_runs(runs, keys)
-    findings |= _of_plan(plan, keys)
-    outcomes = [listener.outcome() for _, listener in listened]
-    why = next(filter(None, map(told_end, outcomes)), "")
-    told = [
-        result
-        if MEASURES[criterion.name].of_plan(plan) is not None
-        else not_beyond(_told(result, runs), why)
-        for criterion in spec.criteria
-        for result in _results(criterion, findings, runs[0], spec)
-    ]
-    return Verdict(
-        results=tuple(with_passes(tuple(_with_lines(told, plan)), plan.job)),
-        simulated=all(recording.simulated for recording in recordings),
-        runs=len(recordings),
-        incomplete=why,
-        late_ticks=sum(outcome.late_ticks for outcome in outcomes),
-    )
+
+    def __init__(self, plan: Plan, spec: Spec) -> None:
+        self.plan, self.spec = plan, spec
+        self._keys = {_key(criterion): criterion for criterion in spec.criteria}
+
+    @cached_property
+    def _of_plan(self) -> _Findings:
+        return _of_plan(self.plan, self._keys)
+
+    def verdict(self, recordings: Sequence[Recording]) -> Verdict:
+        """Measure every criterion and say what came of it.
+
+        Each recording is read once, in bounded memory, all runs that it holds at once; of several,
+        the worst counts. One without operations has those of the commands at the same instant.
+        Where a run ended before its last row nothing passes: what had not failed until then was not
+        measured.
+
+        Parameters
+        ----------
+        recordings
+            Of one and the same job; at least one.
+
+        Raises
+        ------
+        RecordingError
+            If there is no recording, one is of another job, one has angles of a linear axis or
+            lengths of a rotary one, or a trace is damaged.
+        """
+        plan, spec = self.plan, self.spec
+        findings, runs, outcomes = self._measured(recordings)
+        why = next(filter(None, map(told_end, outcomes)), "")
+        told = [
+            result
+            if MEASURES[criterion.name].of_plan(plan) is not None
+            else not_beyond(_told(result, runs), why)
+            for criterion in spec.criteria
+            for kind, found in _rows(criterion, findings, runs[0], spec)
+            for result in (_result(criterion, kind, plan, found.worst()),)
+        ]
+        return Verdict(
+            results=tuple(with_passes(tuple(_with_lines(told, plan)), plan.job)),
+            simulated=all(recording.simulated for recording in recordings),
+            runs=sum(recording.runs for recording in recordings),
+            incomplete=why,
+            late_ticks=sum(outcome.late_ticks for outcome in outcomes),
+        )
+
+    def each(self, recording: Recording) -> EachRun:
+        """Measure every criterion in every run that ``recording`` holds, of which none is a repeat.
+
+        As ``verdict`` does, run by run; what many runs are asked together is left out.
+
+        Raises
+        ------
+        RecordingError
+            As ``verdict``.
+        """
+        plan = self.plan
+        findings, runs, outcomes = self._measured([recording], together=False)
+        why = next(filter(None, map(told_end, outcomes)), "")
+        rows = [
+            criterion_row(criterion, kind, plan, found, recording.runs)
+            for criterion in self.spec.criteria
+            if not isinstance(MEASURES[criterion.name].of_run(runs[0]), OfRuns)
+            for kind, found in _rows(criterion, findings, runs[0], self.spec)
+        ]
+        return EachRun(rows=tuple(rows), runs=recording.runs, incomplete=why)
+
+    def _measured(
+        self, recordings: Sequence[Recording], *, together: bool = True
+    ) -> tuple[_Findings, list[Run], list[Outcome]]:
+        plan = self.plan
+        if not recordings:
+            raise RecordingError("there is no recording to judge", remedy="Give at least one.")
+        for recording in recordings:
+            _check_same_job(recording, plan)
+            _check_units(recording, plan)
+        listened = heard(recordings)
+        runs = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
+        findings: _Findings = {}
+        for run in runs:
+            several = together and len(runs) == 1 and run.recording.runs > 1
+            for key, found in _of_run(run, self._keys, together=several).items():
+                findings[key] = joined(findings.get(key, []), found)
+        if together:
+            findings |= _of_runs(runs, {k: v for k, v in self._keys.items() if k not in findings})
+        findings |= self._of_plan
+        return findings, runs, [listener.outcome() for _, listener in listened]
 
 
 def _check_same_job(recording: Recording, plan: Plan) -> None:
@@ -122,30 +180,39 @@ def _key(criterion: Criterion) -> _Key:
     return criterion.name, tuple(sorted(criterion.options.items()))
 
 
-def _of_run(run: Run, keys: Mapping[_Key, Criterion]) -> _Found:
-    """Run every measure of one run over it, all in the same pass."""
-    found: _Found = {}
+def _of_run(run: Run, keys: Mapping[_Key, Criterion], *, together: bool) -> _Findings:
+    """Measure a recording by every measure that reads one, all in the same pass.
+
+    The runs that it holds ``together`` also by the measures of many runs.
+    """
+    found: _Findings = {}
     running: dict[_Key, Running] = {}
     for key in keys:
         kind = MEASURES[key[0]]
         reading = kind.of_run(run)
-        if not isinstance(reading, OfRun):
+        if reading is None or (isinstance(reading, OfRuns) and not together):
+            continue
+        start = reading.start
+        if start is None:
             continue
         missing = run.lacks(reading, kind.per_axis)
         if missing:
             # Of every axis: another recording may have measured it, and this one counts too.
             for_axes = run.plan.axes if kind.per_axis else ("",)
-            found[key] = [Finding(value=None, axis=axis, note=missing) for axis in for_axes]
+            found[key] = [
+                Found.made([Finding(value=None, axis=axis, note=missing)]) for axis in for_axes
+            ]
         else:
-            measure = reading.start(run, kind.with_defaults(dict(key[1])))
+            measure = start(run, kind.with_defaults(dict(key[1])))
             running[key] = Running(kind=kind, reading=reading, measure=measure)
     for key, measured in zip(running, run.results(list(running.values())), strict=True):
         found[key] = measured
     return found
 
 
-def _of_runs(runs: Sequence[Run], keys: Mapping[_Key, Criterion]) -> _Found:
-    found: _Found = {}
+def _of_runs(runs: Sequence[Run], keys: Mapping[_Key, Criterion]) -> _Findings:
+    """Measure several recordings together, by the measures of many runs."""
+    found: _Findings = {}
     for key in keys:
         kind = MEASURES[key[0]]
         reading = kind.of_run(runs[0])
@@ -154,41 +221,33 @@ def _of_runs(runs: Sequence[Run], keys: Mapping[_Key, Criterion]) -> _Found:
         reasons = (run.lacks(reading, kind.per_axis) for run in runs)
         missing = next(filter(None, reasons), "")
         if missing:
-            found[key] = [Finding(value=None, note=missing)]
+            found[key] = [Found.made([Finding(value=None, note=missing)])]
             continue
-        measured = list(map(somewhere, reading.measure(runs, kind.with_defaults(dict(key[1])))))
+        measured = list(reading.measure(runs, kind.with_defaults(dict(key[1]))))
         unseen = next(filter(None, (run.unseen(reading) for run in runs)), "")
         if unseen and any(finding.value is not None for finding in measured):
             measured = [Finding(value=None, note=unseen)]
-        found[key] = measured
+        found[key] = [Found.made([finding]) for finding in measured]
     return found
 
 
-def _of_plan(plan: Plan, keys: Mapping[_Key, Criterion]) -> _Found:
+def _of_plan(plan: Plan, keys: Mapping[_Key, Criterion]) -> _Findings:
     """Run every measure of the plan; those of one pass share it."""
     names = {name for name, _ in keys}
     readings = {name: MEASURES[name].of_plan(plan) for name in names}
     passes = dict.fromkeys(reading.measure for reading in readings.values() if reading is not None)
     measured = {name: rows for measure in passes for name, rows in measure(plan).items()}
     return {
-        key: list(map(somewhere, measured.get(key[0], ())))
+        key: [Found.made([finding]) for finding in measured.get(key[0], ())]
         for key in keys
         if readings[key[0]] is not None
     }
 
 
-def _worse(known: Sequence[Finding], fresh: Sequence[Finding]) -> list[Finding]:
-    """Return, per axis and step, the worse of two sets of findings."""
-    worst: dict[tuple[str, str], Finding] = {}
-    for finding in (*known, *fresh):
-        place = finding.axis, finding.step
-        worst[place] = worst[place].worse(finding) if place in worst else finding
-    return list(worst.values())
-
-
-def _results(
-    criterion: Criterion, findings: Mapping[_Key, list[Finding]], run: Run, spec: Spec
-) -> Iterator[Result]:
+def _rows(
+    criterion: Criterion, findings: Mapping[_Key, list[Found]], run: Run, spec: Spec
+) -> Iterator[tuple[MeasureKind, Found]]:
+    """Yield what was found of a criterion: of each axis and step that it is asked of."""
     kind, plan = MEASURES[criterion.name], run.plan
     found = findings.get(_key(criterion), [])
     axes: Sequence[str] = ("",)
@@ -198,19 +257,20 @@ def _results(
         if axis and axis not in plan.axes:
             if not criterion.every_axis:
                 note = f"the job has no axis {axis}"
-                yield _result(criterion, kind, plan, Finding(value=None, axis=axis, note=note))
+                yield kind, Found.made([Finding(value=None, axis=axis, note=note)])
             continue
-        mine = [finding for finding in found if finding.axis == axis]
+        mine = [one for one in found if one.axis == axis]
         if criterion.step:
-            mine = [finding for finding in mine if finding.step in ("", criterion.step)]
+            mine = [one for one in mine if one.step in ("", criterion.step)]
         if not mine and not _endless(criterion.name, axis, plan):
             # A finding without an axis is the reason why none was measured.
-            reasons = [finding for finding in found if not finding.axis]
-            note = reasons[0].note if reasons else _absent(criterion, kind, axis, run)
-            mine = [Finding(value=None, axis=axis, step=criterion.step, note=note)]
-        for finding in mine:
-            if not _replaced(criterion, finding, spec):
-                yield _result(criterion, kind, plan, finding)
+            reasons = [one for one in found if not one.axis]
+            note = reasons[0].worst().note if reasons else _absent(criterion, kind, axis, run)
+            blank = Finding(value=None, axis=axis, step=criterion.step, note=note)
+            mine = [Found.made([blank])]
+        for one in mine:
+            if not _replaced(criterion, one, spec):
+                yield kind, one
 
 
 def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str:
@@ -222,11 +282,11 @@ def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str
     return run.absent.format(axis=axis) if axis else "nothing was measured"
 
 
-def _replaced(criterion: Criterion, finding: Finding, spec: Spec) -> bool:
+def _replaced(criterion: Criterion, found: Found, spec: Spec) -> bool:
     """Say whether a criterion of one step replaces this one of every step there."""
-    if criterion.step or not finding.step:
+    if criterion.step or not found.step:
         return False
-    place = criterion.name, criterion.axis, finding.step
+    place = criterion.name, criterion.axis, found.step
     return any((other.name, other.axis, other.step) == place for other in spec.criteria)
 
 
@@ -235,12 +295,9 @@ def _endless(name: str, axis: str, plan: Plan) -> bool:
 
 
 def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Finding) -> Result:
-    limit = criterion.limit
-    if criterion.hard and plan.intent.historical and criterion.name in _EXCUSED:
-        limit = None
-    axis = plan.machine.axes.get(finding.axis)
-    unit = kind.unit("linear" if axis is None else axis.kind)
-    finding = finding.in_unit(unit).under(kind, limit)
+    limit = limit_of(criterion, plan)
+    unit = unit_of(kind, finding.axis, plan)
+    finding = finding.somewhere().in_unit(unit).under(kind, limit)
     return Result(
         name=criterion.name,
         axis=finding.axis,

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
-import numpy as np
-
-from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
+from threadline.verdict.found import Finding, Found
 from threadline.verdict.samples import Block
-from threadline.verdict.types import Status, is_measured
+from threadline.verdict.types import Status
 
 Dimension = Literal[
     "tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "rate", "ratio", "stitch"
@@ -21,73 +19,14 @@ Dimension = Literal[
 """Of a measured value: a length at the tool, the axis' own unit (m or rad) and its rates, ..."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """The worst value of one measure, of one axis or (``""``) of the tool.
-
-    ``value`` is None where nothing could be measured; ``note`` then says why. ``step`` is the step
-    of a move list. ``seen`` is the worst of what the recording came to, where the value also counts
-    what it did not come to. ``unseen`` says what was not seen, where the value is only the worst of
-    the rest: it can fail a limit, and not pass one.
-    """
-
-    value: float | None
-    axis: str = ""
-    time_s: float | None = None
-    operation: int | None = None
-    job_line: int | None = None
-    position: tuple[float, ...] | None = None
-    note: str = ""
-    step: str = ""
-    seen: Finding | None = None
-    unseen: str = ""
-
-    def worse(self, other: Finding) -> Finding:
-        """Return the worse of the same finding of two recordings.
-
-        Where one of them was not measured, neither limit nor passing is known, but for a value of
-        the other that fails.
-        """
-        if self.value is None or other.value is None:
-            if self.value is None and other.value is None:
-                return self
-            blank, known = (self, other) if self.value is None else (other, self)
-            return replace(known, unseen=known.unseen or blank.note)
-        larger = other if other.value > self.value else self
-        return replace(larger, unseen=self.unseen or other.unseen)
-
-    def under(self, kind: MeasureKind, limit: float | None) -> Finding:
-        """Return what counts under a limit: of what was only partly seen, whether it fails."""
-        if not self.unseen:
-            return self
-        if kind.status(self.value, limit) is Status.FAILED:
-            note = "; ".join(filter(None, (self.note, self.unseen)))
-            return replace(self, note=note, unseen="")
-        return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
-
-    def in_unit(self, unit: str) -> Finding:
-        """Return the finding as it may stand in a verdict: what is no number is not measured."""
-        if self.value is None or is_measured(self.value, unit):
-            return self
-        note = "; ".join(filter(None, (self.note, "no number came of these samples")))
-        return replace(self, value=None, note=note)
-
-
-def somewhere(finding: Finding) -> Finding:
-    """Return a finding without its place if it is zero: no place is worse than another then."""
-    if finding.value != 0.0:
-        return finding
-    return replace(finding, time_s=None, operation=None, job_line=None, position=None)
-
-
 class Measure(Protocol):
-    """Measures one recording in one pass."""
+    """Measures one recording in one pass, all runs of it at once."""
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
 
-    def finish(self) -> Sequence[Finding]:
-        """Return the worst of what was fed: one finding per axis, or one for the tool."""
+    def finish(self) -> Sequence[Found]:
+        """Return the worst of what was fed, of every run: for each axis, or for the tool."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +76,7 @@ class Run(Protocol):
     def lacks(self, reading: RunReading, per_axis: bool) -> str:
         """Say why the recording cannot tell what a measure asks for; empty where it can."""
 
-    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+    def results(self, running: Sequence[Running]) -> list[list[Found]]:
         """Read the recording once; return what each measure found, as far as it was seen."""
 
     def unseen(self, reading: RunReading) -> str:
@@ -152,7 +91,11 @@ Options = Mapping[str, float]
 class _Whole:
     """A measure that has its run whole, and needs no samples one after the other."""
 
-    finish: Callable[[], Sequence[Finding]]
+    findings: Callable[[], Sequence[Finding]]
+
+    def finish(self) -> Sequence[Found]:
+        """Measure it."""
+        return [Found.made([finding]) for finding in self.findings()]
 
     def feed(self, block: Block) -> None:
         """Take no notice: the run is there already."""
@@ -211,10 +154,19 @@ class OfRun(Generic[RunT_contra]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfRuns(Generic[RunT_contra]):
-    """A measure that reads many runs of one job together; otherwise as ``OfRun``."""
+    """A measure that reads many runs of one job together; otherwise as ``OfRun``.
+
+    Parameters
+    ----------
+    measure
+        Of runs that were recorded one by one.
+    start
+        Begins a measurement of runs that one recording holds side by side; None where none can.
+    """
 
     run: type[Any]
     measure: Callable[[Sequence[RunT_contra], Options], Sequence[Finding]]
+    start: Callable[[RunT_contra, Options], Measure] | None = None
     needs: Needs = ()
     follows: bool = False
     of_every_axis: ChannelKind | None = None
@@ -280,16 +232,6 @@ class MeasureKind:
                 return reading
         return None
 
-    def start(self, run: object, options: Options) -> Measure | None:
-        """Begin to measure a run, with the defaults for ``options`` that are left out.
-
-        None where it is not a measure of one such run.
-        """
-        reading = self.of_run(run)
-        if not isinstance(reading, OfRun):
-            return None
-        return reading.start(run, self.with_defaults(options))
-
     def with_defaults(self, given: Mapping[str, float]) -> dict[str, float]:
         """Return every option of the measure: as ``given``, else its default."""
         return {name: given.get(name, option.default) for name, option in self.options.items()}
@@ -310,11 +252,3 @@ class MeasureKind:
             return Status.REPORTED
         within = value <= self.slack * limit + self.allowance
         return Status.PASSED if within else Status.FAILED
-
-
-def largest(values: FloatArray) -> tuple[int, float]:
-    """Return index and value of the largest of (n,) values, ignoring NaN; -1 where all are."""
-    if not len(values) or np.isnan(values).all():
-        return -1, float("nan")
-    index = int(np.nanargmax(values))
-    return index, float(values[index])

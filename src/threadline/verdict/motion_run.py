@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -19,8 +20,9 @@ from threadline.verdict.blocks import (
 )
 from threadline.verdict.by_time import checked_operations, with_operation
 from threadline.verdict.coverage import Coverage, Lack, motion_s
+from threadline.verdict.found import Finding, Found
 from threadline.verdict.intended import as_intended
-from threadline.verdict.measure import Finding, MeasureKind, Needs, Running, RunReading, somewhere
+from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
@@ -101,7 +103,7 @@ class MotionRun(Setting):
             f"record every {1e3 * finest_s:.4g} ms at least"
         )
 
-    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+    def results(self, running: Sequence[Running]) -> list[list[Found]]:
         """Read the recording once; return what each measure found, as far as it was seen."""
         if not running:
             return []
@@ -114,15 +116,22 @@ class MotionRun(Setting):
             end_s = float(last.time_s[-1])  # sooner than planned
         return [self._result(one, begin_s, end_s) for one in running]
 
-    def _result(self, one: Running, begin_s: float, end_s: float) -> list[Finding]:
+    def _result(self, one: Running, begin_s: float, end_s: float) -> list[Found]:
         absent = self._absent(one.reading) if one.kind.per_axis else {}
-        found = [Finding(value=None, axis=axis, note=why) for axis, why in absent.items()]
-        for finding in map(somewhere, one.measure.finish()):
+        found = [
+            Found.alike(Finding(value=None, axis=axis, note=why), self.runs)
+            for axis, why in absent.items()
+        ]
+        for one_found in one.measure.finish():
             # What a measure makes of an axis that it never saw is no measurement.
-            if finding.axis not in absent:
-                channels = self._channels(one.reading, finding.axis)
+            if one_found.axis not in absent:
+                channels = self._channels(one.reading, one_found.axis)
                 lack = self.coverage.lack(channels, begin_s, end_s)
-                found.append(finding if lack is None else _as_seen(finding, one.kind, lack))
+                found.append(
+                    one_found
+                    if lack is None
+                    else one_found.each(partial(_as_seen, kind=one.kind, lack=lack))
+                )
         return found
 
     def unseen(self, reading: RunReading) -> str:

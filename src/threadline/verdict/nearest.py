@@ -1,4 +1,9 @@
-"""Distances between the actual path and the programmed one, within a window of operations."""
+"""Distances between the actual paths of many runs and the programmed one, within a window.
+
+Runs stand side by side in memory, (samples, axes, runs): the geometry of a chord is worked out
+once, and the innermost loop, over the runs, becomes vector instructions. It adds and multiplies for
+each run what it would alone, so that a run has the same bits in any company.
+"""
 
 from __future__ import annotations
 
@@ -32,67 +37,189 @@ def _squared_to_segment(
 squared_to_segment = njit(cache=True, inline="always")(_squared_to_segment)
 
 
-def _nearest(point: FloatArray, low: int, high: int, vertices: FloatArray) -> tuple[float, int]:
-    """Return the squared distance of a point to the nearest of some chords, and which it is."""
-    best, best_chord = np.inf, -1
-    for chord in range(low, high + 1):
-        squared, _ = squared_to_segment(point, vertices[chord - 1], vertices[chord])
-        if squared < best:
-            best, best_chord = squared, chord
-    return best, best_chord
+def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (m, axes) way of each chord, and (m,) its squared length; 1 of a mere point.
 
-
-_nearest_fast = njit(cache=True)(_nearest)
-
-
-def _path_to_chords(
-    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
-) -> tuple[float, int, float, int]:
-    """Return the largest squared distance of the way through the points to its chords, and where.
-
-    Point i is held against the chords ``begin[i]`` to ``end[i]``, and the straight way to it
-    against those of both its ends. Where: the index of the point before, the part of the way to
-    the next one (0..1), and the nearest chord.
+    Chord c ends at vertex c; row 0 is nothing.
     """
-    worst, at, part, worst_chord = -1.0, -1, 0.0, -1
-    before = -1
+    way = np.diff(vertices, axis=0, prepend=vertices[:1])
+    squared = (way**2).sum(axis=1)
+    return way, np.where(squared > 0.0, squared, 1.0)
+
+
+def _nearest_chords(
+    points: FloatArray,
+    begin: IntArray,
+    end: IntArray,
+    vertices: FloatArray,
+    way: FloatArray,
+    length: FloatArray,
+    axes: tuple[int, ...],
+    squared: FloatArray,
+    chord: IntArray,
+) -> None:
+    """Fill in the squared distance of each point to the chords ``begin[i]`` to ``end[i]``.
+
+    ``chord`` is the first of the nearest. ``axes`` has one entry for each axis: its length is known
+    when this is compiled, and the loops over axes are gone.
+    """
+    samples, _, runs = points.shape
+    for i in range(samples):
+        for r in range(runs):
+            squared[i, r] = np.inf
+            chord[i, r] = begin[i]
+        for c in range(begin[i], end[i] + 1):
+            for r in range(runs):
+                along = 0.0
+                for a in range(len(axes)):
+                    along += (points[i, a, r] - vertices[c - 1, a]) * way[c, a]
+                where = along / length[c]
+                where = where if where > 0.0 else 0.0
+                where = where if where < 1.0 else 1.0
+                away = 0.0
+                for a in range(len(axes)):
+                    gap = points[i, a, r] - vertices[c - 1, a] - where * way[c, a]
+                    away += gap * gap
+                nearer = away < squared[i, r]
+                squared[i, r] = away if nearer else squared[i, r]
+                chord[i, r] = c if nearer else chord[i, r]
+
+
+def _between(
+    points: FloatArray,
+    before: FloatArray,
+    chord: IntArray,
+    chord_before: IntArray,
+    begin: IntArray,
+    end: IntArray,
+    vertices: FloatArray,
+    worst: FloatArray,
+    at: IntArray,
+    part: FloatArray,
+    worst_chord: IntArray,
+) -> None:
+    """Raise ``worst``, (runs,) squared, where the straight way to a point is farther than its ends.
+
+    The distance to one chord is largest at an end of the way; to two it may not be. ``begin`` and
+    ``end`` have an entry more than the points, for the point before. Where: the point that the way
+    leads to, the part of the way (0..1), and the nearest chord.
+    """
     lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
+    axes = points.shape[1]
+    here, there, start, stop = np.empty(axes), np.empty(axes), np.empty(axes), np.empty(axes)
     for i in range(len(points)):
-        best, chord = _nearest_fast(points[i], begin[i], end[i], vertices)
-        if best > worst:
-            worst, at, part, worst_chord = best, i, 0.0, chord
-        # The distance to one chord is largest at an end of the way; to two it may not be.
-        if i and chord != before:
-            low, high = min(begin[i - 1], begin[i]), max(end[i - 1], end[i])
+        known = chord_before if i == 0 else chord[i - 1]
+        low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
+        for r in range(points.shape[2]):
+            if chord[i, r] == known[r]:
+                continue
+            for a in range(axes):
+                here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
+                there[a] = points[i, a, r]
             left = 1
             lows[0], highs[0] = 0.0, 1.0
             while left:
                 left -= 1
                 a, b = lows[left], highs[left]
-                start = points[i - 1] + a * (points[i] - points[i - 1])
-                stop = points[i - 1] + b * (points[i] - points[i - 1])
+                start[:] = here + a * (there - here)
+                stop[:] = here + b * (there - here)
                 # No place of this part is farther than its ends from any one chord.
                 bound = np.inf
                 for c in range(low, high + 1):
                     first, _ = squared_to_segment(start, vertices[c - 1], vertices[c])
                     second, _ = squared_to_segment(stop, vertices[c - 1], vertices[c])
                     bound = min(bound, max(first, second))
-                if bound <= worst or b - a < _FINEST:
+                if bound <= worst[r] or b - a < _FINEST:
                     continue
                 middle = 0.5 * (a + b)
-                best, nearest = _nearest_fast(0.5 * (start + stop), low, high, vertices)
-                if best > worst:
-                    worst, at, part, worst_chord = best, i - 1, middle, nearest
+                start[:] = 0.5 * (start + stop)
+                best, nearest = np.inf, -1
+                for c in range(low, high + 1):
+                    away, _ = squared_to_segment(start, vertices[c - 1], vertices[c])
+                    if away < best:
+                        best, nearest = away, c
+                if best > worst[r]:
+                    worst[r], at[r], part[r], worst_chord[r] = best, i, middle, nearest
                 if left + 2 <= _MOST_PARTS:
                     lows[left], highs[left] = a, middle
                     lows[left + 1], highs[left + 1] = middle, b
                     left += 2
-        before = chord
-    return worst, at, part, worst_chord
 
 
 def _vertices_to_path(
     points: FloatArray,
+    before: FloatArray,
+    time_s: FloatArray,
+    begin: IntArray,
+    end: IntArray,
+    vertices: FloatArray,
+    axes: tuple[int, ...],
+    best: FloatArray,
+    best_time_s: FloatArray,
+) -> None:
+    """Lower ``best``, (vertices, runs) squared, where a segment of a run's path is nearer.
+
+    Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
+    chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have an entry more than
+    the points, for the point before.
+    """
+    samples, count, runs = points.shape
+    way, lengths = np.empty((count, runs)), np.empty(runs)
+    for i in range(samples):
+        start = before if i == 0 else points[i - 1]
+        for r in range(runs):
+            length = 0.0
+            for a in range(len(axes)):
+                step = points[i, a, r] - start[a, r]
+                way[a, r] = step
+                length += step * step
+            lengths[r] = length if length > 0.0 else 1.0
+        from_s, long_s = time_s[i], time_s[i + 1] - time_s[i]
+        for v in range(begin[i] - 1, end[i + 1] + 1):
+            for r in range(runs):
+                along = 0.0
+                for a in range(len(axes)):
+                    along += (vertices[v, a] - start[a, r]) * way[a, r]
+                where = along / lengths[r]
+                where = where if where > 0.0 else 0.0
+                where = where if where < 1.0 else 1.0
+                away = 0.0
+                for a in range(len(axes)):
+                    gap = vertices[v, a] - start[a, r] - where * way[a, r]
+                    away += gap * gap
+                nearer = away < best[v, r]
+                best[v, r] = away if nearer else best[v, r]
+                best_time_s[v, r] = from_s + where * long_s if nearer else best_time_s[v, r]
+
+
+_nearest_chords_fast = njit(cache=True, nogil=True, error_model="numpy")(_nearest_chords)
+between = njit(cache=True, nogil=True)(_between)
+_vertices_to_path_fast = njit(cache=True, nogil=True, error_model="numpy")(_vertices_to_path)
+
+
+def nearest_chords(
+    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Return (n, runs) squared distances to the chords ``begin[i]`` to ``end[i]``, and the nearest.
+
+    Parameters
+    ----------
+    points
+        (n, axes, runs).
+    vertices
+        (m, axes).
+    """
+    samples, axes, runs = points.shape
+    squared = np.empty((samples, runs))
+    chord = np.empty((samples, runs), dtype=np.int64)
+    way, length = chord_ways(vertices)
+    _nearest_chords_fast(points, begin, end, vertices, way, length, (0,) * axes, squared, chord)
+    return squared, chord
+
+
+def vertices_to_path(
+    points: FloatArray,
+    before: FloatArray,
     time_s: FloatArray,
     begin: IntArray,
     end: IntArray,
@@ -100,33 +227,6 @@ def _vertices_to_path(
     best: FloatArray,
     best_time_s: FloatArray,
 ) -> None:
-    """Lower ``best``, the squared distance of each vertex to the path, where a segment is nearer.
-
-    Segment i runs from point i to point i + 1; it counts for the vertices of the chords
-    ``begin[i]`` to ``end[i + 1]``.
-    """
-    for i in range(len(points) - 1):
-        for vertex in range(begin[i] - 1, end[i + 1] + 1):
-            squared, where = squared_to_segment(vertices[vertex], points[i], points[i + 1])
-            if squared < best[vertex]:
-                best[vertex] = squared
-                best_time_s[vertex] = time_s[i] + where * (time_s[i + 1] - time_s[i])
-
-
-def _squared_distances(
-    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
-) -> FloatArray:
-    """Return the (n,) squared distance of each point to the chords ``begin[i]`` to ``end[i]``."""
-    found = np.empty(len(points))
-    for i in range(len(points)):
-        best = np.inf
-        for chord in range(begin[i], end[i] + 1):
-            squared, _ = squared_to_segment(points[i], vertices[chord - 1], vertices[chord])
-            best = min(best, squared)
-        found[i] = best
-    return found
-
-
-path_to_chords = njit(cache=True, nogil=True)(_path_to_chords)
-vertices_to_path = njit(cache=True, nogil=True)(_vertices_to_path)
-squared_distances = njit(cache=True, nogil=True)(_squared_distances)
+    """Lower ``best`` and set ``best_time_s``, both (m, runs): see ``_vertices_to_path``."""
+    axes = (0,) * points.shape[1]
+    _vertices_to_path_fast(points, before, time_s, begin, end, vertices, axes, best, best_time_s)

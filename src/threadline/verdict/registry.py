@@ -22,13 +22,15 @@ from threadline.verdict import (
 from threadline.verdict.advance import start_progress
 from threadline.verdict.contour import start_contour
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
-from threadline.verdict.measure import Finding, Measure, MeasureKind, OfPlan, OfRun, OfRuns, whole
+from threadline.verdict.found import Finding
+from threadline.verdict.measure import Measure, MeasureKind, OfPlan, OfRun, OfRuns, whole
 from threadline.verdict.rise import OPTIONS as RISE_OPTIONS
 from threadline.verdict.rise import start_rise
 from threadline.verdict.samples import Setting
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.tracking import start_tracking
+from threadline.verdict.types import Spec
 
 _ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
 _OPERATION = (ChannelKind.OPERATION,)
@@ -102,6 +104,7 @@ _KINDS = (
             OfRuns(
                 run=Setting,
                 measure=repeat.measure_repeatability,
+                start=repeat.start_repeatability,
                 needs=(_ACTUAL, _OPERATION),
                 follows=True,
             ),
@@ -318,3 +321,13 @@ _KINDS = (
     MeasureKind(name="fetch_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
 )
 MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
+
+
+def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:
+    """Return the kinds of channels that the criteria of ``spec`` read of a simulated machine.
+
+    Where it tells several that will do, it is the load.
+    """
+    needs = (need for criterion in spec.criteria for need in MEASURES[criterion.name].needs)
+    found = {kind for n in needs for kind in ((ChannelKind.LOAD,) if ChannelKind.LOAD in n else n)}
+    return tuple(sorted(found | {ChannelKind.LOAD}))

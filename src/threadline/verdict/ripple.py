@@ -5,14 +5,53 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.measure import Measure, Option
 from threadline.verdict.samples import Block, Setting
 
 OPTIONS = {"over": Option(unit="s", default=0.02)}
 _SAME = 1e-6  # relative: two speeds, or two directions
 _ARRIVED = 0.5  # of the way in one sample interval
+
+
+def _farthest(
+    points: FloatArray,
+    span: int,
+    samples: IntArray,
+    wanted: FloatArray,
+    worst: FloatArray,
+    at: IntArray,
+) -> None:
+    """Fill in the largest relative difference of the way over ``span`` samples from ``wanted``.
+
+    Parameters
+    ----------
+    points
+        (n + span, axes, runs); point i + span against point i.
+    samples
+        Which i count.
+    wanted
+        (n,) length of that way.
+    """
+    _, axes, runs = points.shape
+    squared = np.empty(runs)
+    for i in samples:
+        squared[:] = 0.0
+        for a in range(axes):
+            for r in range(runs):
+                step = points[i + span, a, r] - points[i, a, r]
+                squared[r] += step * step
+        for r in range(runs):
+            away = abs(np.sqrt(squared[r]) / wanted[i] - 1.0)
+            larger = away > worst[r]
+            worst[r] = away if larger else worst[r]
+            at[r] = i if larger else at[r]
+
+
+_farthest_fast = njit(cache=True, nogil=True, error_model="numpy")(_farthest)
 
 
 class _Ripple:
@@ -28,21 +67,21 @@ class _Ripple:
         self._radius_m = setting.radius_m
         self._interval_s = setting.interval_s
         self._span = max(round(over_s / setting.interval_s), 1)
-        self._tail: FloatArray = np.empty((0, len(setting.axes)))
-        self._worst = Finding(value=None, note="no sample is away from every corner")
+        self._runs = setting.runs
+        self._tail: FloatArray = np.empty((0, len(setting.axes), setting.runs))
+        self._worst = Worst(
+            setting.runs, len(setting.axes), note="no sample is away from every corner"
+        )
 
     def feed(self, block: Block) -> None:
-        assert block.actual is not None
         path, begin, end = block.window()
-        points = np.concatenate([self._tail, block.actual * self._radius_m])
+        points = np.concatenate([self._tail, block.at_tool])
         known = len(self._tail)
         self._tail = points[-self._span :]
         # Sample i of the block against the one `span` before it.
         skipped = max(self._span - known, 0)
         if len(block) <= skipped:
             return
-        moved = points[self._span :] - points[: -self._span]
-        speed = np.linalg.norm(moved, axis=1) / (self._span * self._interval_s)
         begin, end = begin[skipped:], end[skipped:]
         wanted = path.speed_m_s[begin]
         part = _part(path.vertices, path.speed_m_s)
@@ -53,21 +92,19 @@ class _Ripple:
             free &= np.linalg.norm(left, axis=1) > _ARRIVED * wanted * self._interval_s
         if not free.any():
             return
-        at = np.flatnonzero(free)
-        ripple = np.abs(speed[at] / wanted[at] - 1.0)
-        worst = int(np.argmax(ripple))
-        if self._worst.value is not None and ripple[worst] <= self._worst.value:
-            return
-        index = int(at[worst]) + skipped
-        self._worst = Finding(
-            value=float(ripple[worst]),
-            time_s=float(block.time_s[index]),
-            operation=block.operation_at(index),
-            position=block.position_at(index),
+        ripple, at = np.full(self._runs, -np.inf), np.zeros(self._runs, dtype=np.int64)
+        way = wanted * (self._span * self._interval_s)
+        _farthest_fast(points, self._span, np.flatnonzero(free), way, ripple, at)
+        index = at + skipped
+        self._worst.offer(
+            ripple,
+            time_s=block.time_s[index],
+            operation=block.operations_at(index),
+            position=block.positions_at(index),
         )
 
-    def finish(self) -> Sequence[Finding]:
-        return [self._worst]
+    def finish(self) -> Sequence[Found]:
+        return [self._worst.found()]
 
 
 def _part(vertices: FloatArray, speed_m_s: FloatArray) -> IntArray:

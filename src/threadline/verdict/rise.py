@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.found import Finding, Found
+from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, lanes
 
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed
@@ -40,7 +41,7 @@ class _Rise:
 
     def __init__(self, setting: Setting, over_s: float) -> None:
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
-        self._all_radius_m = setting.radius_m
+        self._radius_m = setting.radius_m[self._columns, None]
         self._span = max(round(over_s / setting.interval_s), 1)
         self._over_s = self._span * setting.interval_s
         self._source: Iterator[Stitches] = (
@@ -49,16 +50,14 @@ class _Rise:
         self._run: Stitches | None = next(self._source, None)
         self._sews = self._run is not None
         self._tail: list[FloatArray] = []
-        self._dip: _Dip | None = None
-        self._turn: Finding | None = None  # of the dip that is over, until the head has its speed
-        self._fast: Finding | None = None  # when the head last had its speed
-        self._worst: Finding | None = None
+        self._legs = [_Legs() for _ in range(setting.runs)]
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None
         if block.commanded is None or not self._sews:
             return
-        points = [(p * self._all_radius_m)[:, self._columns] for p in self._taken(block)]
+        taken = (block.commanded[:, :, None], lanes(block.actual))
+        points = [p[:, self._columns] * self._radius_m for p in taken]
         tails = self._tail or [np.repeat(p[:1], self._span, axis=0) for p in points]
         whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]
         self._tail = [p[-self._span :] for p in whole]
@@ -67,18 +66,16 @@ class _Rise:
         )
         wanted, period_s, sewn = self._set(block.time_s)
         at = np.flatnonzero(sewn)
-        if len(at):
-            self._take(block, at, meant[at] / wanted[at], actual[at] / wanted[at], period_s[at])
+        if not len(at):
+            return
+        share = meant[at, 0] / wanted[at]
+        for run, legs in enumerate(self._legs):
+            legs.take(block, at, share, actual[at, run] / wanted[at], period_s[at])
 
-    def finish(self) -> Sequence[Finding]:
-        if self._worst is not None:
-            return [self._worst]
+    def finish(self) -> Sequence[Found]:
         note = "no leg of the seam comes to its speed" if self._sews else "the job has no stitches"
-        return [Finding(value=None, note=note)]
-
-    def _taken(self, block: Block) -> tuple[FloatArray, FloatArray]:
-        assert block.commanded is not None and block.actual is not None
-        return block.commanded, block.actual
+        none = Finding(value=None, note=note)
+        return [Found.made([legs.worst or none for legs in self._legs])]
 
     def _set(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Return (n,) set speed and turn of the needle, and where there are any."""
@@ -98,7 +95,23 @@ class _Rise:
             self._run = next(self._source, None)
         return wanted, period_s, known & np.isfinite(period_s)
 
-    def _take(
+
+class _Legs:
+    """The stretches of one run in which the head comes to its speed, and leaves it.
+
+    Attributes
+    ----------
+    worst
+        The longest so far.
+    """
+
+    def __init__(self) -> None:
+        self._dip: _Dip | None = None
+        self._turn: Finding | None = None  # of the dip that is over, until the head has its speed
+        self._fast: Finding | None = None  # when the head last had its speed
+        self.worst: Finding | None = None
+
+    def take(
         self,
         block: Block,
         at: NDArray[np.intp],
@@ -159,15 +172,21 @@ class _Rise:
         return Finding(
             value=None,
             time_s=float(block.time_s[index]),
-            operation=block.operation_at(index),
-            position=block.position_at(index),
+            operation=None if block.operation is None else int(block.operation[index]),
+            position=_position(block, index),
         )
 
     def _count(self, begin: Finding, end: Finding, period_s: float, note: str) -> None:
         assert begin.time_s is not None and end.time_s is not None
         value = max(end.time_s - begin.time_s, 0.0) / period_s
-        if self._worst is None or self._worst.value is None or value > self._worst.value:
-            self._worst = replace(end, value=value, note=note)
+        if self.worst is None or self.worst.value is None or value > self.worst.value:
+            self.worst = replace(end, value=value, note=note)
+
+
+def _position(block: Block, index: int) -> tuple[float, ...] | None:
+    assert block.commanded is not None
+    position = block.commanded[index]
+    return tuple(position.tolist()) if np.isfinite(position).all() else None
 
 
 def start_rise(setting: Setting, options: Mapping[str, float]) -> Measure:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import Recording
+from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.window import PathWindow
 
 
@@ -35,23 +37,34 @@ class Setting:
     interval_s: float
     lag_samples: int
 
+    @property
+    def runs(self) -> int:
+        """How many runs the recording holds side by side."""
+        return self.recording.runs
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Consecutive samples, n of them, with every channel on the same instants.
+    """Consecutive samples of runs in step, n of them, with every channel on the same instants.
+
+    Several runs are of the same commands: they differ in what the machine made of them. Of each
+    array (n, runs, axes) the runs of one axis at one instant lie side by side in memory, which is
+    what ``lanes`` hands to loops.
 
     Parameters
     ----------
     first
-        Number of the first sample since the start.
+        Number of the first sample since the start of the recording.
     time_s
         (n,) instants.
-    commanded, actual, own, voltage, current, current_peak
-        (n, axes) or None where a channel is absent: the command; the tool or the load; the axis'
-        own encoder; the amplifier's input; the motor's current, and its largest since the sample
-        before. A column of NaN marks an axis that lacks the channel while another has it.
+    commanded
+        (n, axes) or None, of all runs; NaN where an axis has no such channel.
+    actual, own
+        (n, runs, axes) or None: where the tool or load was, and what the axis' encoder read.
+    voltage, current, current_peak
+        (n, runs, axes) or None; the last two of largest magnitude since the sample before.
     operation
-        (n,) operation under way, never decreasing, or None.
+        (n,) operation under way, or None.
     chord
         (n,) chord that the command is on, counted from the start of the path, or None.
     begin, end
@@ -59,7 +72,7 @@ class Block:
     path
         The programmed path about these operations, or None without an operation channel.
     torque_share
-        (n, axes) or None: the torque asked of a drive over what it has, its largest since the
+        (n, runs, axes) or None: the torque asked of a drive over what it has, its largest since the
         sample before.
     """
 
@@ -87,12 +100,27 @@ class Block:
         begin = np.maximum(self.begin - self.path.first, 1)
         return self.path, begin, np.maximum(self.end - self.path.first, begin)
 
-    def operation_at(self, index: int) -> int | None:
-        """Return the operation under way at a sample."""
-        return None if self.operation is None else int(self.operation[index])
+    @cached_property
+    def at_tool(self) -> FloatArray:
+        """(n, axes, runs) actual positions as lengths at the tool."""
+        assert self.actual is not None and self.path is not None
+        return lanes(self.actual) * self.path.radius_m[:, None]
 
-    def position_at(self, index: int) -> tuple[float, ...] | None:
-        """Return the commanded position at a sample; None unless it is known of every axis."""
-        if self.commanded is None or not np.isfinite(self.commanded[index]).all():
-            return None
-        return tuple(self.commanded[index].tolist())
+    @cached_property
+    def nearest(self) -> tuple[FloatArray, IntArray]:
+        """(n, runs) squared distances of the tool to the nearest chord of its window, and which."""
+        path, begin, end = self.window()
+        return nearest_chords(self.at_tool, begin, end, path.vertices)
+
+    def operations_at(self, index: IntArray) -> IntArray | None:
+        """Return the operations under way at some samples."""
+        return None if self.operation is None else self.operation[index]
+
+    def positions_at(self, index: IntArray) -> FloatArray | None:
+        """Return the commanded positions at some samples; NaN where one is not known."""
+        return None if self.commanded is None else self.commanded[index]
+
+
+def lanes(values: FloatArray) -> FloatArray:
+    """Return (n, axes, runs) of (n, runs, axes) values, contiguous; no copy where they are so."""
+    return np.ascontiguousarray(values.transpose(0, 2, 1))

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.drawing.line import DrawnLine
-from threadline.verdict.measure import Finding, Measure
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.measure import Measure
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.samples import Block, Setting
-from threadline.verdict.stitches import SHORT, SewnStitches, StitchFollower
+from threadline.verdict.stitches import SewnStitches, StitchFollower, too_short
 
 _PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
 _NEAR = 4  # stitches about its own that a place may lie on: the lag that is free
@@ -35,7 +37,8 @@ class _Seam:
         self._follower = StitchFollower(setting, delay_s) if known else None
         self._held: _Sewn | None = None
         self._judged = 0  # of the stitches that are held
-        self._worst = Finding(value=None, note=_NONE)
+        self._runs = setting.runs
+        self._worst = Worst(setting.runs, len(self._axes), note=_NONE)
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None
@@ -45,43 +48,33 @@ class _Seam:
             self._held = _Sewn(run, self._lines, self._held)
             self._judge(len(self._held.contour) - _NEAR)
 
-    def finish(self) -> Sequence[Finding]:
+    def finish(self) -> Sequence[Found]:
         left = None if self._follower is None else self._follower.unsewn
         if left is not None:
-            return [
-                Finding(
-                    value=None,
-                    operation=int(left.operation[0]),
-                    job_line=int(left.line[0]),
-                    note=SHORT,
-                )
-            ]
+            return [too_short(left, self._runs)]
         if self._held is not None:
             self._judge(len(self._held.contour))
-        return [self._worst]
+        return [self._worst.found()]
 
     def _judge(self, until: int) -> None:
         """Judge the held stitches up to one, and let go of those that no other needs."""
         held = self._held
         if held is None or until <= self._judged:
             return
-        own = np.arange(self._judged, until)
-        missed, missing = held.drawn_to_sewn(own)
-        strayed = held.sewn_to_drawn(own)
+        missed, part, strayed = held.apart(self._judged, until)
         values = np.maximum(missed, strayed)
-        at = int(np.argmax(values))
-        if self._worst.value is None or values[at] > self._worst.value:
-            drawn = missed[at] >= strayed[at]
-            k = own[at]
-            place = missing[at] if drawn else held.end[k]
-            self._worst = Finding(
-                value=float(values[at]),
-                time_s=float(held.down_s[k]),
-                operation=int(held.operation[k]),
-                job_line=int(held.job_line[k]),
-                position=tuple((place / self._radius_m).tolist()),
-                note="drawn there, and sewn elsewhere" if drawn else "",
-            )
+        at, runs = np.argmax(values, axis=0), np.arange(self._runs)
+        k = at + self._judged
+        drawn = missed[at, runs] >= strayed[at, runs]
+        place = np.where(drawn[:, None], held.drawn[k, part[at, runs]], held.end[k, :, runs])
+        self._worst.offer(
+            values[at, runs],
+            time_s=held.down_s[k],
+            operation=held.operation[k],
+            line=held.job_line[k],
+            position=place / self._radius_m,
+            note=np.where(drawn, "drawn there, and sewn elsewhere", "").astype(object),
+        )
         first = max(until - _NEAR, 0)
         self._held, self._judged = held.after(first), until - first
 
@@ -115,45 +108,107 @@ class _Sewn:
             setattr(rest, name, getattr(self, name)[first:])
         return rest
 
-    def _others(self, own: IntArray) -> list[tuple[IntArray, FloatArray]]:
-        """Return stitches about each, and infinity where there is none of the same contour."""
-        found = []
-        for shift in range(-_NEAR, _NEAR + 1):
-            other = np.clip(own + shift, 0, len(self.contour) - 1)
-            there = (other == own + shift) & (self.contour[other] == self.contour[own])
-            found.append((other, np.where(there, 0.0, np.inf)))
-        return found
+    def apart(self, begin: int, until: int) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Return how far the line and the stitches ``begin`` up to ``until`` are apart.
 
-    def drawn_to_sewn(self, own: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return (n,) how far the drawn stretch is from the stitches, and (n, axes) where."""
-        points = self.drawn[own]
-        best = np.full(points.shape[:2], np.inf)
-        for other, barred in self._others(own):
-            begin, end = self.begin[other][:, None], self.end[other][:, None]
-            best = np.minimum(best, _to_chords(points, begin, end) + barred[:, None])
-        worst = np.argmax(best, axis=1)
-        rows = np.arange(len(own))
-        return best[rows, worst], points[rows, worst]
-
-    def sewn_to_drawn(self, own: IntArray) -> FloatArray:
-        """Return (n,) how far each needle-down is from the drawn line about it."""
-        points = self.end[own][:, None]
-        best = np.full(len(own), np.inf)
-        for other, barred in self._others(own):
-            line = self.drawn[other]
-            away = _to_chords(points, line[:, :-1], line[:, 1:]).min(axis=1)
-            best = np.minimum(best, away + barred)
-        return best
+        Returns
+        -------
+        tuple
+            (n, runs) the largest distance of the drawn stretch of a stitch from the stitches about
+            it, and which of its places has it; and of its needle-down from the line about it.
+        """
+        runs = self.end.shape[2]
+        missed, strayed = np.empty((until - begin, runs)), np.empty((until - begin, runs))
+        part = np.empty((until - begin, runs), dtype=np.int64)
+        _apart_fast(
+            self.drawn,
+            np.ascontiguousarray(self.begin),
+            np.ascontiguousarray(self.end),
+            self.contour,
+            (0,) * self.end.shape[1],
+            begin,
+            missed,
+            part,
+            strayed,
+        )
+        return missed, part, strayed
 
 
-def _to_chords(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
-    """Return distances of points to chords; the shapes but for the last axis are broadcast."""
-    chord, away = end - begin, points - begin
-    squared = (chord**2).sum(axis=-1)
-    along = (away * chord).sum(axis=-1)
-    share = np.divide(along, squared, out=np.zeros_like(along), where=squared > 0.0)
-    foot = np.clip(share, 0.0, 1.0)[..., None] * chord
-    return np.asarray(np.sqrt(((away - foot) ** 2).sum(axis=-1)))
+def _apart(
+    drawn: FloatArray,
+    begin: FloatArray,
+    end: FloatArray,
+    contour: IntArray,
+    axes: tuple[int, ...],
+    first: int,
+    missed: FloatArray,
+    part: IntArray,
+    strayed: FloatArray,
+) -> None:
+    """Fill in ``missed``, ``part`` and ``strayed`` of the stitches from ``first`` on.
+
+    ``drawn`` is (stitches, places, axes), ``begin`` and ``end`` are (stitches, axes, runs).
+    ``axes`` has one entry for each axis: its length is known when this is compiled.
+    """
+    count, runs = missed.shape
+    places = drawn.shape[1]
+    best, length = np.empty((places, runs)), np.empty(runs)
+    for i in range(count):
+        own = first + i
+        best[:] = np.inf
+        strayed[i] = np.inf
+        for other in range(max(own - _NEAR, 0), min(own + _NEAR + 1, len(contour))):
+            if contour[other] != contour[own]:
+                continue
+            for r in range(runs):
+                squared = 0.0
+                for a in range(len(axes)):
+                    squared += (end[other, a, r] - begin[other, a, r]) ** 2
+                length[r] = squared if squared > 0.0 else 1.0
+            for p in range(places):
+                for r in range(runs):
+                    along = 0.0
+                    for a in range(len(axes)):
+                        way = end[other, a, r] - begin[other, a, r]
+                        along += (drawn[own, p, a] - begin[other, a, r]) * way
+                    where = along / length[r]
+                    where = where if where > 0.0 else 0.0
+                    where = where if where < 1.0 else 1.0
+                    away = 0.0
+                    for a in range(len(axes)):
+                        way = end[other, a, r] - begin[other, a, r]
+                        gap = drawn[own, p, a] - begin[other, a, r] - where * way
+                        away += gap * gap
+                    best[p, r] = away if away < best[p, r] else best[p, r]
+            for p in range(1, places):
+                squared = 0.0
+                for a in range(len(axes)):
+                    squared += (drawn[other, p, a] - drawn[other, p - 1, a]) ** 2
+                whole = squared if squared > 0.0 else 1.0
+                for r in range(runs):
+                    along = 0.0
+                    for a in range(len(axes)):
+                        way = drawn[other, p, a] - drawn[other, p - 1, a]
+                        along += (end[own, a, r] - drawn[other, p - 1, a]) * way
+                    where = along / whole
+                    where = where if where > 0.0 else 0.0
+                    where = where if where < 1.0 else 1.0
+                    away = 0.0
+                    for a in range(len(axes)):
+                        way = drawn[other, p, a] - drawn[other, p - 1, a]
+                        gap = end[own, a, r] - drawn[other, p - 1, a] - where * way
+                        away += gap * gap
+                    strayed[i, r] = away if away < strayed[i, r] else strayed[i, r]
+        for r in range(runs):
+            farthest, at = -1.0, 0
+            for p in range(places):
+                if best[p, r] > farthest:
+                    farthest, at = best[p, r], p
+            missed[i, r], part[i, r] = np.sqrt(farthest), at
+            strayed[i, r] = np.sqrt(strayed[i, r])
+
+
+_apart_fast = njit(cache=True, nogil=True, error_model="numpy")(_apart)
 
 
 def start_seam(setting: Setting, options: Mapping[str, float]) -> Measure:

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.measure import Measure, Option
 from threadline.verdict.samples import Block, Setting
 
 RESIDUAL_OPTIONS = {"after": Option(unit="s", default=0.0), "window": Option(unit="s", default=1.0)}
@@ -21,7 +22,7 @@ class CommandEnd:
         self._last: FloatArray | None = None
         self.time_s = 0.0
         self.operation: int | None = None
-        self.position: tuple[float, ...] | None = None
+        self.position: FloatArray | None = None
 
     def begins_at(self, block: Block) -> int | None:
         """Return the sample of the block with which the standstill begins anew, if there is one."""
@@ -36,8 +37,8 @@ class CommandEnd:
             return None
         index = int(at[-1]) if len(at) else 0
         self.time_s = float(block.time_s[index])
-        self.operation = block.operation_at(index)
-        self.position = block.position_at(index)
+        self.operation = None if block.operation is None else int(block.operation[index])
+        self.position = commanded[index]
         return index
 
 
@@ -49,16 +50,16 @@ class _Residual:
     """
 
     def __init__(self, setting: Setting, after_s: float, window_s: float) -> None:
-        self._axes = setting.axes
+        self._axes, self._runs = setting.axes, setting.runs
         self._radius_m = setting.radius_m
         self._after_s, self._window_s = after_s, window_s
         self._end = CommandEnd()
         self._clear()
 
     def _clear(self) -> None:
-        self._low = np.full(len(self._axes), np.inf)
-        self._high = np.full(len(self._axes), -np.inf)
-        self._time_s = np.zeros(len(self._axes))
+        shape = self._runs, len(self._axes)
+        self._low, self._high = np.full(shape, np.inf), np.full(shape, -np.inf)
+        self._time_s = np.zeros(shape)
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None
@@ -78,24 +79,22 @@ class _Residual:
         self._time_s = np.where(grown, time_s[far], self._time_s)
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
 
-    def finish(self) -> Sequence[Finding]:
-        findings = []
+    def finish(self) -> Sequence[Found]:
+        found = []
+        swing = (self._high - self._low) / 2 * self._radius_m
         for column, axis in enumerate(self._axes):
-            swing = float(self._high[column] - self._low[column]) / 2 * self._radius_m[column]
-            if not np.isfinite(swing):
-                note = "the recording ends with the command"
-                findings.append(Finding(value=None, axis=axis, note=note))
-                continue
-            findings.append(
-                Finding(
-                    value=float(swing),
-                    axis=axis,
-                    time_s=float(self._time_s[column]),
-                    operation=self._end.operation,
-                    position=self._end.position,
-                )
+            values = swing[:, column]
+            worst = Worst(
+                self._runs, len(self._axes), axis, note="the recording ends with the command"
             )
-        return findings
+            worst.offer(
+                np.where(np.isfinite(values), values, np.nan),
+                time_s=self._time_s[:, column],
+                operation=self._end.operation,
+                position=self._end.position,
+            )
+            found.append(worst.found())
+        return found
 
 
 class _Settling:
@@ -106,45 +105,42 @@ class _Settling:
     """
 
     def __init__(self, setting: Setting, band_m: float) -> None:
-        self._radius_m = setting.radius_m
+        self._radius_m, self._runs = setting.radius_m, setting.runs
         self._band_m = band_m
         self._end = CommandEnd()
-        self._settled_s: float | None = None
+        self._settled_s: FloatArray = np.full(setting.runs, np.nan)  # of those that have
         self._seen_s = 0.0
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None and block.commanded is not None
         begin = self._end.begins_at(block)
         if begin is not None:
-            self._settled_s = None
+            self._settled_s[:] = np.nan
         begin = begin or 0
         away = (block.actual[begin:] - block.commanded[-1]) * self._radius_m
-        outside = np.flatnonzero(np.linalg.norm(away, axis=1) > self._band_m)
+        outside = np.linalg.norm(away, axis=2) > self._band_m
         self._seen_s = float(block.time_s[-1])
-        if not len(outside):
-            if self._settled_s is None:
-                self._settled_s = float(block.time_s[begin])
-            return
-        inside = begin + int(outside[-1]) + 1
-        self._settled_s = float(block.time_s[inside]) if inside < len(block) else None
+        left = outside.any(axis=0)
+        # The sample after the last one outside, beyond the block where that is its last.
+        inside = len(block) - outside[::-1].argmax(axis=0)
+        after_s = np.append(block.time_s, np.nan)[inside]
+        begun_s = np.where(np.isnan(self._settled_s), block.time_s[begin], self._settled_s)
+        self._settled_s = np.where(left, after_s, begun_s)
 
-    def finish(self) -> Sequence[Finding]:
-        if self._seen_s <= self._end.time_s:
-            return [Finding(value=None, note="the recording ends with the command")]
-        if self._settled_s is None:
-            note = f"not settled {self._seen_s - self._end.time_s:.3g} s after the command"
-            value, time_s = float("inf"), self._seen_s
-        else:
-            note, value, time_s = "", self._settled_s - self._end.time_s, self._settled_s
-        return [
-            Finding(
-                value=value,
-                time_s=time_s,
+    def finish(self) -> Sequence[Found]:
+        worst = Worst(self._runs, len(self._radius_m), note="the recording ends with the command")
+        if self._seen_s > self._end.time_s:
+            never = np.isnan(self._settled_s)
+            lasted_s = self._seen_s - self._end.time_s
+            note = f"not settled {lasted_s:.3g} s after the command"
+            worst.offer(
+                np.where(never, np.inf, self._settled_s - self._end.time_s),
+                time_s=np.where(never, self._seen_s, self._settled_s),
                 operation=self._end.operation,
                 position=self._end.position,
-                note=note,
+                note=np.where(never, note, "").astype(object),
             )
-        ]
+        return [worst.found()]
 
 
 def start_residual(setting: Setting, options: Mapping[str, float]) -> Measure:

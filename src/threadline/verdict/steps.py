@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from threadline.verdict.measure import Finding, Measure, largest
+import numpy as np
+
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.largest import largest
+from threadline.verdict.measure import Measure
 from threadline.verdict.samples import Block, Setting
 
 
@@ -12,26 +16,25 @@ class _StepLoss:
     """Per axis: the largest share of its drive's torque that is asked; above 1 it loses steps."""
 
     def __init__(self, setting: Setting) -> None:
-        self._axes = setting.axes
-        self._worst: dict[str, Finding] = {}
+        count = len(setting.axes)
+        self._worst = [Worst(setting.runs, count, axis) for axis in setting.axes]
 
     def feed(self, block: Block) -> None:
         assert block.torque_share is not None
-        for column, axis in enumerate(self._axes):
-            at, value = largest(block.torque_share[:, column])
-            known = self._worst.get(axis)
-            if at >= 0 and (known is None or known.value is None or value > known.value):
-                self._worst[axis] = Finding(
-                    value=value,
-                    axis=axis,
-                    time_s=float(block.time_s[at]),
-                    operation=block.operation_at(at),
-                    position=block.position_at(at),
-                    note="it loses steps" if value > 1.0 else "",
-                )
+        sizes, at = largest(block.torque_share)
+        for column, worst in enumerate(self._worst):
+            lost = sizes[column] > 1.0
+            worst.offer(
+                sizes[column],
+                time_s=block.time_s[at[column]],
+                operation=block.operations_at(at[column]),
+                position=block.positions_at(at[column]),
+                note=np.where(lost, "it loses steps", "").astype(object),
+            )
 
-    def finish(self) -> Sequence[Finding]:
-        return list(self._worst.values())
+    def finish(self) -> Sequence[Found]:
+        found = (worst.found() for worst in self._worst)
+        return [one for one in found if not np.isnan(one.value).all()]
 
 
 def start_step_loss(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +17,8 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording, RecordingBlock
 from threadline.verdict.coverage import Coverage
-from threadline.verdict.measure import Finding, Running, RunReading
+from threadline.verdict.found import Found
+from threadline.verdict.measure import Running, RunReading
 
 NEEDLE = "needle"
 
@@ -94,11 +95,13 @@ class StitchRun:
         named = [c for c in self.recording.channels if c.name == NEEDLE]
         return "" if named else "no needle channel: nobody knows when it was in the cloth"
 
-    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+    def results(self, running: Sequence[Running]) -> list[list[Found]]:
         """Return what each measure finds, as far as the stitches were seen."""
         found = [list(one.measure.finish()) for one in running]
         why = self.unseen_why()
-        return [[replace(f, unseen=why) for f in row] for row in found] if why else found
+        if not why:
+            return found
+        return [[f.each(partial(replace, unseen=why)) for f in row] for row in found]
 
     def unseen_why(self) -> str:
         """Say which stitches were not seen; empty where all were."""

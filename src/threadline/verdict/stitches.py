@@ -11,9 +11,11 @@ from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
-from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.measure import Measure, Option
+from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, lanes
 
 OPTIONS = {"delay": Option(unit="s", default=0.0)}
 SPEED_OPTIONS = {**OPTIONS, "over": Option(unit="s", default=0.002)}
@@ -35,16 +37,16 @@ class SewnStitches:
     down_s
         (n,) when the needle went down, its delay included.
     actual, begun
-        (n, axes) where the tool was then, and at the needle-down before; lengths at the tool.
+        (n, axes, runs) where the tool was then, and at the needle-down before; lengths at the tool.
     length_error
-        (n,) distance moved since the needle-down before, over the wanted one, less 1.
+        (n, runs) distance moved since the needle-down before, over the wanted one, less 1.
     placement_m
-        (n,) distance of ``actual`` from the seam: the nearest point of the stitches about it.
+        (n, runs) distance of ``actual`` from the seam: the nearest point of the stitches about it.
     speed_error
-        (n,) of the head's speeds while the stitch was made, each the mean over ``over_s``, the one
-        that is furthest from the stitch's length over its time, relative to that, less 1.
+        (n, runs) of the head's speeds while the stitch was made, each the mean over ``over_s``, the
+        one that is furthest from the stitch's length over its time, relative to that, less 1.
     speed_s
-        (n,) the instant at the end of that mean.
+        (n, runs) the instant at the end of that mean.
     """
 
     stitches: Stitches
@@ -83,7 +85,7 @@ class StitchFollower:
         self._pending: list[Stitches] = []
         self._ended = False
         self._time_s: FloatArray = np.empty(0)
-        self._points: FloatArray = np.empty((0, len(self._columns)))
+        self._points: FloatArray = np.empty((0, len(self._columns), setting.runs))
         self._seam: FloatArray | None = None  # needle points before the pending ones
 
     @property
@@ -93,8 +95,8 @@ class StitchFollower:
         return self._pending[0] if self._pending else None
 
     def feed(self, time_s: FloatArray, actual: FloatArray) -> list[SewnStitches]:
-        """Return the runs of stitches that are complete with these samples."""
-        points = (actual * self._radius_m)[:, self._columns]
+        """Return the runs of stitches that are complete with these (n, runs, axes) samples."""
+        points = lanes(actual)[:, self._columns] * self._radius_m[self._columns, None]
         self._time_s = np.concatenate([self._time_s, time_s])
         self._points = np.concatenate([self._points, points])
         sewn = []
@@ -118,13 +120,21 @@ class StitchFollower:
                 self._pending.append(run)
 
     def _at(self, time_s: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(time_s, self._time_s, p) for p in self._points.T])
+        """Return (m, axes, runs) where the tool was, straight between samples."""
+        last = len(self._time_s) - 1
+        after = np.clip(np.searchsorted(self._time_s, time_s, side="right"), 1, max(last, 1))
+        before, after = np.minimum(after - 1, last), np.minimum(after, last)
+        from_s = self._time_s[before]
+        long_s = np.where(after > before, self._time_s[after] - from_s, 1.0)
+        part = np.clip((time_s - from_s) / long_s, 0.0, 1.0)[:, None, None]
+        start = self._points[before]
+        return np.asarray(start + part * (self._points[after] - start))
 
     def _finish(self, run: Stitches) -> SewnStitches:
         down_s = run.down_s + self._delay_s
         actual = self._at(down_s)
         begun = self._at(run.from_s + self._delay_s)
-        moved = np.linalg.norm(actual - begun, axis=1)
+        moved = np.sqrt(((actual - begun) ** 2).sum(axis=1))
         behind = run.from_point[:1] if self._seam is None else self._seam
         ahead = self._pending[0].point[:_AHEAD] if self._pending else run.point[-1:]
         seam = np.concatenate([behind, run.point, ahead])
@@ -136,14 +146,14 @@ class StitchFollower:
             down_s=down_s,
             actual=actual,
             begun=begun,
-            length_error=moved / run.target_m - 1.0,
+            length_error=moved / run.target_m[:, None] - 1.0,
             placement_m=placement,
             speed_error=speed_error,
             speed_s=speed_s,
         )
 
     def _speeds(self, run: Stitches) -> tuple[FloatArray, FloatArray]:
-        """Return (n,) the largest relative error of the speed in each stitch, and when it was.
+        """Return (n, runs) the largest relative error of the speed in each stitch, and when it was.
 
         Instants are the samples within the stitch, less the first ``over_s`` of it, and its end.
         """
@@ -154,12 +164,19 @@ class StitchFollower:
         within = (at_s >= begin_s[stitch] + self._over_s) & (at_s <= end_s[stitch])
         within |= at_s == end_s[stitch]
         at_s, stitch = at_s[within], stitch[within]
-        moved = np.linalg.norm(self._at(at_s) - self._at(at_s - self._over_s), axis=1)
-        wanted = run.target_m / (run.down_s - run.from_s)
-        error = moved / self._over_s / wanted[stitch] - 1.0
-        order = np.lexsort((-np.abs(error), stitch))
-        first = order[np.searchsorted(stitch[order], np.arange(len(run)))]
-        return error[first], at_s[first]
+        way = self._at(at_s) - self._at(at_s - self._over_s)
+        wanted = (run.target_m / (run.down_s - run.from_s))[stitch, None]
+        error = np.sqrt((way**2).sum(axis=1)) / self._over_s / wanted - 1.0
+        starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
+        sizes = np.abs(error)
+        # Of each stitch the first sample with its largest size.
+        worst = np.repeat(
+            np.maximum.reduceat(sizes, starts), np.diff(starts, append=len(stitch)), axis=0
+        )
+        rows = np.arange(len(stitch))[:, None]
+        first = np.minimum.reduceat(np.where(sizes == worst, rows, len(stitch)), starts)
+        first = np.minimum(first, len(stitch) - 1)
+        return np.take_along_axis(error, first, axis=0), at_s[first]
 
 
 def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[SewnStitches]:
@@ -183,19 +200,18 @@ def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[
 
 
 def _to_seam(points: FloatArray, seam: FloatArray, offset: int) -> FloatArray:
-    """Return (n,) distances of point i to the chords of ``seam`` about ``seam[offset + i]``."""
-    best = np.full(len(points), np.inf)
+    """Return (n, runs) distances of point i to the chords of ``seam`` about ``seam[offset + i]``.
+
+    ``points`` are (n, axes, runs).
+    """
+    # Chord c ends at vertex c of the seam.
     own = np.arange(len(points)) + offset
-    for shift in range(-_BEHIND, _AHEAD):
-        begin = np.clip(own + shift, 0, len(seam) - 1)
-        end = np.minimum(begin + 1, len(seam) - 1)
-        chord, away = seam[end] - seam[begin], points - seam[begin]
-        squared = (chord**2).sum(axis=1)
-        along = np.zeros(len(points))
-        np.divide((away * chord).sum(axis=1), squared, out=along, where=squared > 0.0)
-        foot = np.clip(along, 0.0, 1.0)[:, None] * chord
-        best = np.minimum(best, np.linalg.norm(away - foot, axis=1))
-    return best
+    most = max(len(seam) - 1, 1)
+    begin = np.clip(own - _BEHIND + 1, 1, most)
+    end = np.clip(own + _AHEAD, 1, most)
+    vertices = seam if len(seam) > 1 else np.repeat(seam, 2, axis=0)
+    squared, _ = nearest_chords(np.ascontiguousarray(points), begin, end, vertices)
+    return np.sqrt(squared)
 
 
 class _Stitching:
@@ -205,11 +221,13 @@ class _Stitching:
         self, setting: Setting, delay_s: float, figure: str, over_s: float = 0.002
     ) -> None:
         self._figure = figure
-        self._radius_m = setting.radius_m[[setting.axes.index(a) for a in setting.plan.job.axes]]
+        columns = [setting.axes.index(a) for a in setting.plan.job.axes]
+        self._radius_m = setting.radius_m[columns]
         self._follower = (
             StitchFollower(setting, delay_s, over_s) if has_stitches(setting.plan.job) else None
         )
-        self._worst = Finding(value=None, note=_NONE)
+        self._runs = setting.runs
+        self._worst = Worst(setting.runs, len(columns), note=_NONE)
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None
@@ -218,53 +236,47 @@ class _Stitching:
         for sewn in self._follower.feed(block.time_s, block.actual):
             self._take(sewn)
 
-    def finish(self) -> Sequence[Finding]:
+    def finish(self) -> Sequence[Found]:
         left = None if self._follower is None else self._follower.unsewn
-        if left is not None:
-            return [
-                Finding(
-                    value=None,
-                    operation=int(left.operation[0]),
-                    job_line=int(left.line[0]),
-                    note=SHORT,
-                )
-            ]
-        return [self._worst]
+        return [self._worst.found() if left is None else too_short(left, self._runs)]
 
     def _take(self, sewn: SewnStitches) -> None:
         run = sewn.stitches
         at_s = sewn.down_s
         if self._figure == "placement":
-            values = sewn.placement_m
+            values, error = sewn.placement_m, sewn.placement_m
         else:
             if self._figure == "length":
                 error = sewn.length_error
             elif self._figure == "speed":
                 error, at_s = sewn.speed_error, sewn.speed_s
             else:
-                error = (run.down_s - run.from_s) / run.period_s - 1.0
-            values = np.where(run.exempt | np.isnan(error), -1.0, np.abs(error))
-        at = int(np.argmax(values))
-        if values[at] < 0.0:
-            if self._worst.value is None:
-                self._worst = Finding(value=None, note="every stitch is exempt")
-            return
-        if self._worst.value is not None and values[at] <= self._worst.value:
-            return
-        note = ""
-        if self._figure != "placement":
-            more, less = (
-                ("too fast", "too slow") if self._figure == "speed" else ("too long", "too short")
-            )
-            note = more if error[at] > 0.0 else less
-        self._worst = Finding(
-            value=float(values[at]),
-            time_s=float(at_s[at]),
-            operation=int(run.operation[at]),
-            job_line=int(run.line[at]),
-            position=tuple((run.point[at] / self._radius_m).tolist()),
-            note=note,
+                turn = (run.down_s - run.from_s) / run.period_s - 1.0
+                error = np.broadcast_to(turn[:, None], (len(turn), self._runs))
+            values = np.where(run.exempt[:, None] | np.isnan(error), -1.0, np.abs(error))
+        at, columns = np.argmax(values, axis=0), np.arange(self._runs)
+        worst = values[at, columns]
+        judged = worst >= 0.0
+        if not judged.all():
+            self._worst.say("every stitch is exempt")
+        more, less = _WORDS[self._figure == "speed"]
+        notes = np.where(error[at, columns] > 0.0, more, less)
+        self._worst.offer(
+            np.where(judged, worst, np.nan),
+            time_s=at_s[at] if at_s.ndim == 1 else at_s[at, columns],
+            operation=run.operation[at],
+            line=run.line[at],
+            position=run.point[at] / self._radius_m,
+            note="" if self._figure == "placement" else notes.astype(object),
         )
+
+
+def too_short(left: Stitches, runs: int) -> Found:
+    """Return what is found where the recording ends before the first stitch of ``left``."""
+    finding = Finding(
+        value=None, operation=int(left.operation[0]), job_line=int(left.line[0]), note=SHORT
+    )
+    return Found.alike(finding, runs)
 
 
 def start_length(setting: Setting, options: Mapping[str, float]) -> Measure:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -21,7 +21,8 @@ from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Event, Recording
 from threadline.targets.schedule import REST_LAGS, ScheduledMove
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.measure import Finding, Running, RunReading
+from threadline.verdict.found import Found
+from threadline.verdict.measure import Running, RunReading
 
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums
@@ -158,14 +159,16 @@ class SwitchRun:
         """Say nothing: each of its measures tells itself what it lacks, step by step."""
         return ""
 
-    def results(self, running: Sequence[Running]) -> list[list[Finding]]:
+    def results(self, running: Sequence[Running]) -> list[list[Found]]:
         """Return what each measure finds in the run, which it has whole."""
         found = [list(one.measure.finish()) for one in running]
         why = self.ended(self.time_s, self.end_s) if self.followed else ""
         if not why:
             return found
         # What is of no step is of the whole cycle.
-        return [[f if f.step else replace(f, unseen=why) for f in row] for row in found]
+        return [
+            [f if f.step else f.each(partial(replace, unseen=why)) for f in row] for row in found
+        ]
 
     def unseen(self, reading: RunReading) -> str:  # noqa: ARG002
         """Say nothing: each of its measures tells itself what it did not see."""

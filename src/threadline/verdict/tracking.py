@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.signals import ChannelKind
-from threadline.verdict.measure import Finding, Measure, largest
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.largest import largest
+from threadline.verdict.measure import Measure
 from threadline.verdict.samples import Block, Setting
 
 
@@ -19,36 +21,33 @@ class _Tracking:
     """
 
     def __init__(self, setting: Setting) -> None:
-        self._axes = setting.axes
         recording = setting.recording
         self._own = [
             recording.find(ChannelKind.TOOL, axis) is None
             and recording.find(ChannelKind.LOAD, axis) is None
             for axis in setting.axes
         ]
-        self._worst: dict[str, Finding] = {}
+        count = len(setting.axes)
+        self._worst = [Worst(setting.runs, count, axis) for axis in setting.axes]
 
     def feed(self, block: Block) -> None:
-        assert block.commanded is not None
-        for column, axis in enumerate(self._axes):
-            source = block.own if self._own[column] else block.actual
-            if source is None:
+        for source, own in ((block.actual, False), (block.own, True)):
+            columns = [column for column, mine in enumerate(self._own) if mine == own]
+            if source is None or not columns:
                 continue
-            at, value = largest(np.abs(source[:, column] - block.commanded[:, column]))
-            known = self._worst.get(axis)
-            if at < 0 or (known is not None and known.value is not None and value <= known.value):
-                continue
-            self._worst[axis] = Finding(
-                value=value,
-                axis=axis,
-                time_s=float(block.time_s[at]),
-                operation=block.operation_at(at),
-                position=block.position_at(at),
-                note="of the axis' own encoder" if self._own[column] else "",
-            )
+            sizes, at = largest(source, block.commanded)
+            for column in columns:
+                self._worst[column].offer(
+                    sizes[column],
+                    time_s=block.time_s[at[column]],
+                    operation=block.operations_at(at[column]),
+                    position=block.positions_at(at[column]),
+                    note="of the axis' own encoder" if own else "",
+                )
 
-    def finish(self) -> Sequence[Finding]:
-        return list(self._worst.values())
+    def finish(self) -> Sequence[Found]:
+        found = (worst.found() for worst in self._worst)
+        return [one for one in found if not np.isnan(one.value).all()]
 
 
 def start_tracking(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

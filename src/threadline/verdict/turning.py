@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.measure import Finding, Measure, Option
+from threadline.verdict.found import Found, Worst
+from threadline.verdict.measure import Measure, Option
 from threadline.verdict.reversals import ReversalScan, Turning
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -29,19 +30,23 @@ def _track(
     errors: FloatArray,
     times_s: FloatArray,
 ) -> int:
-    """Follow an axis through the turnings of a block; return how many of them closed.
+    """Follow an axis of many runs through the turnings of a block; return how many of them closed.
 
-    ``whole`` is [direction, sample at which the command left the turning or -1]; ``real`` is
-    [best, its time, best of the opposite direction since then, its time].
+    ``x`` is (n, runs). ``whole`` is [direction, sample at which the command left the turning or
+    -1], the same for all runs; ``real``, (4, runs), is [best, its time, best of the opposite
+    direction since then, its time]. ``errors`` and ``times_s`` are (turnings, runs).
     """
     closed = 0
     for i in range(len(x)):
-        y = whole[0] * x[i]
-        if y > real[0]:
-            real[0], real[1] = y, time_s[i]
-            real[2], real[3] = -y, time_s[i]
-        elif -y > real[2]:
-            real[2], real[3] = -y, time_s[i]
+        side, now_s = whole[0], time_s[i]
+        for r in range(x.shape[1]):
+            y = side * x[i, r]
+            farther = y > real[0, r]
+            back = farther or -y > real[2, r]
+            real[0, r] = y if farther else real[0, r]
+            real[1, r] = now_s if farther else real[1, r]
+            real[2, r] = -y if back else real[2, r]
+            real[3, r] = now_s if back else real[3, r]
         if closed == len(values):
             continue
         if whole[1] < 0 and chord[i] >= leaves[closed]:
@@ -50,12 +55,13 @@ def _track(
             continue
         overtaken = closed + 1 < len(values) and chord[i] >= leaves[closed + 1]
         if overtaken or first + i - whole[1] >= lag:
-            errors[closed] = real[0] - whole[0] * values[closed]
-            times_s[closed] = real[1]
+            for r in range(x.shape[1]):
+                errors[closed, r] = real[0, r] - whole[0] * values[closed]
+                times_s[closed, r] = real[1, r]
+                real[0, r], real[1, r] = real[2, r], real[3, r]
+                real[2, r], real[3, r] = whole[0] * x[i, r], now_s
             closed += 1
             whole[0], whole[1] = -whole[0], -1
-            real[0], real[1] = real[2], real[3]
-            real[2], real[3] = -whole[0] * x[i], time_s[i]
     return closed
 
 
@@ -66,29 +72,29 @@ class _Axis:
     """One axis: the turnings ahead of it, and its farthest position in the current direction."""
 
     def __init__(self, column: int, name: str, setting: Setting, smallest: float) -> None:
-        self._name = name
-        self._column = column
-        self._radius_m = setting.radius_m[column]
+        self._column, self._runs = column, setting.runs
         self._lag = setting.lag_samples
         self._scan = ReversalScan(column, smallest, setting.radius_m)
         self._open: list[Turning] = []
         self._whole = np.array([0, -1], dtype=np.int64)
-        self._real = np.array([-np.inf, 0.0, -np.inf, 0.0])
-        self._worst = Finding(value=None, axis=name, note="the recording is empty")
-        self._last = (0.0, 0.0)  # position, time
+        self._real: FloatArray = np.zeros((4, setting.runs))
+        self._real[[0, 2]] = -np.inf
+        self._worst = Worst(setting.runs, len(setting.axes), name, note="the recording is empty")
+        self._last_s = 0.0
+        self._last: FloatArray = np.zeros(setting.runs)
 
     def feed(self, block: Block, path: PathWindow) -> None:
-        assert block.actual is not None and block.chord is not None
+        assert block.chord is not None
         found = self._scan.scan(path)
         self._open.extend(found)
-        x = np.ascontiguousarray(block.actual[:, self._column]) * self._radius_m
-        self._last = (float(x[-1]), float(block.time_s[-1]))
+        x = np.ascontiguousarray(block.at_tool[:, self._column])
+        self._last, self._last_s = x[-1], float(block.time_s[-1])
         if not self._whole[0]:
             self._whole[0] = self._open[0].direction if self._open else self._scan.direction
         if not self._whole[0]:
             return
-        count = len(self._open)
-        errors, times_s = np.empty(count), np.empty(count)
+        shape = len(self._open), self._runs
+        errors, times_s = np.empty(shape), np.empty(shape)
         closed = _track_fast(
             x,
             block.time_s,
@@ -103,41 +109,42 @@ class _Axis:
             times_s,
         )
         for turning, error, at_s in zip(self._open, errors[:closed], times_s, strict=False):
-            self._offer(turning, float(error), float(at_s))
+            self._offer(turning, error, at_s)
         del self._open[:closed]
 
-    def finish(self, path: PathWindow | None, last: FloatArray | None) -> Finding:
+    def finish(self, path: PathWindow | None, last: FloatArray | None) -> Found:
         if path is None or last is None:
-            return self._worst
+            return self._worst.found()
         real, direction = self._real, int(self._whole[0])
         for turning in [*self._open, self._scan.end()]:
             if direction:
-                self._offer(turning, float(real[0]) - direction * turning.value, float(real[1]))
+                self._offer(turning, real[0] - direction * turning.value, real[1])
             else:
-                self._offer(turning, abs(self._last[0] - turning.value), self._last[1])
+                self._offer(turning, np.abs(self._last - turning.value), self._last_s)
             direction = -direction
             # What followed the last turning is the way to the next; after that comes nothing.
-            real = np.array([real[2], real[3], -real[0], real[1]])
+            real = np.stack([real[2], real[3], -real[0], real[1]])
         rest = path.remainder(last)
         if rest is not None:
-            missing = abs(self._last[0] - float(rest.end[self._column]))
-            end = Turning(0.0, 0, rest.operation, rest.line, rest.position, 0)
-            self._offer(end, -missing, self._last[1], "the recording ends before the job")
-        return self._worst
+            self._worst.offer(
+                np.abs(self._last - rest.end[self._column]),
+                time_s=self._last_s,
+                operation=rest.operation,
+                line=rest.line,
+                position=rest.position,
+                note="the recording ends before the job",
+            )
+        return self._worst.found()
 
-    def _offer(self, turning: Turning, error: float, time_s: float, note: str = "") -> None:
-        if self._worst.value is not None and abs(error) <= self._worst.value:
-            return
-        if not note and turning.direction and error:
-            note = "past" if error > 0 else "short"
-        self._worst = Finding(
-            value=abs(error),
-            axis=self._name,
+    def _offer(self, turning: Turning, error: FloatArray, time_s: FloatArray | float) -> None:
+        sides = np.where(error > 0.0, "past", np.where(error < 0.0, "short", ""))
+        self._worst.offer(
+            np.abs(error),
             time_s=time_s,
             operation=turning.operation,
-            job_line=turning.line,
-            position=turning.position,
-            note=note,
+            line=turning.line,
+            position=np.array(turning.position),
+            note=sides.astype(object) if turning.direction else "",
         )
 
 
@@ -155,18 +162,16 @@ class _TurningPoints:
         self._axes = [
             _Axis(column, name, setting, smallest) for column, name in enumerate(setting.axes)
         ]
-        self._radius_m = setting.radius_m
         self._path: PathWindow | None = None
         self._last: FloatArray | None = None
 
     def feed(self, block: Block) -> None:
-        assert block.path is not None and block.actual is not None
-        self._path = block.path
-        self._last = block.actual[-1] * self._radius_m
+        assert block.path is not None
+        self._path, self._last = block.path, block.at_tool[-1]
         for axis in self._axes:
             axis.feed(block, block.path)
 
-    def finish(self) -> Sequence[Finding]:
+    def finish(self) -> Sequence[Found]:
         return [axis.finish(self._path, self._last) for axis in self._axes]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,15 +15,28 @@ from threadline.path.types import ProgrammedPath, VertexBlock
 class Remainder:
     """The part of the path that a recording never came to.
 
-    ``distance_m`` is that of its farthest vertex from where the machine stands; operation, line
-    and position are that vertex'; ``end`` is the (axes,) end of the path, lengths at the tool.
+    ``distance_m``, (runs,), is that of its farthest vertex from where the machine stands;
+    operation and line, (runs,), and position, (runs, axes), are that vertex'; ``end`` is the
+    (axes,) end of the path, lengths at the tool.
     """
 
-    distance_m: float
-    operation: int
-    line: int
-    position: tuple[float, ...]
+    distance_m: FloatArray
+    operation: IntArray
+    line: IntArray
+    position: FloatArray
     end: FloatArray
+
+
+def _farther(known: Remainder, fresh: Remainder) -> Remainder:
+    """Return the farther vertex of every run, and the end of what came later."""
+    larger = fresh.distance_m > known.distance_m
+    return Remainder(
+        np.where(larger, fresh.distance_m, known.distance_m),
+        np.where(larger, fresh.operation, known.operation),
+        np.where(larger, fresh.line, known.line),
+        np.where(larger[:, None], fresh.position, known.position),
+        fresh.end,
+    )
 
 
 class PathWindow:
@@ -97,7 +110,7 @@ class PathWindow:
         Parameters
         ----------
         point
-            (axes,) where the machine stands, lengths at the tool; NaN of an axis that was not
+            (axes, runs) where the machine stands, lengths at the tool; NaN of an axis that was not
             recorded, which then counts for nothing.
         """
         if self.ended:
@@ -105,18 +118,16 @@ class PathWindow:
         worst: Remainder | None = None
         for block in self._source:
             vertices = block.positions * self.radius_m
-            distance = np.sqrt(np.nansum((vertices - point) ** 2, axis=1))
-            far = int(np.argmax(distance))
-            if worst is None or distance[far] > worst.distance_m:
-                worst = Remainder(
-                    float(distance[far]),
-                    int(block.operation[far]),
-                    int(block.line[far]),
-                    tuple(block.positions[far].tolist()),
-                    vertices[-1],
-                )
-            else:
-                worst = replace(worst, end=vertices[-1])
+            away = np.nansum((vertices[:, :, None] - point) ** 2, axis=1)
+            far, runs = np.argmax(away, axis=0), np.arange(point.shape[1])
+            found = Remainder(
+                np.sqrt(away[far, runs]),
+                block.operation[far],
+                block.line[far],
+                block.positions[far],
+                vertices[-1],
+            )
+            worst = found if worst is None else _farther(worst, found)
         self.ended = True
         self._remainder = worst
         return worst

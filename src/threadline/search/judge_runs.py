@@ -1,0 +1,136 @@
+"""Judges any number of variants of a machine under the commands of one plan: simulate, and measure.
+
+Variants go through in parts of some hundred, several parts at once; each is simulated block by
+block and measured as it comes, so that memory depends on the parts in hand alone. A variant is
+judged to the same bits in any part and by any number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from os import cpu_count
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.plan import Plan
+from threadline.plant.values import Values
+from threadline.signals import ChannelKind, tick_table
+from threadline.twin import simulate_runs
+from threadline.twin.simulate import DEFAULT_SETTLE_S
+from threadline.verdict import EachRun, Judge, Spec, needed_channels
+
+AT_ONCE = 256
+"""Variants of a part: they share what is worked out once, and their samples fit a fast memory."""
+
+
+class RunsJudge:
+    """Judges variants of ``machine`` under the commands of ``plan``.
+
+    Parameters
+    ----------
+    plan
+        Whose commands every variant gets.
+    spec
+        What is asked.
+    machine
+        Whose numbers they replace; that of the plan when None.
+    settle_s
+        How long to go on after the last row.
+    threads
+        Parts that are under way at once; as many as there are cores when None.
+
+    Raises
+    ------
+    SpecError
+        If a criterion names no measure.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        spec: Spec,
+        machine: Machine | None = None,
+        *,
+        settle_s: float = DEFAULT_SETTLE_S,
+        threads: int | None = None,
+    ) -> None:
+        self.plan = plan
+        self._judge = Judge(plan, spec)
+        self._table = tick_table(plan.commands)
+        self._machine = plan.machine if machine is None else machine
+        self._settle_s = settle_s
+        self._threads = threads or cpu_count() or 1
+        self._kinds = (ChannelKind.COMMANDED, ChannelKind.OPERATION, *needed_channels(spec))
+
+    def judged(
+        self,
+        variants: Mapping[str, FloatArray],
+        phases: FloatArray | None = None,
+        done: Callable[[int], None] | None = None,
+    ) -> EachRun:
+        """Return what came of every variant.
+
+        One that cannot be simulated, because its motion grows without bound or its modes change
+        without end, fails every criterion that has a limit, with an infinite value.
+
+        Parameters
+        ----------
+        variants
+            Path of a number of the machine file to its (V,) SI values, at least one of them.
+        phases
+            (V, axes) where between two counts each encoder stands; 0.5 when None.
+        done
+            Told how many variants each part had that is through.
+        """
+        values = Values.of(self._machine, variants)
+        parts = list(self._parts(values))
+        found: list[EachRun] = []
+        with ThreadPoolExecutor(self._threads) as pool:
+            own = [None if phases is None else phases[places] for _, places in parts]
+            for one in pool.map(self._part, [part for part, _ in parts], own):
+                found.append(one)
+                if done is not None:
+                    done(one.runs)
+        order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
+        return EachRun.joined(found).taken(order)
+
+    @cached_property
+    def _own(self) -> EachRun:
+        """What comes of the machine of the plan."""
+        own = simulate_runs(
+            self._table,
+            Values.of(self.plan.machine),
+            settle_s=self._settle_s,
+            kinds=self._kinds,
+        )
+        return self._judge.each(own)
+
+    def _parts(self, values: Values) -> Iterator[tuple[Values, IntArray]]:
+        """Yield the variants in parts of one dead time, each with its places among all."""
+        for sharing, places in values.by_delay():
+            for at in range(0, sharing.count, AT_ONCE):
+                yield sharing.slice(at, at + AT_ONCE), places[at : at + AT_ONCE]
+
+    def _part(self, values: Values, phases: FloatArray | None) -> EachRun:
+        try:
+            recording = simulate_runs(
+                self._table,
+                values,
+                encoder_phase=phases,
+                settle_s=self._settle_s,
+                kinds=self._kinds,
+            )
+            return self._judge.each(recording)
+        except MachineError:
+            # One variant without an answer ends its part: the halves say which.
+            if values.count == 1:
+                return self._own.without_answer()
+            half = values.count // 2
+            cut = [None, None] if phases is None else [phases[:half], phases[half:]]
+            low = self._part(values.slice(0, half), cut[0])
+            return EachRun.joined([low, self._part(values.slice(half, values.count), cut[1])])

@@ -1,0 +1,166 @@
+"""What came of every run by itself: how much of each limit it uses, and whether it passes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.plan import Plan
+from threadline.verdict.found import Found
+from threadline.verdict.measure import MeasureKind
+from threadline.verdict.types import Criterion
+
+_EXCUSED = ("acceleration", "jerk")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CriterionRow:
+    """A criterion, of one axis and step, in every run.
+
+    Parameters
+    ----------
+    name, axis, step, limit, unit, required, hard
+        As in a ``Result``.
+    values
+        (runs,) measured; NaN where nothing could be.
+    failed
+        (runs,) whether the limit is exceeded.
+    of_plan
+        It is of the plan alone, the same in every run.
+    """
+
+    name: str
+    axis: str
+    step: str
+    limit: float | None
+    unit: str
+    required: bool
+    hard: bool
+    values: FloatArray
+    failed: NDArray[np.bool_]
+    of_plan: bool = False
+
+    @property
+    def text(self) -> str:
+        """What it is called, for people."""
+        return " ".join(filter(None, (self.name, self.axis, self.step)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EachRun:
+    """Every criterion in every run.
+
+    Parameters
+    ----------
+    rows
+        In the order of the specification.
+    runs
+        How many.
+    incomplete
+        How they ended before the last row; empty where they did not.
+    """
+
+    rows: tuple[CriterionRow, ...]
+    runs: int
+    incomplete: str = ""
+
+    @property
+    def passed(self) -> NDArray[np.bool_]:
+        """(runs,) whether nothing failed and everything required was measured."""
+        found = np.full(self.runs, not self.incomplete)
+        for row in self.rows:
+            found &= ~row.failed
+            if row.required:
+                found &= ~np.isnan(row.values)
+        return found
+
+    def row(self, name: str, axis: str = "") -> CriterionRow:
+        """Return the row of a criterion.
+
+        Raises
+        ------
+        KeyError
+            If it was not judged.
+        """
+        for row in self.rows:
+            if row.name == name and row.axis == axis:
+                return row
+        raise KeyError((name, axis))
+
+    @classmethod
+    def joined(cls, parts: Sequence[EachRun]) -> EachRun:
+        """Return consecutive runs of the same plan as one."""
+        if len(parts) == 1:
+            return parts[0]
+        rows = []
+        for same in zip(*(part.rows for part in parts), strict=True):
+            values = np.concatenate([row.values for row in same])
+            failed = np.concatenate([row.failed for row in same])
+            rows.append(replace(same[0], values=values, failed=failed))
+        return cls(
+            rows=tuple(rows),
+            runs=sum(part.runs for part in parts),
+            incomplete=next(filter(None, (part.incomplete for part in parts)), ""),
+        )
+
+    def without_answer(self) -> EachRun:
+        """Return what comes of a run that cannot be simulated, with rows as these have.
+
+        What is of the plan alone is known; of the rest every value is infinite.
+        """
+        rows = []
+        for row in self.rows:
+            if row.of_plan:
+                rows.append(replace(row, values=row.values[:1], failed=row.failed[:1]))
+            else:
+                failed = np.array([row.limit is not None])
+                rows.append(replace(row, values=np.array([np.inf]), failed=failed))
+        return EachRun(rows=tuple(rows), runs=1)
+
+    def taken(self, index: IntArray) -> EachRun:
+        """Return some runs, in the order of (n,) ``index``."""
+        rows = tuple(
+            replace(row, values=row.values[index], failed=row.failed[index]) for row in self.rows
+        )
+        return EachRun(rows=rows, runs=len(index), incomplete=self.incomplete)
+
+
+def limit_of(criterion: Criterion, plan: Plan) -> float | None:
+    """Return the limit of a criterion: none where the plan is excused from it."""
+    if criterion.hard and plan.intent.historical and criterion.name in _EXCUSED:
+        return None
+    return criterion.limit
+
+
+def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:
+    """Return the SI unit in which ``axis`` is measured, of the tool where there is none."""
+    moved = plan.machine.axes.get(axis)
+    return kind.unit("linear" if moved is None else moved.kind)
+
+
+def criterion_row(
+    criterion: Criterion, kind: MeasureKind, plan: Plan, found: Found, runs: int
+) -> CriterionRow:
+    """Return what was found in ``runs`` runs; what is of the plan alone is one for all."""
+    unit, limit = unit_of(kind, found.axis, plan), limit_of(criterion, plan)
+    values = found.value if unit == "s" else np.where(np.isfinite(found.value), found.value, np.nan)
+    values = np.broadcast_to(values, (runs,))
+    failed = np.zeros(runs, dtype=np.bool_)
+    if limit is not None:
+        failed = values > kind.slack * limit + kind.allowance
+    return CriterionRow(
+        name=criterion.name,
+        axis=found.axis,
+        step=found.step,
+        limit=limit,
+        unit=unit,
+        required=criterion.required,
+        hard=criterion.hard,
+        values=values,
+        failed=failed,
+        of_plan=kind.of_plan(plan) is not None,
+    )

@@ -1,0 +1,270 @@
+"""What measures find: in one run a finding, in many at once arrays with a finding behind each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.verdict.types import Status, is_measured
+
+if TYPE_CHECKING:
+    from threadline.verdict.measure import MeasureKind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """The worst value of one measure in one run, of one axis or (``""``) of the tool.
+
+    ``value`` is None where nothing could be measured; ``note`` then says why. ``step`` is the step
+    of a move list. ``seen`` is the worst of what the recording came to, where the value also counts
+    what it did not come to. ``unseen`` says what was not seen, where the value is only the worst of
+    the rest: it can fail a limit, and not pass one.
+    """
+
+    value: float | None
+    axis: str = ""
+    time_s: float | None = None
+    operation: int | None = None
+    job_line: int | None = None
+    position: tuple[float, ...] | None = None
+    note: str = ""
+    step: str = ""
+    seen: Finding | None = None
+    unseen: str = ""
+
+    def worse(self, other: Finding) -> Finding:
+        """Return the worse of the same finding of two recordings.
+
+        Where one of them was not measured, neither limit nor passing is known, but for a value of
+        the other that fails.
+        """
+        if self.value is None or other.value is None:
+            if self.value is None and other.value is None:
+                return self
+            blank, known = (self, other) if self.value is None else (other, self)
+            return replace(known, unseen=known.unseen or blank.note)
+        larger = other if other.value > self.value else self
+        return replace(larger, unseen=self.unseen or other.unseen)
+
+    def under(self, kind: MeasureKind, limit: float | None) -> Finding:
+        """Return what counts under a limit: of what was only partly seen, whether it fails."""
+        if not self.unseen:
+            return self
+        if kind.status(self.value, limit) is Status.FAILED:
+            note = "; ".join(filter(None, (self.note, self.unseen)))
+            return replace(self, note=note, unseen="")
+        return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
+
+    def in_unit(self, unit: str) -> Finding:
+        """Return the finding as it may stand in a verdict: what is no number is not measured."""
+        if self.value is None or is_measured(self.value, unit):
+            return self
+        note = "; ".join(filter(None, (self.note, "no number came of these samples")))
+        return replace(self, value=None, note=note)
+
+    def somewhere(self) -> Finding:
+        """Return the finding without its place if it is zero: no place is worse than another."""
+        if self.value != 0.0:
+            return self
+        return replace(self, time_s=None, operation=None, job_line=None, position=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """What a measure found in each of several runs, of one axis or (``""``) of the tool.
+
+    Parameters
+    ----------
+    value
+        (runs,) NaN where nothing could be measured.
+    of
+        Returns the finding of a run, by its number.
+    parts
+        What it was put together from, if from anything: each tells what of it was not seen.
+    """
+
+    axis: str = ""
+    step: str = ""
+    value: FloatArray
+    of: Callable[[int], Finding]
+    parts: tuple[Found, ...] = ()
+
+    @classmethod
+    def made(cls, findings: Sequence[Finding]) -> Found:
+        """Return findings of consecutive runs, all of the same axis and step, as one."""
+        return _in_a_row([Found.alike(finding, 1) for finding in findings])
+
+    @classmethod
+    def alike(cls, finding: Finding, runs: int) -> Found:
+        """Return one finding that all runs have."""
+        value = np.nan if finding.value is None else finding.value
+        return cls(
+            axis=finding.axis,
+            step=finding.step,
+            value=np.full(runs, value),
+            of=partial(_same, finding),
+        )
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def each(self, function: Callable[[Finding], Finding]) -> Found:
+        """Return what a function makes of the finding of every run."""
+        return Found.made([function(self.of(run)) for run in range(len(self))])
+
+    def worst(self) -> Finding:
+        """Return the worst finding of all runs, the first of equals."""
+        if self.parts:
+            return reduce(Finding.worse, (part.worst() for part in self.parts))
+        blank = np.isnan(self.value)
+        if blank.all():
+            return self.of(0)
+        worst = self.of(int(np.nanargmax(self.value)))
+        return worst.worse(self.of(int(np.argmax(blank)))) if blank.any() else worst
+
+
+def joined(known: Sequence[Found], fresh: Sequence[Found]) -> list[Found]:
+    """Return, per axis and step, what was found in the runs of both."""
+    rows: dict[tuple[str, str], list[Found]] = {}
+    for found in (*known, *fresh):
+        rows.setdefault((found.axis, found.step), []).append(found)
+    return [_in_a_row(row) for row in rows.values()]
+
+
+def _in_a_row(parts: Sequence[Found]) -> Found:
+    if len(parts) == 1:
+        return parts[0]
+    return Found(
+        axis=parts[0].axis,
+        step=parts[0].step,
+        value=np.concatenate([part.value for part in parts]),
+        of=partial(_of_parts, tuple(parts)),
+        parts=tuple(parts),
+    )
+
+
+def _of_parts(parts: tuple[Found, ...], run: int) -> Finding:
+    for part in parts:
+        if run < len(part):
+            return part.of(run)
+        run -= len(part)
+    raise IndexError(run)
+
+
+def _same(finding: Finding, run: int) -> Finding:  # noqa: ARG001
+    return finding
+
+
+class Worst:
+    """The worst value of every run so far, and where it was.
+
+    Parameters
+    ----------
+    runs
+        How many.
+    axes
+        Columns of a position.
+    axis
+        Whose values they are, ``""`` for those of the tool.
+    note
+        Why nothing was measured, as long as nothing was.
+
+    Attributes
+    ----------
+    value
+        (runs,) minus infinity before the first.
+    """
+
+    def __init__(self, runs: int, axes: int, axis: str = "", note: str = "") -> None:
+        self.axis = axis
+        self.value: FloatArray = np.full(runs, -np.inf)
+        self._time_s: FloatArray = np.full(runs, np.nan)
+        self._operation: IntArray = np.full(runs, -1, dtype=np.int64)
+        self._line: IntArray = np.full(runs, -1, dtype=np.int64)
+        self._position: FloatArray = np.full((runs, axes), np.nan)
+        self._note: NDArray[Any] = np.full(runs, note, dtype=object)
+
+    def offer(
+        self,
+        value: FloatArray,
+        *,
+        time_s: FloatArray | float | None = None,
+        operation: IntArray | int | None = None,
+        line: IntArray | int | None = None,
+        position: FloatArray | None = None,
+        note: NDArray[Any] | str = "",
+    ) -> None:
+        """Take what is worse than what is known; of equals the first one stays.
+
+        Parameters
+        ----------
+        value
+            (runs,); what is no number is passed over.
+        time_s, operation, line, position, note
+            Where, of all runs or (runs,) of each; the position (axes,) or (runs, axes). None is
+            nowhere.
+        """
+        at = np.flatnonzero(value > self.value)
+        if not len(at):
+            return
+        self.value[at] = value[at]
+        self._time_s[at] = np.nan if time_s is None else _of(time_s, at)
+        self._operation[at] = -1 if operation is None else _of(operation, at)
+        self._line[at] = -1 if line is None else _of(line, at)
+        if position is None:
+            self._position[at] = np.nan
+        else:
+            self._position[at] = position if position.ndim == 1 else position[at]
+        self._note[at] = _of(note, at)
+
+    def say(self, note: str) -> None:
+        """Say of every run without a value why it has none."""
+        self._note[np.isneginf(self.value)] = note
+
+    def copy(self) -> Worst:
+        """Return what is known by now."""
+        made = object.__new__(Worst)
+        made.axis = self.axis
+        made.value, made._time_s = self.value.copy(), self._time_s.copy()
+        made._operation, made._line = self._operation.copy(), self._line.copy()
+        made._position, made._note = self._position.copy(), self._note.copy()
+        return made
+
+    def found(self, seen: Worst | None = None) -> Found:
+        """Return what was found; ``seen`` is what was known before what no run came to."""
+        return Found(
+            axis=self.axis,
+            value=np.where(np.isneginf(self.value), np.nan, self.value),
+            of=partial(_finding_of, self, seen),
+        )
+
+    def of(self, run: int) -> Finding:
+        """Return the worst of one run."""
+        note = str(self._note[run])
+        if np.isneginf(self.value[run]):
+            return Finding(value=None, axis=self.axis, note=note)
+        position = self._position[run]
+        return Finding(
+            value=float(self.value[run]),
+            axis=self.axis,
+            time_s=None if np.isnan(self._time_s[run]) else float(self._time_s[run]),
+            operation=None if self._operation[run] < 0 else int(self._operation[run]),
+            job_line=None if self._line[run] < 0 else int(self._line[run]),
+            position=tuple(position.tolist()) if np.isfinite(position).all() else None,
+            note=note,
+        )
+
+
+def _of(what: Any, at: IntArray) -> Any:
+    return what[at] if isinstance(what, np.ndarray) else what
+
+
+def _finding_of(worst: Worst, seen: Worst | None, run: int) -> Finding:
+    finding = worst.of(run)
+    return finding if seen is None else replace(finding, seen=seen.of(run))

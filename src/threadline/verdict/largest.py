@@ -1,0 +1,81 @@
+"""The largest of many samples, of every axis and run in one pass."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.verdict.samples import lanes
+
+
+def _largest(values: FloatArray, reference: FloatArray, best: FloatArray, at: IntArray) -> None:
+    """Fill in the largest |values - reference| and the first sample that has it, -1 of NaN."""
+    samples, axes, runs = values.shape
+    for i in range(samples):
+        for a in range(axes):
+            for r in range(runs):
+                size = abs(values[i, a, r] - reference[i, a])
+                larger = size > best[a, r]
+                best[a, r] = size if larger else best[a, r]
+                at[a, r] = i if larger else at[a, r]
+
+
+def _add_squares(values: FloatArray, total: FloatArray) -> None:
+    """Add the squares of all samples to ``total``, one after the other."""
+    samples, axes, runs = values.shape
+    for i in range(samples):
+        for a in range(axes):
+            for r in range(runs):
+                total[a, r] += values[i, a, r] * values[i, a, r]
+
+
+def _count_beyond(
+    values: FloatArray, limit: FloatArray, count: IntArray, first: IntArray, begin: int
+) -> None:
+    """Count the samples of at least ``limit``; set ``first`` of the first, number ``begin`` on."""
+    samples, axes, runs = values.shape
+    for i in range(samples):
+        for a in range(axes):
+            for r in range(runs):
+                beyond = abs(values[i, a, r]) >= limit[a]
+                fresh = beyond and count[a, r] == 0
+                first[a, r] = begin + i if fresh else first[a, r]
+                count[a, r] += 1 if beyond else 0
+
+
+_largest_fast = njit(cache=True, nogil=True)(_largest)
+_add_squares_fast = njit(cache=True, nogil=True)(_add_squares)
+_count_beyond_fast = njit(cache=True, nogil=True)(_count_beyond)
+
+
+def largest(values: FloatArray, reference: FloatArray | None = None) -> tuple[FloatArray, IntArray]:
+    """Return (axes, runs) largest sizes of (n, runs, axes) values, and the first sample of each.
+
+    Parameters
+    ----------
+    reference
+        (n, axes) that the values are held against; None is 0. Samples that are no number on either
+        side are left out; of nothing else the size is minus infinity and the sample -1.
+    """
+    rows = lanes(values)
+    samples, axes, runs = rows.shape
+    best, at = np.full((axes, runs), -np.inf), np.full((axes, runs), -1, dtype=np.int64)
+    against = np.zeros((samples, axes)) if reference is None else np.ascontiguousarray(reference)
+    _largest_fast(rows, against, best, at)
+    return best, at
+
+
+def add_squares(values: FloatArray, total: FloatArray) -> None:
+    """Add the squares of (n, runs, axes) values to (axes, runs) ``total``, in their order."""
+    _add_squares_fast(lanes(values), total)
+
+
+def count_beyond(
+    values: FloatArray, limit: FloatArray, count: IntArray, first: IntArray, begin: int
+) -> None:
+    """Count the (n, runs, axes) values of at least (axes,) ``limit`` in (axes, runs) ``count``.
+
+    ``first`` is set to the number of the first of them, the block's first sample being ``begin``.
+    """
+    _count_beyond_fast(lanes(values), limit, count, first, begin)

@@ -1,0 +1,166 @@
+"""Many runs at once against the judge of one: the same figures, places and lines.
+
+The reference is the judge on a recording of one run, whose measures are tested against closed forms
+elsewhere in this folder.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.errors import MachineError, OptionError
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.machine.numbers import with_numbers
+from threadline.options import Options
+from threadline.pipeline import plan_job
+from threadline.plan import Plan
+from threadline.plant.values import Values
+from threadline.search import judge_runs
+from threadline.search.judge_runs import RunsJudge
+from threadline.signals import tick_table
+from threadline.twin import simulate, simulate_runs
+from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+WITHIN = 1e-12
+"""Of metres, amperes, seconds: sums of squares are the only figures that round at all."""
+
+
+def winder() -> tuple[Plan, Spec]:
+    machine = load_machine("lathe-winder")
+    plan = plan_job(read_job(EXAMPLES / "x-180.prg", machine), machine, Options())
+    return plan, load_spec(None, machine)
+
+
+def stitcher() -> tuple[Plan, Spec]:
+    """Of the thesis's redesign, fast enough to saturate the motors as they are."""
+    machine = load_machine("stitcher")
+    seam = EXAMPLES / "stitcher-test-path.seam.toml"
+    job = read_job(seam, machine, needle_speed="60 stitch/s")
+    return plan_job(job, machine, Options()), load_spec(None, machine)
+
+
+def drawn(plan: Plan, count: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    random = np.random.default_rng(3)
+    machine = plan.machine
+    numbers = {
+        f"bodies.{name}.inertia": body.inertia.si * random.uniform(0.9, 1.1, count)
+        for name, body in machine.bodies.items()
+    }
+    return numbers, random.random((count, len(machine.axes)))
+
+
+@pytest.mark.parametrize("made", [winder, stitcher])
+def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
+    plan, spec = made()
+    numbers, phases = drawn(plan, 19)
+    found = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
+    recordings = []
+    for run in range(19):
+        own = {path: float(values[run]) for path, values in numbers.items()}
+        machine = with_numbers(plan.machine, own)
+        table = tick_table(plan.commands)
+        recordings.append(simulate(table, machine, encoder_phase=phases[run]))
+    names = {row.name for row in found.rows}
+    assert "repeatability" not in names
+    for run in (0, 7, 18):
+        verdict = judge([recordings[run]], plan, spec)
+        assert bool(found.passed[run]) == verdict.passed
+        for result in verdict.results:
+            if result.name == "repeatability":
+                continue
+            value = found.row(result.name, result.axis).values[run]
+            if result.measured is None:
+                assert np.isnan(value)
+            else:
+                assert value == pytest.approx(result.measured, rel=WITHIN, abs=WITHIN)
+    for row in found.rows:
+        assert len(row.values) == 19
+    assert np.ptp(found.row("contour_error").values) > 1e-6
+    # Side by side in one recording, they are what they are one after the other: places too.
+    together = Judge(plan, spec).verdict([simulate_runs(tick_table(plan.commands),
+        Values.of(plan.machine, numbers), encoder_phase=phases)])  # fmt: skip
+    apart = judge(recordings, plan, spec)
+    assert together.runs == apart.runs == 19
+    assert together.passed == apart.passed
+    for mine, theirs in zip(together.results, apart.results, strict=True):
+        if mine.measured is None:
+            assert (mine.name, mine.note, mine.status) == (theirs.name, theirs.note, theirs.status)
+            continue
+        assert mine.measured == pytest.approx(theirs.measured, rel=WITHIN, abs=WITHIN)
+        assert replace(mine, measured=None) == replace(theirs, measured=None)
+
+
+def test_any_part_and_any_thread_gives_the_same(monkeypatch) -> None:
+    """Threads to the bit; parts to 1e-12, for the fastest variant of a part sets its time steps."""
+    plan, spec = winder()
+    numbers, phases = drawn(plan, 40)
+    whole = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
+    monkeypatch.setattr(judge_runs, "AT_ONCE", 7)
+    parts: list[int] = []
+    cut = RunsJudge(plan, spec, threads=3).judged(numbers, phases, parts.append)
+    assert sorted(parts) == [5, 7, 7, 7, 7, 7]
+    alone = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
+    for mine, theirs, third in zip(whole.rows, cut.rows, alone.rows, strict=True):
+        np.testing.assert_allclose(mine.values, theirs.values, rtol=WITHIN, atol=WITHIN)
+        np.testing.assert_array_equal(theirs.values, third.values)
+
+
+def test_blocks_of_any_length_give_the_same_bits(monkeypatch) -> None:
+    """What is in hand is bounded: a block is so many rows times runs at most."""
+    plan, spec = winder()
+    numbers, phases = drawn(plan, 16)
+    whole = RunsJudge(plan, spec).judged(numbers, phases)
+    module = sys.modules["threadline.twin.simulate"]
+    monkeypatch.setattr(module, "_MOST_OF_RUNS", 16 * 100)
+    monkeypatch.setattr(module, "_LEAST_ROWS", 10)
+    recording = simulate_runs(tick_table(plan.commands), Values.of(plan.machine, numbers))
+    longest = max(len(block.samples["operation"]) for block in recording)
+    assert longest <= 100
+    cut = RunsJudge(plan, spec).judged(numbers, phases)
+    for mine, theirs in zip(whole.rows, cut.rows, strict=True):
+        np.testing.assert_array_equal(mine.values, theirs.values)
+
+
+def test_a_run_without_an_answer_fails_alone(monkeypatch) -> None:
+    """A motion that grows without bound ends no other run."""
+    plan, spec = winder()
+    body = plan.machine.drive_of("X").acts_on
+    path = f"bodies.{next(iter(body))}.inertia"
+    own = plan.machine.bodies[next(iter(body))].inertia.si
+    lost = (1,)
+    simulated = judge_runs.simulate_runs
+
+    def without(table, values, **options):
+        if path in values.replaced and values.replaced[path].max() > 1.5 * own:
+            raise MachineError("the motion grows without bound")
+        return simulated(table, values, **options)
+
+    monkeypatch.setattr(judge_runs, "simulate_runs", without)
+    found = RunsJudge(plan, spec).judged({path: own * np.array([1.0, 2.0, 1.0, 1.0])})
+    alone = RunsJudge(plan, spec).judged({path: own * np.ones(1)})
+    contour = found.row("contour_error")
+    assert np.isinf(contour.values[1]) and contour.failed.tolist() == [False, True, False, False]
+    kept = [run for run in range(4) if run not in lost]
+    assert (contour.values[kept] == alone.row("contour_error").values[0]).all()
+    assert found.passed.tolist() == [True, False, True, True]
+    # What is of the plan alone is what it is.
+    assert found.row("path_deviation").values[1] == alone.row("path_deviation").values[0]
+
+
+def test_a_criterion_without_a_limit_fails_nothing() -> None:
+    plan, _ = winder()
+    spec = Spec(name="told", criteria=(Criterion(name="contour_error"),))
+    same = {"bodies.x.inertia": np.full(3, plan.machine.bodies["x"].inertia.si)}
+    found = RunsJudge(plan, spec).judged(same, np.full((3, 3), 0.25))
+    assert found.passed.all() and found.row("contour_error").limit is None
+    with pytest.raises(KeyError):
+        found.row("settling_time")
+    with pytest.raises(OptionError, match="encoder_phase"):
+        RunsJudge(plan, spec).judged(same, np.full((3, 3), 1.0))
