@@ -31,6 +31,7 @@ from types import FrameType
 import ezdxf.filemanagement  # noqa: F401 - a case must not wait for it
 from fuzz_drawings import fuzz_drawings
 from fuzz_files import fuzz_targets
+from fuzz_programs import fuzz_programs
 from fuzz_recordings import fuzz_recordings
 
 from threadline.errors import ThreadlineError
@@ -245,6 +246,7 @@ class Reader:
 
 READERS: dict[str, Reader] = {
     "part-program": Reader("a.nc", part_program, read_program, 60),
+    **{name: Reader(*target) for name, target in fuzz_programs(mutate).items()},
     "par": Reader("fw-cnc.par", parameter_file, lambda p: read_parameters(p, WINDER), 12),
     "units": Reader("unit.txt", quantity, read_quantity, 24),
     "machine": Reader("a.toml", machine_file, load_machine, 4),

@@ -85,8 +85,8 @@ def prove(
     repeats
         Runs in all.
     **words
-        ``interpolation``, ``feed``, ``feed_mode``, ``tolerance``, ``limits``, ``shaper``,
-        ``feed_forward``, ``smoothing``, ``law``: as on the command line.
+        ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``tolerance``, ``limits``,
+        ``shaper``, ``feed_forward``, ``smoothing``, ``law``: as on the command line.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def judge(
     files = [recordings] if isinstance(recordings, str | Path) else list(recordings)
     if not files:
         raise OptionError("there is no recording to judge", remedy="Name one at least.")
-    _check_words(words, ("interpolation", "feed", "feed_mode", "tolerance", "limits", "shaper"))
+    _check_words(words, _OF_A_PLAN)
     given = {
         **{name.replace("_", "-"): text for name, text in words.items()},
         "job": None if job is None else str(job),
@@ -315,6 +315,9 @@ def shaper(text: str) -> Shaper | dict[str, Shaper]:
     return parse_shaper(text)
 
 
+_OF_A_PLAN = (
+    "interpolation", "feed", "dialect", "feed_mode", "tolerance", "limits", "shaper",
+)  # fmt: skip
 _WORDS = {
     "interpolation": DEFAULT_INTERPOLATION,
     "feed": None,
@@ -323,6 +326,7 @@ _WORDS = {
     "shaper": None,
     "feed_forward": False,
     "smoothing": None,
+    "dialect": None,
     "feed_mode": None,
     "law": None,
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode, Job
@@ -19,7 +18,7 @@ DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
 _UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
-OF_AXES = ("interpolation", "feed", "feed-mode", "tolerance", "limits")
+OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
 LEAST_SHARE = 1e-3
 """Of the limits: no job is meant to speed up a thousand times more gently than its machine can, and
@@ -84,6 +83,8 @@ class Options:
         Name of the interpolation.
     feed
         Replaces every programmed feed; None keeps the job's.
+    dialect
+        Name of the dialect of a part program; None is what the machine file says.
     feed_mode
         Text of what F of a part program means where axes of several kinds move together; None is
         the reader's default.
@@ -105,6 +106,7 @@ class Options:
 
     interpolation: str = DEFAULT_INTERPOLATION
     feed: Feed | None = None
+    dialect: str | None = None
     feed_mode: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
@@ -197,16 +199,6 @@ def parse_feed(text: str) -> Feed:
     return feed
 
 
-def parse_feed_mode(text: str) -> dict[str, Any]:
-    """Return the reader's options for what F means: ``"path"``, ``"base-axes:A,X"``.
-
-    The reader knows the modes and the machine's axes, and refuses others.
-    """
-    mode, _, axes = text.partition(":")
-    base = tuple(name.strip().upper() for name in axes.split(",")) if axes.strip() else ()
-    return {"feed_mode": mode.strip(), "base_axes": base}
-
-
 def parse_tolerance_m(text: str) -> float:
     """Return a tolerance such as ``"0.1 mm"`` in m.
 
@@ -279,6 +271,7 @@ def options_of(
     smoothing: str | None = None,
     feed_mode: str | None = None,
     law: str | None = None,
+    dialect: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text.
 
@@ -308,6 +301,7 @@ def options_of(
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
+        dialect=dialect,
         feed_mode=feed_mode,
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
@@ -346,6 +340,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         **({"par": machine.parameters} if machine.parameters else {}),
         "interpolation": options.interpolation,
         "feed": feed,
+        **({} if options.dialect is None else {"dialect": options.dialect}),
         **({} if options.feed_mode is None else {"feed-mode": options.feed_mode}),
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
@@ -373,6 +368,7 @@ def options_from(description: dict[str, str]) -> Options:
         return Options(
             interpolation=description["interpolation"],
             feed=None if feed_text == "programmed" else parse_feed(feed_text),
+            dialect=description.get("dialect"),
             feed_mode=description.get("feed-mode"),
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),

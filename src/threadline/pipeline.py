@@ -10,10 +10,11 @@ import numpy as np
 
 from threadline.errors import OptionError
 from threadline.jobs import read_job
+from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.machine import Machine
-from threadline.options import Options, parse_feed_mode
+from threadline.options import Options
 from threadline.plan import Plan
 from threadline.signals import Commands, Recording, RecordingBlock
 from threadline.signals.files.common import Written
@@ -89,9 +90,10 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
         format or the machine does not have.
     """
     kind_of(machine).check_options(machine, options)
-    if options.feed_mode is None:
-        return read_job(job_file, machine)
-    return read_job(job_file, machine, **parse_feed_mode(options.feed_mode))
+    told = {} if options.dialect is None else {"dialect": options.dialect}
+    if options.feed_mode is not None:
+        told |= parse_feed_mode(options.feed_mode)
+    return read_job(job_file, machine, **told)
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from threadline.errors import InputError, JobError
+from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import Dwell, Feed, FeedMode, Job, Move, Stop, ToolEvent, read_job
 from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.jobs.operations import MoveRun
@@ -305,5 +305,7 @@ def test_a_winding_program_of_another_tool(shared_samples: Path) -> None:
 def test_x_winder_programs_are_told_apart(shared_samples: Path) -> None:
     """Another dialect, in which letters mean other axes: one clear line, not a syntax error."""
     for path in (shared_samples / "winding").glob("*.X4G"):
-        with pytest.raises(JobError, match="an X-Winder Designer program"):
+        with pytest.raises(JobError, match="an X-Winder program turns the mandrel C"):
             read_job(path, MACHINE)
+        with pytest.raises(OptionError, match="an X-Winder Designer program, and no grbl one"):
+            read_job(path, MACHINE, dialect="grbl")

@@ -27,6 +27,7 @@ def judge(
     ] = None,
     interpolation: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     feed: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
+    dialect: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     feed_mode: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     tolerance: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
     limits: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
@@ -56,6 +57,7 @@ def judge(
     given = {
         "interpolation": interpolation,
         "feed": feed,
+        "dialect": dialect,
         "feed-mode": feed_mode,
         "tolerance": tolerance,
         "limits": limits,

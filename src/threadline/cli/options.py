@@ -57,6 +57,13 @@ FeedModeOption = Annotated[
         "modes 1 and 2. Default: the machine file's."
     ),
 ]
+DialectOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What the words of a program mean: winder, linuxcnc, grbl, fluidnc, marlin, fanuc, "
+        "x-winder. Default: the machine file's."
+    ),
+]
 ToleranceOption = Annotated[
     str,
     typer.Option(

@@ -13,6 +13,7 @@ from threadline.cli.options import (
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     ActualOption,
+    DialectOption,
     FeedForwardOption,
     FeedModeOption,
     FeedOption,
@@ -61,6 +62,7 @@ def prove(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     law: LawOption = None,
     feed: FeedOption = None,
+    dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
@@ -104,7 +106,16 @@ def prove(
         keep_inputs(output, job, chosen.file, par, spec)
         check_outputs(file=output, folder=report)
     options = options_of(
-        interpolation, feed, tolerance, limits, shaper, feed_forward, smoothing, feed_mode, law
+        interpolation,
+        feed,
+        tolerance,
+        limits,
+        shaper,
+        feed_forward,
+        smoothing,
+        feed_mode,
+        law,
+        dialect,
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     with progress_bar(not json) as progress:

@@ -14,17 +14,20 @@ FeedRule = Literal[
     "marlin", "fanuc",
 ]  # fmt: skip
 """Whose rule says what F means; ``threadline.jobs.gcode.f_words`` has them."""
+DialectName = Literal["winder", "linuxcnc", "grbl", "fluidnc", "marlin", "fanuc", "x-winder"]
+"""What words mean to a controller; ``threadline.jobs.gcode.dialects`` has them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Programs:
     """How the controller of the machine reads part programs.
 
-    ``feed_mode`` says by whose rule F is a speed; ``base_axes`` go with ``base-axes`` and with
-    nothing else.
+    ``feed_mode`` says by whose rule F is a speed, that of the dialect when left out; ``base_axes``
+    go with ``base-axes`` and with nothing else.
     """
 
-    feed_mode: FeedRule = "fastest-axis"
+    dialect: DialectName = "winder"
+    feed_mode: FeedRule | None = None
     base_axes: tuple[Annotated[str, Field(pattern=r"^[A-Z]$")], ...] = ()
 
     @model_validator(mode="after")

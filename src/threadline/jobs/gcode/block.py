@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, exact, split_words
+from threadline.jobs.gcode.dialects import CANCEL, Dialect
+from threadline.jobs.gcode.refusals import refuse_number, refuse_without_point, refuse_word, whole
+from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, exact, one_command, split_words
 
-AXIS_LETTERS = "ABCXYZ"
 MAX_PASSES = 10**12
 _MAX_LABEL = 10**9
 _LIMIT = MAX_MAGNITUDE * ONE
 
-# G codes by modal group: one of each group in a block, as in RS274/NGC.
-_MOTION = {0: 0, 1: 1}
-_GROUPS = {
-    0: "motion", 1: "motion", 4: "action", 28: "action", 20: "units", 21: "units",
-    90: "distance", 91: "distance", 93: "feed", 94: "feed", 64: "blending",
-}  # fmt: skip
-_PROGRAM_M = (0, 2, 30, 98, 99)
-_SPINDLE_M = 5
+_MOTIONS = {0: 0, 10: 1, 20: 2, 30: 3, 50: 5, 800: CANCEL}
+_MODES = frozenset({"units", "distance", "feed", "blending", "plane"})
+_SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
+_ENDS = frozenset({"stop", "end", "call", "return"})
+_CURVE = "IJKRQ"
+_CURVED = (2, 3, 5)
 
 
 class Block(NamedTuple):
@@ -32,21 +31,31 @@ class Block(NamedTuple):
     line
         From 1.
     motion
-        0 or 1 for a G0 or G1 word, else -1.
+        0 1 2 3 5 for that G word, ``CANCEL`` for G80, else -1.
     action
-        4 or 28, else -1.
+        Ten times 4, 28, 28.1 or 92 to 92.3, else -1.
     settings
-        The words of G20 G21 G90 G91 G93 G94 G64, as numbers.
+        Ten times the G words of units, distance, feed, blending and plane.
     axes
         Index of the axis and exact number, in the order written.
     feed
         Exact F, or None.
     p, passes
         Exact P, or None; L, 1 unless written.
+    curve
+        Exact I J K R Q by letter.
+    dwell_s
+        Of G4.
     program
-        0, 2, 30, 98 or 99 for that M word, else -1.
-    tool_off
-        M5 is there.
+        0, 1, 2, 6, 30, 98 or 99 for that M word, else -1.
+    ends
+        What that word does; empty without one.
+    spindle
+        1 for M3 and M4, 0 for M5, else None.
+    waits
+        The motion rests here: for a temperature, or until all of it has ended.
+    idle
+        Words without effect on motion.
     label
         O number, else -1.
     tags
@@ -61,14 +70,19 @@ class Block(NamedTuple):
     feed: int | None
     p: int | None
     passes: int
+    curve: tuple[tuple[str, int], ...]
+    dwell_s: float
     program: int
-    tool_off: bool
+    ends: str
+    spindle: float | None
+    waits: bool
+    idle: tuple[str, ...]
     label: int
     tags: tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Dialect:
+class Reading:
     """What a block is read against.
 
     Parameters
@@ -79,15 +93,18 @@ class Dialect:
         Name of the machine, for errors.
     axes
         Index by axis letter.
+    dialect
+        What the words mean.
     """
 
     file: str
     machine: str
     axes: Mapping[str, int]
+    dialect: Dialect
 
 
 def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the reader
-    text: str, line: int, dialect: Dialect
+    text: str, line: int, reading: Reading
 ) -> Block | None:
     """Return the block on a line, None when it has no words.
 
@@ -96,81 +113,115 @@ def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the
     JobError
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
-    words, tags = split_words(text, dialect.file, line)
+    dialect = reading.dialect
+    if dialect.one_command:
+        text = one_command(text)
+    words, tags = split_words(text, reading.file, line)
     if not words:
         return None
     motion = action = program = label = -1
+    ends = ""
     settings: tuple[int, ...] = ()
     axes: tuple[tuple[int, int], ...] = ()
-    feed = p = passes = None
-    tool_off = False
+    curve: tuple[tuple[str, int], ...] = ()
+    idle: tuple[str, ...] = ()
+    feed = p = passes = spindle = None
+    dwell_s: float | None = None
+    p_number = ""
+    waits = False
     seen = ""
     groups: tuple[str, ...] = ()
     for letter, number in words:
         value = exact(number)
         if value is None or not -_LIMIT <= value <= _LIMIT:
-            _refuse_number(letter, number, value, line, dialect)
+            refuse_number(letter, number, value, line, reading)
         if letter == "G":
-            code = value // ONE if value % ONE == 0 else -1
-            group = _GROUPS.get(code)
+            code = 10 * value // ONE if 10 * value % ONE == 0 else -1
+            group = dialect.g.get(code)
             if group is None:
-                _refuse_word(letter, number, line, dialect)
+                refuse_word(letter, number, code, line, reading)
             if group in groups:
                 raise JobError(
                     f"two G words of one kind ({group}) in a block, the second is G{number}",
-                    place=Place(dialect.file, line),
+                    place=Place(reading.file, line),
                     remedy="Keep one of them.",
                 )
             groups = (*groups, group)
-            if code in _MOTION:
-                motion = code
+            if group == "motion":
+                motion = _MOTIONS[code]
             elif group == "action":
                 action = code
-            else:
+            elif group in _MODES:
                 settings = (*settings, code)
+            else:
+                idle = (*idle, f"G{number}")
             continue
         if letter == "M":
             code = value // ONE if value % ONE == 0 else -1
-            if code == _SPINDLE_M and not tool_off:
-                tool_off = True
-                continue
-            if code not in _PROGRAM_M:
-                _refuse_word(letter, number, line, dialect)
-            if program != -1:
-                raise JobError(
-                    f"two M words that direct the program in a block, the second is M{number}",
-                    place=Place(dialect.file, line),
-                    remedy="Keep one of them.",
-                )
-            program = code
+            effect = dialect.m.get(code)
+            if effect is None or (effect in _SPINDLE and spindle is not None):
+                refuse_word(letter, number, code, line, reading)
+            if effect in _ENDS:
+                if program != -1:
+                    raise JobError(
+                        f"two M words that direct the program in a block, the second is M{number}",
+                        place=Place(reading.file, line),
+                        remedy="Keep one of them.",
+                    )
+                program, ends = code, effect
+            elif effect in _SPINDLE:
+                spindle = _SPINDLE[effect]
+            else:
+                waits = waits or effect in {"rest", "wait"}
+                idle = (*idle, f"M{number}") if effect in {"idle", "wait"} else idle
+            if dialect.one_command:
+                break
             continue
         if letter in seen:
             raise JobError(
                 f"the word {letter} stands twice in the block",
-                place=Place(dialect.file, line),
+                place=Place(reading.file, line),
                 remedy="Keep one of them.",
             )
         seen += letter
-        index = dialect.axes.get(letter)
+        if action == 40 and letter in dialect.dwell_s:
+            p = value if letter == "P" else p
+            dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]
+            continue
+        index = reading.axes.get(letter)
         if index is not None:
+            if dialect.points and "." not in number and value:
+                refuse_without_point(letter, number, line, reading)
             axes = (*axes, (index, value))
         elif letter == "F":
             feed = value
         elif letter == "P":
-            p = value
+            p, p_number = value, number
         elif letter == "L":
-            passes = _whole(letter, number, value, MAX_PASSES, line, dialect)
+            passes = whole(letter, number, value, MAX_PASSES, line, reading)
         elif letter == "O":
-            label = _whole(letter, number, value, _MAX_LABEL, line, dialect)
+            label = whole(letter, number, value, _MAX_LABEL, line, reading)
         elif letter == "N":
-            _whole(letter, number, value, MAX_MAGNITUDE, line, dialect)
+            whole(letter, number, value, MAX_MAGNITUDE, line, reading)
+        elif letter in _CURVE and 20 in dialect.g:
+            curve = (*curve, (letter, value))
+        elif letter in dialect.idle_letters:
+            idle = (*idle, letter)
         else:
-            _refuse_word(letter, number, line, dialect)
-    if p is not None or action != -1 or feed is not None or program == 98 or passes is not None:
-        _check_use(action, motion, program, feed, p, passes, axes, settings, line, dialect)
+            refuse_word(letter, number, -1, line, reading)
+    if action == 40 and dwell_s is None and p is not None:  # written before the G4
+        dwell_s = p / ONE * dialect.dwell_s["P"]["." in p_number]
+    if (
+        p is not None or action != -1 or feed is not None or program == 98 or passes is not None
+        or curve
+    ):  # fmt: skip
+        curved = bool(motion in _CURVED or (motion == -1 and curve))
+        _check_use(
+            action, motion, program, feed, p, passes, axes, settings, curved, dwell_s, line, reading
+        )
     return Block(
-        line, motion, action, settings, axes, feed, p, 1 if passes is None else passes,
-        program, tool_off, label, tags,
+        line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
+        dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
     )  # fmt: skip
 
 
@@ -183,32 +234,36 @@ def _check_use(
     passes: int | None,
     axes: tuple[tuple[int, int], ...],
     settings: tuple[int, ...],
+    curved: bool,
+    dwell_s: float | None,
     line: int,
-    dialect: Dialect,
+    reading: Reading,
 ) -> None:
     """Refuse words that say nothing, or two things, in the block where they stand."""
-    place = Place(dialect.file, line)
+    place = Place(reading.file, line)
     if feed is not None and feed <= 0:
         raise JobError(
             f"feed F {feed / ONE:g} must be greater than 0", place=place, remedy="Give a feed."
         )
-    if action == 4 and (axes or p is None):
-        what = "has no P" if p is None else "stands with axis words"
+    if p is not None and p < 0 and not curved:  # a control point may lie anywhere
+        raise JobError(f"P {p / ONE:g} must not be negative", place=place)
+    if action == 40 and (axes or dwell_s is None):
+        what = "has no P" if dwell_s is None else "stands with axis words"
         raise JobError(
-            f"G4 {what}", place=place, remedy="Write a dwell as a block G4 P with its seconds."
+            f"G4 {what}", place=place, remedy="Write a dwell as a block G4 P with its time."
         )
-    if action == 28 and motion != -1:
+    if dwell_s is not None and dwell_s < 0:
+        raise JobError(f"the dwell of {dwell_s:g} s must not be negative", place=place)
+    if action not in (-1, 40) and motion not in (-1, CANCEL):
         raise JobError(
-            f"G28 and G{motion} both take the axis words of the block",
+            f"G{action / 10:g} and G{motion} both take the axis words of the block",
             place=place,
             remedy="Write two blocks.",
         )
-    users = (action == 4) + (program == 98) + (64 in settings)
+    users = (action == 40) + (program == 98) + (640 in settings) + curved
     if p is not None and users != 1:
         what = "has no use in this block" if users == 0 else "could belong to two words"
         raise JobError(f"P {what}", place=place, remedy="P belongs to G4, G64 or M98.")
-    if p is not None and p < 0:
-        raise JobError(f"P {p / ONE:g} must not be negative", place=place)
     if program == 98 and (p is None or p % ONE or p > _MAX_LABEL * ONE):
         raise JobError(
             f"M98 needs the number of a subroutine as P from 0 to {_MAX_LABEL}",
@@ -219,44 +274,7 @@ def _check_use(
         raise JobError("L has no use in this block", place=place, remedy="L belongs to M98.")
     if passes == 0:
         raise JobError("L 0 calls the subroutine no times", place=place, remedy="Give L 1 or more.")
-
-
-def _whole(letter: str, number: str, value: int, limit: int, line: int, dialect: Dialect) -> int:
-    if value % ONE or not 0 <= value // ONE <= limit:
+    if action in (920, 281) and not (axes or action == 281):
         raise JobError(
-            f"{letter} {_short(number)} must be a whole number from 0 to {limit}",
-            place=Place(dialect.file, line),
-            remedy="Correct it.",
+            "G92 names no axis", place=place, remedy="Write the axes that get other positions."
         )
-    return value // ONE
-
-
-def _refuse_number(
-    letter: str, number: str, value: int | None, line: int, dialect: Dialect
-) -> NoReturn:
-    fine = value is None and len(number.partition(".")[0].lstrip("+-").lstrip("0")) <= 12
-    what = "has more than 17 decimals" if fine else "is beyond 10^12"
-    raise JobError(
-        f"the number of {letter} {_short(number)} {what}",
-        place=Place(dialect.file, line),
-        remedy="Write a number that a machine can use.",
-    )
-
-
-def _refuse_word(letter: str, number: str, line: int, dialect: Dialect) -> NoReturn:
-    place = Place(dialect.file, line)
-    if letter in AXIS_LETTERS:
-        raise JobError(
-            f"{letter} {_short(number)}: the machine {dialect.machine!r} has no axis {letter}",
-            place=place,
-            remedy=f"Its axes are {', '.join(dialect.axes)}; choose another machine (-m).",
-        )
-    known = {
-        "G": "Known G words are G0 G1 G4 G20 G21 G28 G64 G90 G91 G93 G94.",
-        "M": "Known M words are M0 M2 M5 M30 M98 M99.",
-    }.get(letter, f"Known letters are F G L M N O P and the axes {' '.join(dialect.axes)}.")
-    raise JobError(f"unknown word {letter}{_short(number)}", place=place, remedy=known)
-
-
-def _short(number: str) -> str:
-    return number if len(number) <= 24 else number[:24] + "..."

@@ -41,6 +41,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
@@ -82,8 +83,23 @@ class FRule:
         return f"{self.name}{base}"
 
 
-def f_rule(machine: Machine, feed_mode: str | None, base_axes: tuple[str, ...] = ()) -> FRule:
-    """Return what F means on ``machine``; None is what its file says.
+def parse_feed_mode(text: str) -> dict[str, Any]:
+    """Return the reader's options for what F means: ``"path"``, ``"base-axes:A,X"``.
+
+    The reader knows the modes and the machine's axes, and refuses others.
+    """
+    mode, _, axes = text.partition(":")
+    base = tuple(name.strip().upper() for name in axes.split(",")) if axes.strip() else ()
+    return {"feed_mode": mode.strip(), "base_axes": base}
+
+
+def f_rule(
+    machine: Machine,
+    feed_mode: str | None,
+    base_axes: tuple[str, ...] = (),
+    of_dialect: str = "fastest-axis",
+) -> FRule:
+    """Return what F means on ``machine``; None is what its file says, else the dialect's rule.
 
     Raises
     ------
@@ -92,7 +108,8 @@ def f_rule(machine: Machine, feed_mode: str | None, base_axes: tuple[str, ...] =
         axes that the rule does not know.
     """
     if feed_mode is None:
-        feed_mode, base_axes = machine.programs.feed_mode, machine.programs.base_axes
+        feed_mode = machine.programs.feed_mode or of_dialect
+        base_axes = machine.programs.base_axes
     if feed_mode not in RULES:
         raise OptionError(
             f"F cannot be read as {str(feed_mode)!r}", remedy=f"Choose {', '.join(RULES)}."

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 MILLIMETRE, INCH = 10, 254  # tenths of a millimetre
-_UNITS = {20: INCH, 21: MILLIMETRE}
-_INVERSE = {93: True, 94: False}
+_UNITS = {200: INCH, 210: MILLIMETRE}
+_INVERSE = {930: True, 940: False}
 _MAX_NOTES = 100_000
 
 
@@ -60,7 +60,7 @@ class FeedNotes:
     _count: int = 0
 
     def set_mode(self, program: int | None, code: int) -> None:
-        """Note G20, G21, G93 or G94; any other code changes nothing here."""
+        """Note ten times G20, G21, G93 or G94; any other code changes nothing here."""
         modes = _Modes(_UNITS.get(code), _INVERSE.get(code))
         if modes != _Modes():
             self._change(program, modes)

@@ -11,13 +11,16 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import JobError
 from threadline.jobs.gcode import plain_blocks as kernel
-from threadline.jobs.gcode.block import Block, Dialect, parse_block
+from threadline.jobs.gcode.block import Block, Reading
+from threadline.jobs.gcode.curves import CURVED, Curves
+from threadline.jobs.gcode.dialects import CANCEL
 from threadline.jobs.gcode.f_words import FRule
-from threadline.jobs.gcode.plain_blocks import PlainReader
+from threadline.jobs.gcode.frames import Frame, KeptText
+from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
 from threadline.jobs.gcode.programs import Program, Structure
-from threadline.jobs.gcode.scan import TAPE
-from threadline.jobs.gcode.textfile import Chunk, Lines, SourceFile
+from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.zeros import Zeros
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -28,11 +31,10 @@ from threadline.jobs.operations import (
     Operation,
     Source,
     Stop,
+    Tags,
     ToolEvent,
 )
 
-_KEPT_BYTES = 1 << 21
-_KEPT_BLOCKS = 10_000
 _KEPT_FEEDS = 1000
 _STEADY_PASS = 3
 _RAPID = Feed(FeedMode.RAPID, 0.0)
@@ -55,7 +57,7 @@ class PartProgram:
     """
 
     file: SourceFile
-    dialect: Dialect
+    reading: Reading
     structure: Structure
     linear: tuple[bool, ...]
     rule: FRule
@@ -92,29 +94,6 @@ class PartProgram:
         return Interpreter(self, fold=True).run()
 
 
-@dataclass(slots=True)
-class _Frame:
-    program: Program
-    lines: Lines
-    pass_: int
-    passes: int
-    calls: int = 1  # how many times the call that began it stands for
-    line: int = 0  # of the call in the main program
-    folded: int = 1  # how many passes the present one stands for
-    start: tuple[int, ...] = ()  # the exact position where the pass that is folded begins
-
-    @property
-    def times(self) -> int:
-        """How many times an operation of the present pass happens."""
-        return self.calls * self.folded
-
-    def fold_rest(self, position: tuple[int, ...]) -> None:
-        """Let the pass that begins at ``position`` stand for all that are left."""
-        self.folded = self.passes - self.pass_ + 1
-        self.pass_ = self.passes
-        self.start = position
-
-
 class Interpreter:
     """The state of one reading. Positions are exact: 10**-18 mm or degrees.
 
@@ -131,21 +110,22 @@ class Interpreter:
         self._fold = fold
         self._path = program.file.path
         self._linear = program.linear
+        self._dialect = program.reading.dialect
         self._exact = [0] * len(program.linear)
+        self._zeros = Zeros(len(program.linear))
+        self._curves = Curves(program.reading, program.linear)
         self._position = [0.0] * len(program.linear)
         self._motion = -1
         self._relative = False
         self._tenth_mm = 10  # tenths of a millimetre in the unit of length
         self._feed_tenth_mm = 10  # and in that in which the feed was given
-        axes = enumerate(program.dialect.axes)
+        axes = enumerate(program.reading.axes)
         self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
         self._feed: Feed | None = None
         self._passes: tuple[int, ...] = ()
-        self._plain = PlainReader(program.dialect.axes, program.linear, follow=True)
-        self._kept: dict[int | None, Chunk] = {}
-        self._kept_bytes = 0
-        self._parsed: dict[int, Block | None] = {}
+        self._plain = plain_reader(program.reading, program.linear, follow=True)
+        self._text = KeptText(program.file, program.reading)
         self._feeds: dict[tuple[FeedMode, float], Feed] = {}
 
     def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
@@ -154,12 +134,15 @@ class Interpreter:
         With each comes how many times it happens and the line of the main program's call.
         """
         structure = self._program.structure
-        frames = [_Frame(structure.main, self._lines(structure.main), 1, 1)]
+        frames = [Frame(structure.main, self._text.lines_of(structure.main), 1, 1)]
         while frames:
             frame = frames[-1]
             lines = frame.lines
             if not lines.more():
-                raise self._error(lines.number, "the program has no end", "Start again.")
+                if frame.program.ends_with is None or self._dialect.needs_end:
+                    raise self._error(lines.number, "the program has no end", "Start again.")
+                yield Stop(True, Source(self._path, max(1, lines.number - 1))), 1, 0
+                return
             if self._plain.worth_trying():
                 run = self._read_plain(lines)
                 if run is not None:
@@ -167,7 +150,7 @@ class Interpreter:
                     continue
                 if not lines.more():
                     continue
-            block = self._next(lines)
+            block = self._text.next_block(lines, looping=bool(self._passes))
             if block is None:
                 continue
             for operation in self._step(block):
@@ -176,28 +159,33 @@ class Interpreter:
                 callee = structure.programs[(block.p or 0) // ONE]
                 turns = self._turns(callee, block)
                 line = frame.line or block.line
-                frames.append(_Frame(callee, self._lines(callee), 1, turns, frame.times, line))
+                frames.append(
+                    Frame(callee, self._text.lines_of(callee), 1, turns, frame.times, line)
+                )
                 self._passes = (*self._passes, 1)
-            elif block.program == 99:
+            elif block.ends == "return":
                 if frame.folded > 1:
                     self._advance(frame)
                     yield Move(tuple(self._position), _RAPID, self._source(block)), 0, frame.line
                 if frame.pass_ < frame.passes:
                     frame.pass_ += 1
                     if self._fold and frame.pass_ == _STEADY_PASS:
-                        frame.fold_rest(tuple(self._exact))
-                    frame.lines = self._lines(frame.program)
+                        frame.fold_rest((*self._exact, *self._zeros.offset))
+                    frame.lines = self._text.lines_of(frame.program)
                     self._passes = (*self._passes[:-1], frame.pass_)
                 else:
                     frames.pop()
                     self._passes = self._passes[:-1]
-            elif block.program in (2, 30):
+            elif block.ends == "end":
                 return
 
-    def _advance(self, frame: _Frame) -> None:
+    def _advance(self, frame: Frame) -> None:
         """Go where the passes that were folded into one would have led."""
-        for index, start in enumerate(frame.start):
+        axes, offset = len(self._exact), self._zeros.offset
+        for index, start in enumerate(frame.start[:axes]):
             self._put(index, start + frame.folded * (self._exact[index] - start))
+        for index, start in enumerate(frame.start[axes:]):
+            offset[index] = start + frame.folded * (offset[index] - start)
 
     def _put(self, index: int, exact: int) -> None:
         """Let an axis be at an exact position."""
@@ -210,38 +198,14 @@ class Interpreter:
         totals = self._program.structure.totals[callee.label]
         return block.passes if totals.operations else 1
 
-    def _lines(self, program: Program) -> Lines:
-        """Return the lines of a program; short ones are kept in memory."""
-        size = program.end - program.offset
-        kept = self._kept.get(program.label)
-        if kept is None and self._kept_bytes + size <= _KEPT_BYTES:
-            chunks = self._program.file.chunks(program.offset, max(size, 1), program.end)
-            kept = Chunk(program.offset, b"".join(chunk.data for chunk in chunks))
-            self._kept[program.label] = kept
-            self._kept_bytes += size
-        return Lines(self._program.file, program.offset, program.line, kept)
-
-    def _next(self, lines: Lines) -> Block | None:
-        """Return the block on the next line, None if it has none; blocks are kept for loops."""
-        offset = lines.offset
-        if self._passes and offset in self._parsed:
-            lines.skip()
-            return self._parsed[offset]
-        number, _, text = lines.take()
-        block = None
-        if text.strip() != TAPE:
-            block = parse_block(text, number, self._program.dialect)
-        if self._passes and len(self._parsed) < _KEPT_BLOCKS:
-            self._parsed[offset] = block
-        return block
-
     def _read_plain(self, lines: Lines) -> MoveRun | None:
         """Let the kernel go on; return what it moved."""
         plain = self._plain
-        for index, exact in enumerate(self._exact):
-            if exact % _FINE or not -kernel.EXACT_LIMIT < exact // _FINE < kernel.EXACT_LIMIT:
-                return None  # more digits than the kernel has
-            plain.exact[index] = exact // _FINE
+        for to, numbers in ((plain.exact, self._exact), (plain.offset, self._zeros.offset)):
+            for index, exact in enumerate(numbers):
+                if exact % _FINE or not -kernel.EXACT_LIMIT < exact // _FINE < kernel.EXACT_LIMIT:
+                    return None  # more digits than the kernel has
+                to[index] = exact // _FINE
         plain.position[:] = self._position
         plain.feed[0] = math.nan if self._feed is None else self._feed.value
         state = plain.state
@@ -293,31 +257,38 @@ class Interpreter:
             self._feed = self._feed_of(self._speed(block.feed))
             self._feed_tenth_mm = self._tenth_mm
         if block.motion >= 0:
-            self._motion = block.motion
-        if block.axes and block.action == -1:
-            yield self._move(block)
-        elif block.action == 28:
+            self._motion = -1 if block.motion == CANCEL else block.motion
+        if block.action == 40:
+            yield Dwell(block.dwell_s, self._source(block))
+        elif block.action == 280:
             yield from self._return_to_start(block)
-        elif block.action == 4:
-            yield Dwell((block.p or 0) / ONE, self._source(block))
-        if block.tool_off:
-            yield ToolEvent("spindle", 0.0, self._source(block))
-        if block.program in (0, 2, 30):
-            yield Stop(block.program != 0, self._source(block))
+        elif block.action != -1:
+            given = {index: self._scaled(index, value) for index, value in block.axes}
+            self._zeros.take(block.action, self._exact, given)
+        elif block.axes or (block.curve and self._motion in CURVED):
+            yield from self._move(block)
+        if block.spindle is not None:
+            yield ToolEvent("spindle", block.spindle, self._source(block))
+        if block.waits:
+            yield Dwell(0.0, self._source(block))
+        if block.ends in {"stop", "end"}:
+            yield Stop(block.ends == "end", self._source(block))
 
     def _source(self, block: Block) -> Source:
         return Source(self._path, block.line, self._passes)
 
     def _set(self, settings: tuple[int, ...]) -> None:
         for code in settings:
-            if code in (90, 91):
-                self._relative = code == 91
-            elif code in (20, 21):
-                self._tenth_mm = 254 if code == 20 else 10
-            elif code in (93, 94) and self._inverse_time != (code == 93):
+            if code in (900, 910):
+                self._relative = code == 910
+            elif code in (200, 210):
+                self._tenth_mm = 254 if code == 200 else 10
+            elif code in (930, 940) and self._inverse_time != (code == 930):
                 # A number that was a speed is no inverse of a time.
-                self._inverse_time = code == 93
+                self._inverse_time = code == 930
                 self._feed = None
+            elif code in (170, 180, 190):
+                self._curves.plane = code
 
     def _speed(self, exact: int) -> float:
         """Return F in m/s, in G93 in 1/s."""
@@ -337,49 +308,88 @@ class Interpreter:
             self._feeds[mode, value] = feed
         return feed
 
+    def _scaled(self, index: int, value: int) -> int:
+        """Return the word of an axis in mm or degrees."""
+        return value * self._tenth_mm // 10 if self._linear[index] else value
+
     def _go(self, block: Block) -> None:
         """Take the axis words of ``block``."""
         for index, value in block.axes:
-            linear = self._linear[index]
-            target = value * self._tenth_mm // 10 if linear else value
-            if self._relative:
-                target += self._exact[index]
-            self._put(index, target)
+            base = self._exact if self._relative else self._zeros.offset
+            self._put(index, base[index] + self._scaled(index, value))
 
-    def _move(self, block: Block) -> Move:
-        feed = _RAPID if self._motion == 0 else self._feed
-        if self._motion == -1:
+    def _move(self, block: Block) -> Iterator[Operation]:
+        rapid = self._motion == 0 and not self._dialect.rapid_is_feed
+        feed = _RAPID if rapid else self._feed
+        if self._motion == -1 or (self._dialect.each_g and block.motion == -1):
             raise self._error(
-                block.line, "axis words before any G0 or G1", "Write G1 and a feed first."
+                block.line,
+                "axis words before any G0 or G1"
+                if self._motion == -1
+                else f"axis words without a G word, which {self._dialect.name} does not take",
+                "Write G1 and a feed first.",
             )
         if feed is None:
-            raise self._error(block.line, "G1 moves before any feed F", "Give F, in mm/min.")
+            raise self._error(
+                block.line, f"G{self._motion} moves before any feed F", "Give F, in mm/min."
+            )
         if feed.mode is FeedMode.INVERSE_TIME and block.feed is None:
             raise self._error(
                 block.line,
-                "in G93 every G1 block needs its own F",
+                f"in G93 every G{self._motion} block needs its own F",
                 "Give F as 1 / minutes of the move.",
             )
         before = tuple(self._exact)
         self._go(block)
+        source = self._source(block)
+        tags = dict(block.tags) if block.tags else NO_TAGS
+        if self._motion in CURVED:
+            yield from self._along(block, before, feed, source, tags)
+            return
+        if block.curve:
+            raise self._error(
+                block.line,
+                f"{block.curve[0][0]} has no use in a block of G{self._motion}",
+                "I J K R Q belong to G2, G3 and G5.",
+            )
         if (
             self._feed_tenth_mm != _MILLIMETRE
             and feed.mode is FeedMode.IN_TURN
             and all(self._exact[index] == before[index] for index in self._lengths)
         ):
             feed = self._feed_of(feed.value * _MILLIMETRE / self._feed_tenth_mm)
-        tags = dict(block.tags) if block.tags else NO_TAGS
-        return Move(tuple(self._position), feed, self._source(block), tags)
+        yield Move(tuple(self._position), feed, source, tags)
+
+    def _along(
+        self, block: Block, before: tuple[int, ...], feed: Feed, source: Source, tags: Tags
+    ) -> Iterator[Operation]:
+        """Return the chords of an arc or spline, of which the last ends where the block does."""
+        after = tuple(self._exact)
+        points = list(self._curves.points(self._motion, block, before, after, self._tenth_mm))
+        chords = len(points) + 1
+        if feed.mode is FeedMode.INVERSE_TIME:
+            feed = self._feed_of(feed.value * chords)
+        for point in points:
+            for index, exact in enumerate(point):
+                self._put(index, exact)
+            yield Move(tuple(self._position), feed, source, tags)
+        for index, exact in enumerate(after):
+            self._put(index, exact)
+        yield Move(tuple(self._position), feed, source, tags)
 
     def _return_to_start(self, block: Block) -> Iterator[Operation]:
-        """Return the two moves of G28: by way of the words of the block, then to the start."""
+        """Return the moves of G28: by way of the words of the block, then home.
+
+        A controller that homes goes there at once, and its zero is there afterwards.
+        """
         source = self._source(block)
-        if block.axes:
+        if block.axes and not self._dialect.homes:
             self._go(block)
             yield Move(tuple(self._position), _RAPID, source)
         for index in [i for i, _ in block.axes] or range(len(self._exact)):
-            self._exact[index] = 0
-            self._position[index] = 0.0
+            self._put(index, self._zeros.home[index])
+            if self._dialect.homes:
+                self._zeros.offset[index] = 0
         yield Move(tuple(self._position), _RAPID, source)
 
     def _error(self, line: int, message: str, remedy: str) -> JobError:

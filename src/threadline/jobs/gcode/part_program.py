@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from threadline.errors import BudgetError, JobError, MachineError, Place
-from threadline.jobs.gcode.block import Dialect
+from threadline.errors import BudgetError, JobError, MachineError, OptionError, Place
+from threadline.jobs.gcode.block import Reading
+from threadline.jobs.gcode.dialects import DIALECTS, Dialect, dialect_of
 from threadline.jobs.gcode.f_words import f_rule, normal_feed_m_s
 from threadline.jobs.gcode.interpreter import PartProgram
 from threadline.jobs.gcode.programs import Structure
@@ -24,6 +25,7 @@ def read_part_program(
     path: str | Path,
     *,
     machine: Machine,
+    dialect: str | None = None,
     feed_mode: str | None = None,
     base_axes: tuple[str, ...] = (),
 ) -> Job:
@@ -38,8 +40,11 @@ def read_part_program(
         A program in the dialect of ``docs/part-programs.md``.
     machine
         Its axes are the only ones that the program may move.
+    dialect
+        Name of what its words mean; None is what the machine file says.
     feed_mode, base_axes
-        What F means, see ``threadline.jobs.gcode.f_words``; None is what the machine file says.
+        What F means, see ``threadline.jobs.gcode.f_words``; None is what the machine file
+        says, else the dialect's.
 
     Raises
     ------
@@ -63,10 +68,12 @@ def read_part_program(
                 f"the axis {name} of {machine.name!r} has the letter of another word",
                 remedy="A part program moves axes A B C U V W X Y Z.",
             )
-    rule = f_rule(machine, feed_mode, tuple(base_axes))
+    spoken = _dialect(machine, dialect)
+    rule = f_rule(machine, feed_mode, tuple(base_axes), spoken.feed_rule)
     file = identify(path)
-    dialect = Dialect(str(path), machine.name, {n: i for i, n in enumerate(machine.axis_names)})
-    scanner = Scanner(file, dialect)
+    axes = {name: index for index, name in enumerate(machine.axis_names)}
+    reading = Reading(str(path), machine.name, axes, spoken)
+    scanner = Scanner(file, reading)
     structure = scanner.run()
     if structure.totals[structure.main.label].moves == 0:
         raise JobError(
@@ -76,7 +83,7 @@ def read_part_program(
         )
     _check_budget(structure, file, machine)
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
-    program = PartProgram(file, dialect, structure, linear, rule)
+    program = PartProgram(file, reading, structure, linear, rule)
     return Job(
         name=path.name,
         file=str(path),
@@ -86,9 +93,19 @@ def read_part_program(
         operations=OperationStream(
             Stream(PartProgram.runs, program), Stream(PartProgram.folded, program)
         ),
-        warnings=_warnings(scanner, structure, machine, file),
+        warnings=_warnings(scanner, structure, machine, file, spoken.rapid_is_feed),
         feed_rule=rule.text,
     )
+
+
+def _dialect(machine: Machine, option: str | None) -> Dialect:
+    name = dialect_of(machine, option)
+    if name not in DIALECTS:
+        raise OptionError(
+            f"there is no dialect {name[:40]!r} of part programs",
+            remedy=f"Choose {', '.join(DIALECTS)}.",
+        )
+    return DIALECTS[name]
 
 
 def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> None:
@@ -115,7 +132,7 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
 
 
 def _warnings(
-    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile
+    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile, rapid_is_feed: bool
 ) -> tuple[str, ...]:
     findings = scanner.findings
     used = scanner.moved_axes or range(len(machine.axis_names))  # G28 alone names none
@@ -141,6 +158,19 @@ def _warnings(
         "corners are rounded."
         for line in findings.blends
     ]
+    if scanner.rapid_f and not rapid_is_feed:
+        warnings.append(
+            f"{file.place(scanner.rapid_f)}: F of a G0 sets the feed of later moves; the G0 itself "
+            "goes as fast as the limits allow."
+        )
+    if findings.waits:
+        warnings.append(
+            f"{file.place(findings.waits)}: the program waits for a temperature; how long is not "
+            "known, and no part of any time here."
+        )
+    if findings.idle:
+        words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
+        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.")
     if len(warnings) > _MAX_WARNINGS:
         more = len(warnings) - _MAX_WARNINGS
         warnings = [*warnings[:_MAX_WARNINGS], f"{more} more warnings of these kinds."]

@@ -19,6 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.jobs.gcode.block import Reading
 from threadline.jobs.gcode.textfile import Lines
 
 STEPS = 10**7
@@ -26,8 +27,8 @@ DECIMALS = 7
 EXACT_LIMIT = 2**53
 
 # Entries of the state vector.
-MOTION, RELATIVE, TENTH_MM, INVERSE, LINE, AT, FOLLOW = range(7)
-STATE_SIZE = 7
+MOTION, RELATIVE, TENTH_MM, INVERSE, LINE, AT, FOLLOW, RAPID_FEED, EACH_G, RAPID_F = range(10)
+STATE_SIZE = 10
 
 _TAB, _LF, _CR, _BLANK, _OPEN, _CLOSE, _PLUS, _MINUS, _DOT = 9, 10, 13, 32, 40, 41, 43, 45, 46
 _ZERO, _NINE, _SEMICOLON, _EQUALS, _UPPER_A, _UPPER_Z, _LOWER_A, _LOWER_Z = (
@@ -47,6 +48,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     linear: NDArray[np.bool_],
     state: IntArray,
     exact: IntArray,
+    offset: IntArray,
     position: FloatArray,
     feed: FloatArray,
     out_position: FloatArray,
@@ -67,7 +69,11 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         (axes,) whether an axis is linear.
     state
         (STATE_SIZE,) modes, line and place in ``data``; updated. With FOLLOW 0 the words are
-        checked and noted and no position is computed.
+        checked and noted and no position is computed; with RAPID_FEED not 0 a G0 goes at the feed;
+        with EACH_G not 0 axis words need a G word in their block. RAPID_F becomes the line of the
+        first G0 with an F.
+    offset
+        (axes,) 1e-7 mm or degrees: where the programmed zero is.
     exact, position
         (axes,) in 1e-7 mm or degrees, and in m or rad; updated.
     feed
@@ -238,6 +244,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             break
         if f_word != -1 and not has_axes:
             break  # no move to hang it on: the interpreter takes it
+        if motion > 1 or (has_axes and state[EACH_G] != 0 and not seen_g_motion):
+            break  # a curve, or a word that is missing
         if has_axes and follow:
             # Everything is checked before anything is changed.
             value_f = feed[0]
@@ -250,7 +258,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                     value_f = (f_word * state[TENTH_MM]) / (600_000.0 * STEPS)
             if motion < 0:
                 break
-            if motion == 1 and (math.isnan(value_f) or (state[INVERSE] != 0 and f_word == -1)):
+            at_feed = motion == 1 or state[RAPID_FEED] != 0
+            if at_feed and (math.isnan(value_f) or (state[INVERSE] != 0 and f_word == -1)):
                 break
             fits = True
             for k in range(n_axes):
@@ -265,8 +274,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                             fits = False
                             break
                         value //= 10
-                    if relative != 0:
-                        value += exact[k]
+                    value += exact[k] if relative != 0 else offset[k]
                     if abs(value) >= EXACT_LIMIT:
                         fits = False
                         break
@@ -285,8 +293,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 position[k] = new[k]
                 out_position[moves, k] = new[k]
             feed[0] = value_f
-            out_feed[moves] = value_f if motion == 1 else -1.0
+            out_feed[moves] = value_f if at_feed else -1.0
         if has_axes:
+            if motion == 0 and f_word != -1 and state[RAPID_F] == 0:
+                state[RAPID_F] = state[LINE]
             out_line[moves] = state[LINE]
             out_word[moves] = f_word
             for k in range(n_axes):
@@ -324,6 +334,7 @@ class PlainReader:
         self.state = np.zeros(STATE_SIZE, np.int64)
         self.state[FOLLOW] = follow
         self.exact = np.zeros(axes, np.int64)
+        self.offset = np.zeros(axes, np.int64)
         self.position = np.zeros(axes)
         self.feed = np.full(1, np.nan)
         self.out_position = np.empty((_ROOM, axes))
@@ -331,23 +342,35 @@ class PlainReader:
         self.out_line = np.empty(_ROOM, np.int64)
         self.out_word = np.empty(_ROOM, np.int64)
         self.used = np.zeros(axes, np.bool_)
+        self.usable = True
         self._pause = self._patience = 0
 
     def worth_trying(self) -> bool:
         """Say whether to try again: rarely, where no block is plain."""
         self._pause -= 1
-        return self._pause < 0
+        return self._pause < 0 and self.usable
 
     def read(self, lines: Lines) -> int:
         """Go on in ``lines`` over plain blocks; return how many moves are in the ``out`` arrays."""
         self.state[AT] = lines.at
         self.state[LINE] = lines.number
         moves = follow_plain(
-            lines.data, self._axis_of, self._linear, self.state, self.exact, self.position,
-            self.feed, self.out_position, self.out_feed, self.out_line, self.out_word, self.used,
+            lines.data, self._axis_of, self._linear, self.state, self.exact, self.offset,
+            self.position, self.feed, self.out_position, self.out_feed, self.out_line,
+            self.out_word, self.used,
         )  # fmt: skip
         self._patience = min(2 * self._patience + 1, _LONGEST_PAUSE) if moves == 0 else 0
         self._pause = self._patience
         lines.at = int(self.state[AT])
         lines.number = int(self.state[LINE])
         return int(moves)
+
+
+def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:
+    """Return the reader of a program's plain blocks, as its dialect has them."""
+    dialect = reading.dialect
+    plain = PlainReader(reading.axes, linear, follow)
+    plain.state[RAPID_FEED] = dialect.rapid_is_feed
+    plain.state[EACH_G] = dialect.each_g
+    plain.usable = not dialect.points  # it does not look for them
+    return plain

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import Block, Dialect, parse_block
+from threadline.jobs.gcode.block import Block, Reading, parse_block
 from threadline.jobs.gcode.in_force import FeedNotes
-from threadline.jobs.gcode.plain_blocks import STEPS, PlainReader
+from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_reader
 from threadline.jobs.gcode.programs import Call, Collector, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE
@@ -29,22 +29,28 @@ class Findings:
         Every F, and the calls that say in which unit it is.
     long_dwells, blends
         Lines of dwells that look like milliseconds, and of G64.
+    idle
+        The first line of each word without effect on motion.
+    waits
+        The first line where a program waits for a temperature.
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
     long_dwells: list[int] = field(default_factory=list)
     blends: list[int] = field(default_factory=list)
+    idle: dict[str, int] = field(default_factory=dict)
+    waits: int = 0
 
 
 class Scanner:
     """Takes the blocks of a file in the order in which they stand there."""
 
-    def __init__(self, file: SourceFile, dialect: Dialect) -> None:
+    def __init__(self, file: SourceFile, reading: Reading) -> None:
         self.findings = Findings()
         self._file = file
-        self._dialect = dialect
+        self._reading = reading
         self._programs = Collector(file)
-        self._plain = PlainReader(dialect.axes, (True,) * len(dialect.axes), follow=False)
+        self._plain = plain_reader(reading, (True,) * len(reading.axes), follow=False)
         self._tapes: list[int] = []
         self._begun = False
 
@@ -70,10 +76,14 @@ class Scanner:
             if text.strip() == TAPE:
                 self._take_tape(number)
                 continue
-            block = parse_block(text, number, self._dialect)
+            block = parse_block(text, number, self._reading)
             if block is not None:
                 self._take(block, offset, lines.offset)
         number = max(1, lines.number - 1)
+        program = self._programs.current
+        if program is not None and not self._reading.dialect.needs_end:
+            program.stops += 1
+            self._programs.end(30, lines.offset)
         if len(self._tapes) == 1:
             raise JobError(
                 f"the % on line {self._tapes[0]} opens the program and none closes it: the file "
@@ -113,18 +123,19 @@ class Scanner:
         self._begun = True
         program = programs.current
         assert program is not None
-        if block.action == 28:
+        if block.action == 280:
             program.moves += 2
-        elif block.axes:
+        elif block.axes and block.action == -1:
             program.moves += 1
-        program.stops += (block.action == 4) + block.tool_off + (block.program in (0, 2, 30))
+        program.stops += (block.action == 40) + (block.spindle is not None) + block.waits
+        program.stops += block.ends in {"stop", "end"}
         self._note(program.label, block)
         if block.program == 98:
             assert block.p is not None
             self.findings.feeds.call(program.label, block.p // ONE, block.passes)
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
             call.passes += block.passes
-        elif block.program in (2, 30, 99):
+        elif block.ends in {"end", "return"}:
             programs.end(block.program, behind)
 
     @property
@@ -147,12 +158,27 @@ class Scanner:
         findings = self.findings
         for code in block.settings:
             findings.feeds.set_mode(program, code)
-            if code == 64 and len(findings.blends) < _MAX_REMEMBERED:
+            if code == 640 and len(findings.blends) < _MAX_REMEMBERED:
                 findings.blends.append(block.line)
         if block.feed is not None:
             findings.feeds.feed(program, block.feed, block.line)
-        if block.action == 4 and block.p is not None and block.p >= _LONG_DWELL_S * ONE:
+        if block.action == 40 and block.dwell_s >= _LONG_DWELL_S:
             findings.long_dwells.append(block.line)
             del findings.long_dwells[_MAX_REMEMBERED:]
+        for word in block.idle:
+            if len(findings.idle) < _MAX_REMEMBERED:
+                findings.idle.setdefault(word, block.line)
+        if block.waits and block.idle and not findings.waits:
+            findings.waits = block.line
         for index, _ in block.axes:
             self._plain.used[index] = True
+        state = self._plain.state
+        if block.motion >= 0:
+            state[MOTION] = block.motion
+        if block.feed is not None and block.axes and state[MOTION] == 0 and not state[RAPID_F]:
+            state[RAPID_F] = block.line
+
+    @property
+    def rapid_f(self) -> int:
+        """The first line of a G0 with an F of its own, 0 for none."""
+        return int(self._plain.state[RAPID_F])

@@ -21,6 +21,10 @@ _MAX_SHOWN = 40
 _NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)"
 _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
 _BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*+[ \t]*+")
+_CHECKSUM = re.compile(r"\*[ \t]*[0-9]{1,3}[ \t]*$")
+_TEXT = re.compile(r"[ \t]*(?:[Nn][ \t]*[0-9]+[ \t]*)?[Mm]11[78](?![0-9.])")
+_HOMING = re.compile(r"[ \t]*(?:[Nn][ \t]*[0-9]+[ \t]*)?[Gg]28(?![0-9.])")
+_ALONE = re.compile(r"([A-Za-z])(?![ \t]*[-+.0-9])")
 _PARENTHESES = re.compile(r"\([^()]*\)")
 _TAG = re.compile(rf"([A-Za-z_][A-Za-z0-9_-]*)=({_NUMBER})")
 _NAMED = re.compile(r"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*+=[^\s,=]*+(?:[\s,]++|$))++")
@@ -50,6 +54,25 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
     if _BLOCK.fullmatch(text) is None:
         _diagnose(text, file, line)
     return RawBlock([(letter.upper(), number) for letter, number in _WORD.findall(text)], tags)
+
+
+def one_command(text: str) -> str:
+    """Return a line of a firmware that takes one command a line, without what has no number.
+
+    The text behind M117 and M118, a checksum at the end, and letters that only name an axis of G28,
+    which get the number 0.
+
+    >>> one_command("N3 G28 X Y*54"), one_command("M117 hello X1"), one_command("G1 X5 ; a*b")
+    ('N3 G28 X0 Y0', 'M117', 'G1 X5 ; a*b')
+    """
+    code, mark, comment = text.partition(";")
+    code = _CHECKSUM.sub("", code)
+    said = _TEXT.match(code)
+    if said is not None:
+        return said[0]
+    if _HOMING.match(code):
+        code = _ALONE.sub(r"\g<1>0", code)
+    return f"{code}{mark}{comment}"
 
 
 def exact(number: str) -> int | None:

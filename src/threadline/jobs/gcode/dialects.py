@@ -1,0 +1,162 @@
+"""The dialects of part programs: which words a controller takes, and what they do there.
+
+A word moves, sets a mode, or has no effect on motion, and is then named once; what would change
+motion and is not modelled here (tool lengths, other coordinate systems, canned cycles, limits set
+by the program) is in no table, and refused. Sources: ``linuxcnc``: LinuxCNC 2.9, G Codes and M
+Codes; ``grbl``: grbl 1.1 wiki and gcode.c; ``fluidnc``: the same with FluidNC's wiki; ``marlin``:
+Marlin 2.1, marlinfw.org/meta/gcode; ``fanuc``: B-63174EN; ``winder``: the printed winder's program
+with the words that ``docs/part-programs.md`` lists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from threadline.machine import Machine
+from threadline.machine.programs import DialectName, FeedRule
+
+Group = str
+CANCEL = 80
+"""The motion of G80: none."""
+MMode = Literal["stop", "end", "call", "return", "on", "off", "rest", "wait", "idle"]
+
+_MOTION = {0: "motion", 10: "motion"}
+_MODES = {
+    200: "units", 210: "units", 900: "distance", 910: "distance", 940: "feed", 640: "blending",
+}  # fmt: skip
+_ARCS = {20: "motion", 30: "motion", 170: "plane", 180: "plane", 190: "plane", 911: "centres"}
+_OFFSETS = {920: "action", 921: "action"}
+_WINDER = {**_MOTION, **_MODES, 40: "action", 280: "action", 930: "feed"}
+_CNC = {
+    **_WINDER, **_ARCS, **_OFFSETS, 281: "action", 800: "motion", 610: "blending",
+    400: "cutter", 490: "length", 540: "system",
+}  # fmt: skip
+_PROGRAM: dict[int, MMode] = {0: "stop", 2: "end", 30: "end", 5: "off"}
+_CALLS: dict[int, MMode] = {98: "call", 99: "return"}
+_CNC_M: dict[int, MMode] = {
+    **_PROGRAM, 1: "stop", 3: "on", 4: "on", 6: "stop", 7: "idle", 8: "idle", 9: "idle",
+}  # fmt: skip
+_MARLIN_IDLE = (
+    16, 17, 18, 31, 42, 73, 75, 76, 77, 78, 80, 81, 82, 83, 84, 85, 104, 105, 106, 107, 108, 110,
+    111, 113, 114, 115, 117, 118, 119, 120, 121, 140, 141, 150, 154, 155, 250, 256, 280, 300, 301,
+    302, 304, 355, 420, 500, 502, 503, 810, 900,
+)  # fmt: skip
+_MARLIN_M: dict[int, MMode] = {
+    **dict.fromkeys(_MARLIN_IDLE, "idle"), 0: "stop", 1: "stop", 2: "end", 30: "end", 3: "on",
+    4: "on", 5: "off", 7: "idle", 8: "idle", 9: "idle", 400: "rest", 109: "wait", 190: "wait",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dialect:
+    """What the words of a program mean to a controller.
+
+    Parameters
+    ----------
+    feed_rule
+        By whose rule F is a speed, unless the machine file or an option says otherwise.
+    g
+        Group of each G word, times ten: ``{281: "action"}`` is G28.1. One of each in a block.
+    m
+        What each M word does.
+    idle_letters
+        Words of the spindle and the tool magazine, which a controller keeps for itself.
+    idle_groups
+        Groups whose words have no effect on motion as long as nothing else of theirs is known.
+    needs_end
+        A program ends with M2, M30 or M99, and not with the file.
+    rapid_is_feed
+        G0 goes at the feed, as G1 does.
+    each_g
+        Axis words stand behind a G word in every block.
+    homes
+        G28 looks for the switches of the axes that it names, and is no move by way of a point.
+    dwell_s
+        What the letters of G4 count, in seconds, of a whole number and of one with a point.
+    points
+        Axis words need a decimal point, for without one they count least increments.
+    one_command
+        The words behind an M word belong to it; a checksum may end the line.
+    """
+
+    name: DialectName
+    feed_rule: FeedRule
+    g: Mapping[int, Group]
+    m: Mapping[int, MMode]
+    idle_letters: str = ""
+    idle_groups: frozenset[str] = field(
+        default_factory=lambda: frozenset({"cutter", "length", "system", "centres", "canned"})
+    )
+    needs_end: bool = True
+    rapid_is_feed: bool = False
+    each_g: bool = False
+    homes: bool = False
+    dwell_s: Mapping[str, tuple[float, float]] = field(default_factory=lambda: {"P": (1.0, 1.0)})
+    points: bool = False
+    one_command: bool = False
+
+
+_GRBL = Dialect(name="grbl", feed_rule="grbl", g=_CNC, m=_CNC_M, idle_letters="ST", needs_end=False)
+DIALECTS: Mapping[str, Dialect] = {
+    "winder": Dialect(
+        name="winder", feed_rule="fastest-axis", g=_WINDER, m={**_PROGRAM, **_CALLS}
+    ),
+    "linuxcnc": Dialect(
+        name="linuxcnc",
+        feed_rule="linuxcnc",
+        g={**_CNC, 50: "motion", 611: "blending", 922: "action", 923: "action", 970: "speed"},
+        m={**_CNC_M, **_CALLS},
+        idle_letters="ST",
+        idle_groups=frozenset({"cutter", "length", "system", "centres", "speed"}),
+    ),
+    "grbl": _GRBL,
+    "fluidnc": Dialect(
+        name="fluidnc", feed_rule="fluidnc", g=_GRBL.g, m=_CNC_M, idle_letters="ST",
+        needs_end=False,
+    ),
+    "marlin": Dialect(
+        name="marlin",
+        feed_rule="marlin",
+        g={
+            **_MOTION, **_ARCS, **_OFFSETS, 200: "units", 210: "units", 900: "distance",
+            910: "distance", 940: "feed", 40: "action", 50: "motion", 280: "action",
+            540: "system", 800: "motion",
+        },
+        m=_MARLIN_M,
+        needs_end=False,
+        rapid_is_feed=True,
+        each_g=True,
+        homes=True,
+        dwell_s={"P": (1e-3, 1e-3), "S": (1.0, 1.0)},
+        one_command=True,
+    ),
+    "fanuc": Dialect(
+        name="fanuc",
+        feed_rule="fanuc",
+        g={
+            **_MOTION, **_MODES, **_ARCS, 920: "action", 40: "action", 280: "action",
+            800: "motion", 610: "blending", 400: "cutter", 490: "length", 540: "system",
+            690: "rotation", 150: "polar", 970: "speed", 980: "return", 990: "return",
+        },
+        m={**_CNC_M, **_CALLS},
+        idle_letters="ST",
+        idle_groups=frozenset(
+            {"cutter", "length", "system", "centres", "rotation", "polar", "speed", "return"}
+        ),
+        dwell_s={"P": (1e-3, 1.0), "X": (1.0, 1.0), "U": (1.0, 1.0)},
+        points=True,
+    ),
+}  # fmt: skip
+"""By name; x-winder programs have letters of their own, and a reader of theirs."""
+
+
+def dialect_of(machine: Machine, name: str | None) -> str:
+    """Return the name of the dialect that an option, else the machine file, names."""
+    return name if name is not None else machine.programs.dialect
+
+
+def knowing(letter: str, code: int) -> list[str]:
+    """Return the dialects that have a G word (times ten) or an M word."""
+    return [d.name for d in DIALECTS.values() if code in (d.g if letter == "G" else d.m)]
