@@ -85,8 +85,8 @@ def prove(
     repeats
         Runs in all.
     **words
-        ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``tolerance``, ``limits``,
-        ``shaper``, ``feed_forward``, ``smoothing``, ``law``: as on the command line.
+        ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``radius``, ``tolerance``,
+        ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``law``: as on the command line.
 
     Raises
     ------
@@ -316,7 +316,7 @@ def shaper(text: str) -> Shaper | dict[str, Shaper]:
 
 
 _OF_A_PLAN = (
-    "interpolation", "feed", "dialect", "feed_mode", "tolerance", "limits", "shaper",
+    "interpolation", "feed", "dialect", "feed_mode", "radius", "tolerance", "limits", "shaper",
 )  # fmt: skip
 _WORDS = {
     "interpolation": DEFAULT_INTERPOLATION,
@@ -328,6 +328,7 @@ _WORDS = {
     "smoothing": None,
     "dialect": None,
     "feed_mode": None,
+    "radius": None,
     "law": None,
 }
 

@@ -18,7 +18,7 @@ DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
 _UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
-OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "tolerance", "limits")
+OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
 LEAST_SHARE = 1e-3
 """Of the limits: no job is meant to speed up a thousand times more gently than its machine can, and
@@ -88,6 +88,9 @@ class Options:
     feed_mode
         Text of what F of a part program means where axes of several kinds move together; None is
         the reader's default.
+    radius
+        Text of the radii at which rotary axes act on this job, ``"A=40 mm, B=2 mm"``; None is the
+        machine's.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
     limit_share
@@ -108,6 +111,7 @@ class Options:
     feed: Feed | None = None
     dialect: str | None = None
     feed_mode: str | None = None
+    radius: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
     shaper: str | None = None
@@ -272,6 +276,7 @@ def options_of(
     feed_mode: str | None = None,
     law: str | None = None,
     dialect: str | None = None,
+    radius: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text.
 
@@ -303,6 +308,7 @@ def options_of(
         feed=None if feed is None else parse_feed(feed),
         dialect=dialect,
         feed_mode=feed_mode,
+        radius=radius,
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,
@@ -342,6 +348,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         "feed": feed,
         **({} if options.dialect is None else {"dialect": options.dialect}),
         **({} if options.feed_mode is None else {"feed-mode": options.feed_mode}),
+        **({} if options.radius is None else {"radius": options.radius}),
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
         **({} if options.shaper is None else {"shaper": options.shaper}),
@@ -370,6 +377,7 @@ def options_from(description: dict[str, str]) -> Options:
             feed=None if feed_text == "programmed" else parse_feed(feed_text),
             dialect=description.get("dialect"),
             feed_mode=description.get("feed-mode"),
+            radius=description.get("radius"),
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),
             shaper=description.get("shaper"),

@@ -14,6 +14,7 @@ from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.machine import Machine
+from threadline.machine.radii import with_radii
 from threadline.options import Options
 from threadline.plan import Plan
 from threadline.signals import Commands, Recording, RecordingBlock
@@ -93,7 +94,7 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
     told = {} if options.dialect is None else {"dialect": options.dialect}
     if options.feed_mode is not None:
         told |= parse_feed_mode(options.feed_mode)
-    return read_job(job_file, machine, **told)
+    return read_job(job_file, with_radii(machine, options.radius), **told)
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
@@ -108,7 +109,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """
     kind = kind_of(machine)
     kind.check_options(machine, options)
-    return kind.plan(job, machine, options)
+    return kind.plan(job, with_radii(machine, options.radius), options)
 
 
 def simulate(commands: Commands, machine: Machine) -> Recording:

@@ -24,7 +24,16 @@ from threadline.signals.files import read_recording
 from threadline.verdict import Spec, Verdict, judge, load_spec
 
 _ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
-_PLANNED_WITH = (*_ALWAYS_SAID, "dialect", "feed-mode", "shaper", "mode", "damping", "feed-forward")
+_PLANNED_WITH = (
+    *_ALWAYS_SAID,
+    "dialect",
+    "feed-mode",
+    "radius",
+    "shaper",
+    "mode",
+    "damping",
+    "feed-forward",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

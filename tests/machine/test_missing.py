@@ -106,7 +106,7 @@ def test_one_that_is_missing_is_told_alone(tmp_path: Path) -> None:
     message = refused(tmp_path, 'base = "lathe-winder"\ntool = "none"\n')
     assert message.endswith(
         "'tool' is missing: it says at which radius the rotary axis A acts, "
-        'like [tool] radius = "100 mm exact, assumed".'
+        'like [tool] radius = "100 mm exact, assumed", or give the axis a radius of its own.'
     )
 
 

@@ -64,6 +64,13 @@ DialectOption = Annotated[
         "x-winder. Default: the machine file's."
     ),
 ]
+RadiusOption = Annotated[
+    str | None,
+    typer.Option(
+        help='Where rotary axes act on this job: "A=40 mm" is half of its mandrel. Default: the '
+        "machine file's."
+    ),
+]
 ToleranceOption = Annotated[
     str,
     typer.Option(

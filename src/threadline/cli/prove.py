@@ -24,6 +24,7 @@ from threadline.cli.options import (
     LimitsOption,
     MachineOption,
     ParOption,
+    RadiusOption,
     RecordingOption,
     ReportOption,
     ShaperOption,
@@ -64,6 +65,7 @@ def prove(
     feed: FeedOption = None,
     dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
+    radius: RadiusOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     shaper: ShaperOption = None,
@@ -116,6 +118,7 @@ def prove(
         feed_mode,
         law,
         dialect,
+        radius,
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     with progress_bar(not json) as progress:

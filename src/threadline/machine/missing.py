@@ -78,7 +78,10 @@ def missing_keys(
         # What needs more than one key is checked when all others are right: too late for a list.
         node = field_node(_AXES)
         found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
-    turns = any(_kind(content, (*_AXES, name, "kind")) == "rotary" for name in _axes_of(content))
+    turns = any(
+        _kind(content, (*_AXES, name, "kind")) == "rotary" and "radius" not in content["axes"][name]
+        for name in _axes_of(content)
+    )
     if found and turns and "tool" not in content:
         node = field_node(("tool",))
         found.append(MissingKey(("tool",), _assigned(("tool",), node, sample(node))))

@@ -142,11 +142,11 @@ class Machine:
         for name, switch in self.inputs.items():
             _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             _known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
-        turning = sorted(self.rotary)
+        turning = sorted(name for name in self.rotary if self.axes[name].radius is None)
         if turning and self.tool is None:
             raise ValueError(
                 f"'tool' is missing: it says at which radius the rotary axis {turning[0]} acts, "
-                'like [tool] radius = "100 mm exact, assumed"'
+                'like [tool] radius = "100 mm exact, assumed", or give the axis a radius of its own'
             )
         self._on_off_references()
         self._stitching_references()
@@ -347,10 +347,16 @@ class Machine:
 
     @property
     def radius_m(self) -> FloatArray:
-        """(axes,) 1 for a linear axis, the radius of the tool for a rotary one."""
-        # Where an axis turns there is a tool: the checks above have seen to it.
-        acting = 1.0 if self.tool is None else self.tool.radius.si
-        return np.array([1.0 if axis.kind == "linear" else acting for axis in self.axes.values()])
+        """(axes,) 1 for a linear axis, for a rotary one its own radius, else that of the tool."""
+        return np.array([self._acts_at_m(axis) for axis in self.axes.values()])
+
+    def _acts_at_m(self, axis: Axis) -> float:
+        if axis.kind == "linear":
+            return 1.0
+        if axis.radius is not None:
+            return axis.radius.si
+        # Where an axis without one turns there is a tool: the checks above have seen to it.
+        return 1.0 if self.tool is None else self.tool.radius.si
 
 
 def _known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:

@@ -193,8 +193,9 @@ class Axis:
     ``controller`` names the loop that moves it, or ``drive`` a drive that is told positions.
     ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum
     of coordinates; without it the axis' own sensor, free of its rounding, is the load.
-    ``endless`` axes have no travel. ``working_velocity`` is the speed of the axis' daily work,
-    for which warnings are given.
+    ``endless`` axes have no travel. ``radius`` is where a rotary axis acts on the work, that of the
+    tool when left out. ``working_velocity`` is the speed of the axis' daily work, for which
+    warnings are given.
     """
 
     kind: Literal["linear", "rotary"]
@@ -206,6 +207,7 @@ class Axis:
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
     travel: tuple[Position, Position] | None = None
     endless: StrictBool = False
+    radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
     load: Weights | None = None
     frame: Weights | None = None
     working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
@@ -227,6 +229,8 @@ class Axis:
                 "an axis has either a controller, whose loop moves it, or a drive that is told "
                 "positions"
             )
+        if self.radius is not None and self.kind == "linear":
+            raise ValueError("a linear axis has no radius: take it out")
         if (self.travel is None) != self.endless:
             raise ValueError('an axis has either travel = ["min", "max"] or endless = true')
         if self.travel is not None:
