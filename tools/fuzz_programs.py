@@ -11,6 +11,7 @@ from pathlib import Path
 from threadline.jobs import read_job
 from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.machine import load_machine
+from threadline.machine.firmware import machine_text, parse_answers, read_settings
 
 Mutate = Callable[[random.Random, bytes], bytes]
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]
@@ -29,7 +30,43 @@ def fuzz_programs(mutate: Mutate) -> dict[str, Target]:
         for name in DIALECTS
     }
     found["x-winder"] = ("a.X4G", _cases(x_winder_program, mutate), reader_of("x-winder"), 6)
+    found["settings"] = ("settings.txt", _cases(settings_file, mutate), read_machine, 3)
     return found
+
+
+_SETTINGS = (
+    b"$100=250.000 (x, step/mm)\n$103=26.6\n$110=500.000\n$113=36000\n$120=10\n$123=9\n$130=2\nok",
+    b"echo:  M92 X80.00 A26.67\necho:  M203 X300.00 A400.00\necho:  M201 X3000.00 A1500.00\nok",
+    b"axes:\n  x:\n    steps_per_mm: 80.0\n    max_rate_mm_per_min: 5000\n    max_travel_mm: 9\n"
+    b"  a:\n    steps_per_mm: 26.667\n    acceleration_mm_per_sec2: 200.000\n",
+    b"[stepper_x]\nmicrosteps: 16\nrotation_distance: 40\nposition_max: 895\ngear_ratio: 60:20\n"
+    b"[stepper_a]\nmicrosteps = 16\nrotation_distance = 360\n[printer]\nmax_velocity: 300\n",
+)
+_ANSWERS = parse_answers(
+    [
+        "rotary=A", "torque=1 N m", "current=2 A", "resistance=1 ohm", "inductance=2 mH",
+        "supply=36 V", "mass=1 kg", "inertia=4e-3 kg m^2", "radius=50 mm", "microsteps=16",
+        "travel=600 mm", "rate=1 m/s", "acceleration=1 m/s^2", "rate.A=9 rad/s",
+        "acceleration.A=9 rad/s^2",
+    ]
+)  # fmt: skip
+
+
+def settings_file(rng: random.Random, mutate: Mutate) -> bytes:
+    """A dump of settings, mutated or with a line doubled."""
+    data = rng.choice(_SETTINGS)
+    if rng.random() < 0.2:
+        lines = data.split(b"\n")
+        lines.insert(rng.randrange(len(lines)), rng.choice(lines))
+        return b"\n".join(lines)
+    return mutate(rng, data)
+
+
+def read_machine(path: Path) -> object:
+    """Read settings, and the machine file that is made from them."""
+    made = path.with_suffix(".toml")
+    made.write_text(machine_text(read_settings(path), _ANSWERS, "mine"), encoding="utf-8")
+    return load_machine(made)
 
 
 def _cases(
@@ -50,9 +87,11 @@ _WORDS = (
 def dialect_program(rng: random.Random, mutate: Mutate) -> bytes:
     """Words of every dialect, with numbers of every size, sometimes mutated."""
     lines = ["G21 G90", "G1 X1. Y1. F100."]
+    good = rng.sample(_WORDS, 6)
     for _ in range(rng.randint(1, 12)):
-        number = rng.choice(("0", "1", "-2.5", "30.", "1e3", "", "999999999", "-0.001", "0.5", "2"))
-        lines.append(rng.choice(_WORDS).replace("{n}", number))
+        odd = rng.choice(("0", "1e3", "", "999999999", "-0.001"))
+        number = odd if rng.random() < 0.05 else rng.choice(("1.", "-2.5", "30.", "0.5", "2."))
+        lines.append(rng.choice(good).replace("{n}", number))
     data = "\n".join([*lines, "M30"]).encode()
     return mutate(rng, data) if rng.random() < 0.4 else data
 

@@ -123,3 +123,59 @@ def test_help_lists_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = run(capsys, "new", "--help")
     assert "winder, stepper, stitcher, placer" in " ".join(out.split())
     assert "embroidery" in out
+
+
+SETTINGS = """$100=80.000 (x, step/mm)
+$103=26.667
+$110=6000.000
+$113=36000
+$120=500.000
+$123=2000
+$130=900.000
+$133=360
+"""
+OWNER = (
+    "rotary=A", "torque=1.26 N m", "current=2.8 A", "resistance=0.9 ohm", "inductance=2.5 mH",
+    "supply=36 V", "microsteps=16", "mass=1.2 kg", "inertia=4e-3 kg m^2", "radius=50 mm",
+)  # fmt: skip
+
+
+def test_a_dump_of_settings_becomes_a_project_in_spec(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten numbers of its owner and the answer to $$: the project's own command is in spec."""
+    dump, folder = tmp_path / "settings.txt", tmp_path / "mine"
+    dump.write_text(SETTINGS)
+    code, _, err = run(capsys, "new", "grbl-winder", folder, "--from", dump)
+    assert code == 2 and "--set" in err and not folder.exists()
+    given = [word for text in OWNER for word in ("--set", text)]
+    code, out, err = run(capsys, "new", "grbl-winder", folder, "--from", dump, *given, "--json")
+    assert (code, err) == (0, "")
+    content = json.loads(out)
+    assert sorted(p.name for p in folder.iterdir()) == content["files"]
+    monkeypatch.chdir(folder)
+    code, out, _ = run(capsys, *shlex.split(content["prove"])[1:], "--json")
+    assert code == 0
+    assert json.loads(out)["feed_mode"] == "grbl"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["grbl-winder", "mine"], "Name them with --from"),
+        (["winder", "mine", "--set", "mass=1 kg"], "--from and --set are not of the kind"),
+        (["marlin-winder", "mine", "--from", "dump.txt"], "threadline new grbl-winder"),
+    ],
+)
+def test_settings_of_another_kind_are_refused(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dump.txt").write_text(SETTINGS)
+    code, _, err = run(capsys, "new", *arguments)
+    assert code == 2
+    assert said in err

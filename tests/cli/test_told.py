@@ -114,7 +114,7 @@ def test_a_long_run_says_a_word_every_minute(
     heard = ""
     with told.telling():
         told.at_work("simulating", shown=False)
-        while "still at work after" not in heard:
+        while ": simulating" not in heard:
             heard += capsys.readouterr().err
     assert re.search(r"still at work after \d+ s: simulating\n", heard)
 

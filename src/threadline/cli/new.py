@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from threadline import __version__
+from threadline.cli.from_settings import KINDS, PROVE, settings_files
 from threadline.cli.options import JsonOption
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
@@ -52,23 +53,52 @@ PROJECTS = {
 
 
 def new(
-    kind: Annotated[str, typer.Argument(help=f"What the machine is: {', '.join(PROJECTS)}.")],
+    kind: Annotated[
+        str, typer.Argument(help=f"What the machine is: {', '.join([*PROJECTS, *KINDS])}.")
+    ],
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder to make; an empty one may be there.")
     ],
+    from_: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="Settings of the firmware: what grbl answers to $$, Marlin to M503, a FluidNC "
+            "YAML, a printer.cfg.",
+        ),
+    ] = None,
+    answers: Annotated[
+        list[str] | None,
+        typer.Option("--set", help='What the settings do not say: "mass=1.2 kg", "mass.X=1.2 kg".'),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Make a working project: machine.toml, spec.toml, a job, and a README with the commands.
 
-    The machine is one of the library's, to be changed into yours.
+    The machine is one of the library's, to be changed into yours, or the one that a firmware's
+    settings describe; what they do not say is asked for by name.
 
     Example: threadline new winder my-winder
+
+    Of a machine with grbl: threadline new grbl-winder my-winder --from settings.txt
+    --set rotary=A --set "torque=1.26 N m"
     """
-    project = _project(kind)
-    contents = project_files(kind)
+    if kind in KINDS:
+        if from_ is None:
+            raise OptionError(
+                f"a {kind} is made from the settings of its firmware",
+                remedy="Name them with --from.",
+            )
+        prove, contents = PROVE, settings_files(kind, from_, answers or [])
+    else:
+        prove, contents = _project(kind).prove, project_files(kind)
+        if from_ is not None or answers:
+            raise OptionError(
+                f"--from and --set are not of the kind {kind!r}", remedy=f"Use {', '.join(KINDS)}."
+            )
     _check(folder)
     _write(folder, contents)
-    command = f"threadline prove {project.prove}"
+    command = f"threadline prove {prove}"
     if json:
         print_json({"folder": str(folder), "files": sorted(contents), "prove": command})
         return
@@ -101,11 +131,11 @@ def _without_operator(machine: str) -> str:
 
 def _project(kind: str) -> Project:
     if kind not in PROJECTS:
-        close = difflib.get_close_matches(kind, PROJECTS, n=1)
+        close = difflib.get_close_matches(kind, [*PROJECTS, *KINDS], n=1)
         hint = f"Did you mean {close[0]!r}? " if close else ""
         raise OptionError(
             f"there is no project {kind[:40]!r}",
-            remedy=f"{hint}There are: {', '.join(PROJECTS)}.",
+            remedy=f"{hint}There are: {', '.join([*PROJECTS, *KINDS])}.",
         )
     return PROJECTS[kind]
 

@@ -1,0 +1,74 @@
+"""What settings do not say, and their owner does: at most ten numbers, each asked for by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from threadline.errors import OptionError
+
+ASKED: dict[str, tuple[str, str]] = {
+    "rotary": ("the letters of the axes that turn", "A"),
+    "microsteps": ("of the drivers", "16"),
+    "torque": ("holding torque of the motors", "1.26 N m"),
+    "current": ("per phase, set in the drivers", "2.8 A"),
+    "resistance": ("of a phase", "0.9 ohm"),
+    "inductance": ("of a phase", "2.5 mH"),
+    "supply": ("of the drivers", "36 V"),
+    "mass": ("that a linear axis moves", "1.2 kg"),
+    "inertia": ("that a rotary axis turns", "4e-3 kg m^2"),
+    "radius": ("of the mandrel", "50 mm"),
+}
+"""Name -> what it is, and a value that would do."""
+OPTIONAL: dict[str, tuple[str, str]] = {
+    "travel": ("from end to end, where the settings have none", "600 mm"),
+    "rate": ("greatest speed a minute, where the settings have none", "6000 mm/min"),
+    "acceleration": ("where the settings have none", "500 mm/s^2"),
+    "rotor": ("inertia of a motor's rotor and pulley", "3.2e-5 kg m^2"),
+    "friction": ("of a motor and its bearings", "0.03 N m"),
+}
+_OF_AN_AXIS = frozenset(ASKED) - {"rotary"} | frozenset(OPTIONAL)
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What an owner says: by name, or by name and axis (``mass.X``)."""
+
+    given: dict[str, str]
+
+    @property
+    def rotary(self) -> str:
+        """The letters of the axes that turn; empty where none does."""
+        return "".join(c for c in self.given.get("rotary", "").upper() if c.isalpha())
+
+    def of(self, name: str, axis: str) -> str | None:
+        """Return what is said of an axis, None for nothing."""
+        return self.given.get(f"{name}.{axis}", self.given.get(name))
+
+
+def parse_answers(texts: Sequence[str]) -> Answers:
+    """Return the answers written like ``"mass=1.2 kg"`` or ``"mass.X=1.2 kg"``.
+
+    Raises
+    ------
+    OptionError
+        If one has no such form, an unknown name, or is given twice.
+    """
+    given: dict[str, str] = {}
+    known = {**ASKED, **OPTIONAL}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        base, dot, axis = name.partition(".")
+        if not equals or not value or base not in known or (dot and base not in _OF_AN_AXIS):
+            close = difflib.get_close_matches(base, known, n=1)
+            hint = f"Did you mean {close[0]}? " if close and close[0] != base else ""
+            raise OptionError(
+                f"--set {text[:60]!r} answers nothing that is asked",
+                remedy=f'{hint}Write it like --set "mass=1.2 kg"; names: {", ".join(known)}.',
+            )
+        key = f"{base}.{axis.upper()}" if dot else base
+        if key in given:
+            raise OptionError(f"--set {key} is given twice", remedy="Keep one of them.")
+        given[key] = value
+    return Answers(given)

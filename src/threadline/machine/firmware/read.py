@@ -1,0 +1,219 @@
+"""One reader per firmware; the content of a file says whose it is.
+
+Sources: grbl 1.1 wiki, "Configuring Grbl" ($100 to $135); Marlin, marlinfw.org/docs/gcode M92,
+M201, M203, M503; FluidNC wiki, "Axes"; Klipper, docs/Config_Reference.md, [stepper] and [printer].
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from threadline.errors import MachineError, Place
+from threadline.machine.firmware.settings import Settings
+from threadline.opening import read_text
+
+_MOST_BYTES = 1_000_000
+_LETTERS = "XYZABCUVW"
+_GRBL_AXES = "XYZABC"
+_GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
+_GRBL_LINE = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(]*)\s*(?:\(.*)?$")
+_GRBL_OTHER = re.compile(r"(?:ok|>|\$\$|\$[A-Za-z]\S*|\[.*\]|<.*>|[Gg]rbl.*|;.*)?$")
+_MARLIN_LINE = re.compile(r"(?:echo:)?\s*(?:;.*|M(\d{1,4})((?:\s+[A-Z]-?[0-9.]+)*)\s*(?:;.*)?)?$")
+_MARLIN = {92: "steps", 203: "rate", 201: "acceleration"}
+_FLUIDNC = {
+    "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
+    "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
+}  # fmt: skip
+
+
+def read_settings(path: str | Path) -> Settings:
+    """Return what a settings file says of the axes.
+
+    Parameters
+    ----------
+    path
+        What grbl answers to ``$$``, Marlin to ``M503``, the YAML of FluidNC or the ``printer.cfg``
+        of Klipper.
+
+    Raises
+    ------
+    MachineError
+        If it is none of these, holds something that cannot be, or says nothing of any axis.
+    """
+    path = Path(path)
+    text = read_text(path, _MOST_BYTES, MachineError, "settings file")
+    lines = text.splitlines()
+    for shape, read in _READERS:
+        if any(shape.match(line) for line in lines):
+            settings = read(lines, str(path))
+            if not settings.axes:
+                raise MachineError(
+                    f"the settings say nothing of any axis ({settings.firmware})",
+                    place=Place(str(path)),
+                    remedy="Give all of what the firmware lists.",
+                )
+            return settings
+    raise MachineError(
+        "these are no settings that are known",
+        place=Place(str(path)),
+        remedy="Give what grbl answers to $$, Marlin to M503, a FluidNC YAML or a printer.cfg.",
+    )
+
+
+def _grbl(lines: list[str], file: str) -> Settings:
+    settings = Settings("grbl", file)
+    for number, line in enumerate(lines, start=1):
+        match = _GRBL_LINE.match(line.strip())
+        if match is None:
+            if _GRBL_OTHER.match(line.strip()) is None:
+                raise _unknown(line, file, number, "$110=5000.000")
+            continue
+        code = int(match[1])
+        what = _GRBL.get(code - code % 10)
+        if what is not None and code % 10 < len(_GRBL_AXES):
+            settings.say(_GRBL_AXES[code % 10], what, match[2], number, f"${code}")
+    return settings
+
+
+def _marlin(lines: list[str], file: str) -> Settings:
+    settings = Settings("marlin", file)
+    for number, line in enumerate(lines, start=1):
+        match = _MARLIN_LINE.match(line.strip())
+        if match is None:
+            if line.strip().startswith(("echo:", "Cap:", "ok", "FIRMWARE_NAME", "Unknown", "//")):
+                continue
+            raise _unknown(line, file, number, "echo:  M92 X80.00 Y80.00")
+        code = int(match[1] or 0)
+        for letter, text in re.findall(r"([A-Z])(-?[0-9.]+)", match[2] or ""):
+            if code in _MARLIN and letter in _LETTERS:
+                written = _times(text, 60.0) if code == 203 else text  # mm/s there
+                settings.say(letter, _MARLIN[code], written, number, f"M{code} {letter}")
+    return settings
+
+
+def _times(text: str, factor: float) -> str:
+    try:
+        return repr(float(text) * factor)
+    except ValueError:
+        return text
+
+
+def _fluidnc(lines: list[str], file: str) -> Settings:
+    settings = Settings("fluidnc", file)
+    path: list[tuple[int, str]] = []
+    for number, line in enumerate(lines, start=1):
+        code = line.split("#", 1)[0].rstrip()
+        if not code.strip() or code.strip() == "---":
+            continue
+        indent = len(code) - len(code.lstrip())
+        if "\t" in code[:indent]:
+            raise MachineError(
+                "a tab before a key: YAML takes blanks alone",
+                place=Place(file, number),
+                remedy="Write blanks.",
+            )
+        key, colon, value = code.strip().partition(":")
+        if not colon:
+            raise _unknown(line, file, number, "steps_per_mm: 80.000")
+        while path and path[-1][0] >= indent:
+            path.pop()
+        above = [name for _, name in path]
+        path.append((indent, key.strip()))
+        if len(above) == 2 and above[0] == "axes" and key.strip() in _FLUIDNC:
+            letter = above[1].upper()
+            if letter in _LETTERS:
+                name = f"axes.{above[1]}.{key.strip()}"
+                settings.say(letter, _FLUIDNC[key.strip()], value.strip(), number, name)
+    return settings
+
+
+def _klipper(lines: list[str], file: str) -> Settings:
+    settings = Settings("klipper", file)
+    sections: dict[str, dict[str, tuple[str, int]]] = {}
+    section: dict[str, tuple[str, int]] | None = None
+    for number, line in enumerate(lines, start=1):
+        code = line.split("#", 1)[0].rstrip()
+        place = Place(file, number)
+        if not code.strip():
+            continue
+        header = re.match(r"\[([^\]]+)\]$", code)
+        if header is not None:
+            if header[1].startswith("include "):
+                raise MachineError(
+                    f"[{header[1]}] is not followed",
+                    place=place,
+                    remedy="Put the text of that file in its place.",
+                )
+            section = sections.setdefault(header[1].strip(), {})
+            continue
+        if section is None:
+            raise _unknown(line, file, number, "[stepper_x]")
+        if code[0] in " \t":
+            continue  # the value of the key before it goes on
+        match = re.match(r"([A-Za-z0-9_]+)\s*[:=]\s*(.*)$", code)
+        if match is None:
+            raise _unknown(line, file, number, "rotation_distance: 40")
+        section[match[1].lower()] = match[2].strip(), number
+    printer = sections.get("printer", {})
+    for name, keys in sections.items():
+        found = re.match(r"stepper_([a-z])$", name)
+        if found is None or found[1].upper() not in _LETTERS:
+            continue
+        axis = found[1].upper()
+        _stepper(settings, axis, keys, name)
+        slow = "z_" if axis == "Z" and "max_z_velocity" in printer else ""
+        for key, what, factor in (
+            (f"max_{slow}velocity", "rate", 60.0),
+            (f"max_{slow}accel", "acceleration", 1.0),
+        ):
+            if key in printer:
+                text, number = printer[key]
+                settings.say(axis, what, _times(text, factor), number, f"[printer] {key}")
+    return settings
+
+
+def _stepper(settings: Settings, axis: str, keys: dict[str, tuple[str, int]], section: str) -> None:
+    def number(key: str, default: str) -> float:
+        text, line = keys.get(key, (default, 0))
+        try:
+            return float(text)
+        except ValueError:
+            raise _unknown(f"{key}: {text}", settings.file, line, f"{key}: {default}") from None
+
+    if "rotation_distance" in keys and "microsteps" in keys:
+        ratio = 1.0
+        for part in keys.get("gear_ratio", ("1:1", 0))[0].split(","):
+            teeth = re.match(r"\s*([0-9.]+)\s*:\s*([0-9.]+)\s*$", part)
+            if teeth is None or not float(teeth[2]):
+                line = keys["gear_ratio"][1]
+                raise _unknown(f"gear_ratio: {part}", settings.file, line, "gear_ratio: 60:20")
+            ratio *= float(teeth[1]) / float(teeth[2])
+        distance = number("rotation_distance", "40")
+        steps = number("full_steps_per_rotation", "200") * number("microsteps", "16") * ratio
+        line = keys["rotation_distance"][1]
+        text = repr(steps / distance) if distance else "0"
+        settings.say(axis, "steps", text, line, f"[{section}] rotation_distance")
+        settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
+    if "position_max" in keys:
+        way = number("position_max", "200") - number("position_min", "0")
+        settings.say(
+            axis, "travel", repr(way), keys["position_max"][1], f"[{section}] position_max"
+        )
+
+
+def _unknown(line: str, file: str, number: int, form: str) -> MachineError:
+    return MachineError(
+        f"{line.strip()[:60]!r} is no line of these settings",
+        place=Place(file, number),
+        remedy=f"Lines are like {form}",
+    )
+
+
+_READERS: tuple[tuple[re.Pattern[str], Callable[[list[str], str], Settings]], ...] = (
+    (re.compile(r"\s*\$1[0-3]\d\s*="), _grbl),
+    (re.compile(r"\s*(?:echo:)?\s*M92\s"), _marlin),
+    (re.compile(r"\[(?:stepper_[a-z]|printer)\]"), _klipper),
+    (re.compile(r"axes:\s*$"), _fluidnc),
+)

@@ -1,0 +1,196 @@
+"""Settings and answers -> the text of a machine file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from threadline.errors import MachineError, OptionError, Place, UnitError
+from threadline.machine.firmware.answers import ASKED, OPTIONAL, Answers
+from threadline.machine.firmware.settings import AxisSettings, Said, Settings
+from threadline.units import parse_quantity
+
+_FULL_STEPS = 200
+_DIALECTS = {"klipper": "marlin"}
+_DEFAULTS = {"rotor": "3.2e-5 kg m^2", "friction": "0.03 N m"}
+_UNITS = {
+    "torque": "N*m", "current": "A", "resistance": "ohm", "inductance": "H", "supply": "V",
+    "mass": "kg", "inertia": "kg*m^2", "radius": "m", "rotor": "kg*m^2", "friction": "N*m",
+    "microsteps": "",
+}  # fmt: skip
+_TURNS = {
+    "rate": ("greatest speed a minute, where the settings have none", "36000 deg/min"),
+    "acceleration": ("where the settings have none", "2000 deg/s^2"),
+}
+_STRAIGHT = {"travel": "m", "rate": "m/s", "acceleration": "m/s^2"}
+_TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
+
+
+def machine_text(settings: Settings, answers: Answers, name: str) -> str:
+    """Return the machine file of a winder driven by steppers, as its firmware and owner say.
+
+    Every axis is rigid: what it moves counts at its motor. The firmware's own limits are the
+    machine's.
+
+    Raises
+    ------
+    OptionError
+        If something is not said: all that is asked for, each with a value that would do.
+    """
+    _check_axes(settings, answers)
+    missing = list(_missing(settings, answers))
+    if missing:
+        asked = "; ".join(
+            f'--set "{key}={example}" ({what})' for key, (what, example) in dict.fromkeys(missing)
+        )
+        raise OptionError(
+            f"{Place(settings.file)} does not say all that a machine is, the rest is yours to say",
+            remedy=f"Add: {asked}.",
+        )
+    dialect = _DIALECTS.get(settings.firmware, settings.firmware)
+    turning = [axis for axis in settings.axes if axis in answers.rotary]
+    parts = [
+        f'name = "{name}"',
+        f'title = "winder of {len(settings.axes)} axes by steppers, made from the settings of '
+        f'{settings.firmware}"',
+        f'sources = ["settings of {settings.firmware}; what they do not say, its owner"]',
+        'tick_budget = "1e9 tick exact, assumed: 11 days at 1 ms"',
+        "",
+        "[clocks]",
+        'pulse = "1 ms exact, assumed: the segment within which pulses come evenly"',
+        "",
+        "[programs]",
+        f'dialect = "{dialect}"',
+    ]
+    if turning:
+        parts += ["", "[tool]", f'radius = "{answers.of("radius", "")} exact, assumed: the owner"']
+    for axis, said in settings.axes.items():
+        parts += ["", *_axis(axis, said, settings, answers)]
+    return "\n".join(parts) + "\n"
+
+
+def _check_axes(settings: Settings, answers: Answers) -> None:
+    named = [key.partition(".")[2] for key in answers.given if "." in key]
+    wrong = [axis for axis in [*answers.rotary, *named] if axis not in settings.axes]
+    if wrong:
+        raise OptionError(
+            f"the settings have no axis {wrong[0][:20]}",
+            remedy=f"They have {', '.join(settings.axes)}.",
+        )
+    for key, text in answers.given.items():
+        base, _, axis = key.partition(".")
+        if base == "rotary":
+            continue
+        turns = bool(axis) and axis in answers.rotary  # without an axis: of those along a line
+        unit = _UNITS[base] if base in _UNITS else (_TURNING if turns else _STRAIGHT)[base]
+        try:
+            positive = parse_quantity(text, unit) > 0
+        except UnitError as error:
+            raise OptionError(
+                f"--set {key}={text!r}: {error.message}",
+                remedy=f'Write it like "{key}={ {**ASKED, **OPTIONAL}[base][1] }".',
+            ) from error
+        if not positive:
+            raise OptionError(f"--set {key}={text!r} must be greater than 0")
+
+
+def _missing(settings: Settings, answers: Answers) -> Iterator[tuple[str, tuple[str, str]]]:
+    if "rotary" not in answers.given:
+        yield "rotary", ASKED["rotary"]
+    for axis, said in settings.axes.items():
+        turns = axis in answers.rotary
+        if said.steps is None:
+            raise MachineError(
+                f"the settings do not say the steps of axis {axis}",
+                place=Place(settings.file),
+                remedy="Dump them whole: $100 and on, M92, steps_per_mm or rotation_distance.",
+            )
+        for name in ("torque", "current", "resistance", "inductance", "supply"):
+            if answers.of(name, axis) is None:
+                yield name, ASKED[name]
+        if said.microsteps is None and answers.of("microsteps", axis) is None:
+            yield "microsteps", ASKED["microsteps"]
+        load = "inertia" if turns else "mass"
+        if answers.of(load, axis) is None:
+            yield load, ASKED[load]
+        for what in ("rate", "acceleration"):
+            own = answers.given.get(f"{what}.{axis}") if turns else answers.of(what, axis)
+            if getattr(said, what) is None and own is None:
+                yield f"{what}.{axis}", _TURNS[what] if turns else OPTIONAL[what]
+        if not turns and said.travel is None and answers.of("travel", axis) is None:
+            yield f"travel.{axis}", OPTIONAL["travel"]
+    if answers.rotary and "radius" not in answers.given:
+        yield "radius", ASKED["radius"]
+
+
+def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -> Iterator[str]:
+    turns = axis in answers.rotary
+    unit = "deg" if turns else "mm"
+    assert said.steps is not None
+    steps = said.steps.value
+    micro = said.microsteps.value if said.microsteps else _number(answers, "microsteps", axis)
+    # Of the axis per rad of the motor: mm or degrees in a turn are full steps x microsteps / steps.
+    per_turn = _FULL_STEPS * micro / steps
+    lever = (math.radians(per_turn) if turns else per_turn / 1e3) / (2.0 * math.pi)
+    moved = _number(answers, "inertia" if turns else "mass", axis)
+    rotor_text = answers.of("rotor", axis) or _DEFAULTS["rotor"]
+    inertia = parse_quantity(rotor_text, "kg*m^2") + moved * lever**2
+    friction = answers.of("friction", axis) or _DEFAULTS["friction"]
+    low = axis.lower()
+    of = settings.firmware
+    load = answers.of("inertia" if turns else "mass", axis)
+    yield f"[bodies.{low}]"
+    yield 'kind = "rotary"'
+    yield (
+        f'inertia = "{inertia:.6g} kg m^2 +- 20 %, checked: rotor {rotor_text} and {load} at '
+        f'{per_turn:.6g} {unit} a turn"'
+    )
+    yield f'friction = "{friction} +- 50 %, assumed"'
+    yield ""
+    yield f"[drives.{low}]"
+    yield 'kind = "stepper"'
+    yield f'body = "{low}"'
+    yield 'clock = "pulse"'
+    yield f'full_steps = "{_FULL_STEPS} count/rev exact, assumed: 1.8 deg"'
+    yield f'microsteps = "{micro:g} exact, assumed: set in the driver"'
+    yield 'microstep_error = "0.09 deg +- 50 %, assumed: 5 % of a step, as catalogues have it"'
+    yield "winding = { " + ", ".join(
+        f'{key} = "{answers.of(name, axis)} +- 10 %, assumed: the owner"'
+        for key, name in (
+            ("holding_torque", "torque"), ("current", "current"), ("resistance", "resistance"),
+            ("inductance", "inductance"), ("supply", "supply"),
+        )
+    ) + " }"  # fmt: skip
+    yield ""
+    yield f"[axes.{axis}]"
+    yield f'kind = "{"rotary" if turns else "linear"}"'
+    yield f'drive = "{low}"'
+    yield f'counts = "{steps!r} count/{unit} exact, checked: {of}, line {said.steps.line}"'
+    yield f'velocity = "{_limit(said.rate, answers, "rate", axis, f"{unit}/min", of)}"'
+    yield (
+        f'acceleration = "'
+        f'{_limit(said.acceleration, answers, "acceleration", axis, f"{unit}/s^2", of)}"'
+    )
+    if turns:
+        yield "endless = true"
+        return
+    way = answers.of("travel", axis)
+    if said.travel is not None:
+        way = f"{said.travel.value!r} mm"
+    # A job begins anywhere between the ends: it goes no further than all of the travel.
+    yield (
+        f'travel = ["-{way} exact, assumed: no further than from end to end", '
+        f'"{way} exact, assumed: likewise"]'
+    )
+
+
+def _limit(
+    said: Said | None, answers: Answers, name: str, axis: str, unit: str, firmware: str
+) -> str:
+    if said is not None:
+        return f"{said.value!r} {unit} exact, checked: {firmware}, line {said.line}"
+    return f"{answers.of(name, axis)} exact, assumed: the owner"
+
+
+def _number(answers: Answers, name: str, axis: str) -> float:
+    return parse_quantity(answers.of(name, axis) or "", _UNITS[name])

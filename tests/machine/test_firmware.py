@@ -1,0 +1,240 @@
+"""Settings of firmwares become machine files: their own numbers, and what is asked for by name."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+from pathlib import Path
+
+import pytest
+
+from threadline.errors import InputError, MachineError, OptionError
+from threadline.machine import Machine, load_machine
+from threadline.machine.firmware import machine_text, parse_answers, read_settings
+
+# The defaults of grbl 1.1 with a mandrel as A, as its wiki prints a dump.
+GRBL = """Grbl 1.1h ['$' for help]
+$0=10 (step pulse, usec)
+$20=0 (soft limits, bool)
+$100=250.000 (x, step/mm)
+$101=250.000 (y, step/mm)
+$103=26.666 (a, step/deg)
+$110=500.000 (x max rate, mm/min)
+$111=500.000 (y max rate, mm/min)
+$113=36000.000
+$120=10.000 (x accel, mm/sec^2)
+$121=10.000 (y accel, mm/sec^2)
+$123=2000.000
+$130=200.000 (x max travel, mm)
+$131=200.000 (y max travel, mm)
+ok
+"""
+MARLIN = """echo:; Linear Units:
+echo:  G21 ; (mm)
+echo:; Steps per unit:
+echo:  M92 X80.00 A26.67 E500.00
+echo:; Max feedrates (units/s):
+echo:  M203 X300.00 A400.00 E25.00
+echo:; Max Acceleration (units/s2):
+echo:  M201 X3000.00 A1500.00 E10000.00
+echo:  M204 P3000.00 R3000.00 T3000.00
+echo:  M205 B20000.00 S0.00 T0.00 J0.01
+ok
+"""
+FLUIDNC = """name: "winder"
+board: 6 Pack
+axes:
+  shared_stepper_disable_pin: NO_PIN
+  x:
+    steps_per_mm: 80.000
+    max_rate_mm_per_min: 5000.000   # brisk
+    acceleration_mm_per_sec2: 100.000
+    max_travel_mm: 900.000
+    motor0:
+      stepstick:
+        step_pin: gpio.26
+  a:
+    steps_per_mm: 26.667
+    max_rate_mm_per_min: 36000.000
+    acceleration_mm_per_sec2: 2000.000
+    max_travel_mm: 360.000
+"""
+KLIPPER = """[stepper_x]
+step_pin: PF0
+microsteps: 16
+rotation_distance: 40
+position_min: -5
+position_max: 895
+homing_speed: 50
+
+[stepper_y]  # the mandrel, in degrees
+microsteps: 16
+rotation_distance: 360
+full_steps_per_rotation: 200
+gear_ratio: 60:20
+position_max: 100000
+
+[printer]
+kinematics: cartesian
+max_velocity: 300
+max_accel: 3000
+"""
+OWNER = (
+    "torque=1.26 N m", "current=2.8 A", "resistance=0.9 ohm", "inductance=2.5 mH", "supply=36 V",
+    "mass=1.2 kg", "inertia=4e-3 kg m^2", "radius=50 mm", "microsteps=16",
+)  # fmt: skip
+
+
+def machine(folder: Path, text: str, *more: str) -> Machine:
+    source, file = folder / "settings.txt", folder / "machine.toml"
+    source.write_text(text)
+    answers = parse_answers([*OWNER, *more])
+    file.write_text(machine_text(read_settings(source), answers, "mine"))
+    return load_machine(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "counts", "velocity", "acceleration", "travel_m", "dialect"),
+    [
+        (GRBL, ["rotary=A"], {"X": 250e3, "Y": 250e3, "A": 26.666}, {"X": 0.5 / 60, "A": 600.0},
+         {"X": 0.01, "A": 2000.0}, {"X": 0.2}, "grbl"),
+        (MARLIN, ["rotary=A", "travel=600 mm"], {"X": 80e3, "A": 26.67}, {"X": 0.3, "A": 400.0},
+         {"X": 3.0, "A": 1500.0}, {"X": 0.6}, "marlin"),
+        (FLUIDNC, ["rotary=A"], {"X": 80e3, "A": 26.667}, {"X": 5 / 60, "A": 600.0},
+         {"X": 0.1, "A": 2000.0}, {"X": 0.9}, "fluidnc"),
+        (KLIPPER, ["rotary=Y"], {"X": 80e3, "Y": 200 * 16 * 3 / 360}, {"X": 0.3, "Y": 300.0},
+         {"X": 3.0, "Y": 3000.0}, {"X": 0.9}, "marlin"),
+    ],
+)  # fmt: skip
+def test_a_firmware_becomes_a_machine(
+    tmp_path: Path,
+    text: str,
+    more: list[str],
+    counts: dict[str, float],
+    velocity: dict[str, float],
+    acceleration: dict[str, float],
+    travel_m: dict[str, float],
+    dialect: str,
+) -> None:
+    """Steps, rates, accelerations and travel are those of the dump; degrees where an axis turns."""
+    made = machine(tmp_path, text, *more)
+    assert made.axis_names == tuple(counts)
+    assert made.programs.dialect == dialect
+    for found, wanted in (
+        (made.counts_per_unit, counts),
+        (made.velocity_limit, velocity),
+        (made.acceleration_limit, acceleration),
+    ):
+        for axis, value in wanted.items():
+            turns = axis in made.rotary
+            # A count per degree is 180/pi of one per rad; a rate in degrees pi/180 of one in rad.
+            factor = 180.0 / math.pi if turns else 1.0
+            factor = factor if wanted is counts else 1.0 / factor
+            at = made.axis_names.index(axis)
+            assert found[at] == pytest.approx(value * factor, rel=1e-9), axis
+    for axis, value in travel_m.items():
+        assert made.travel[made.axis_names.index(axis), 1] == pytest.approx(value)
+
+
+def test_what_moves_counts_at_its_motor(tmp_path: Path) -> None:
+    """J = rotor + m r^2: 80 step/mm of 200 x 16 are 40 mm a turn, r 6.366 mm, as GT2 has it."""
+    made = machine(tmp_path, FLUIDNC, "rotary=A", "rotor=3e-5 kg m^2")
+    assert made.bodies["x"].inertia.si == pytest.approx(3e-5 + 1.2 * (0.02 / math.pi) ** 2)
+    ratio = (200 * 16 / 26.667) / 360.0  # turns of the mandrel in one of the motor
+    assert made.bodies["a"].inertia.si == pytest.approx(3e-5 + 4e-3 * ratio**2, rel=1e-5)
+
+
+def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
+    source = tmp_path / "m503.txt"
+    source.write_text(MARLIN)
+    with pytest.raises(OptionError) as caught:
+        machine_text(read_settings(source), parse_answers(["rotary=A"]), "mine")
+    asked = re.findall(r'--set "([a-z.X]+)=', str(caught.value))
+    assert asked == [
+        "torque", "current", "resistance", "inductance", "supply", "microsteps", "mass",
+        "travel.X", "inertia", "radius",
+    ]  # fmt: skip
+    assert len(asked) <= 10
+    # What it says would do, does.
+    given = re.findall(r'--set "([^"]+)"', str(caught.value))
+    assert "[axes.A]" in machine_text(
+        read_settings(source), parse_answers(["rotary=A", *given]), "mine"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hello\n", "these are no settings that are known"),
+        ("", "these are no settings"),
+        ("$100=250\n$100=200\n", "$100 is 200 here and 250 on line 1"),
+        ("$100=250\n$100=250\n$110=-5\n", "$110 is '-5'; it must be a number above 0"),
+        ("$100=nan\n", "$100 is 'nan'"),
+        ("$100=1e99\n", "$100 is '1e99'"),
+        ("$100=\n", "$100 is ''"),
+        ("$100=250\nwhat is this\n", "'what is this' is no line of these settings"),
+        ("echo:  M92 X80.0 X90.0\n", "M92 X is 90 here and 80 on line 1"),
+        ("  M92 X\n", "no line of these settings"),
+        ("axes:\n\tx:\n", "a tab before a key"),
+        ("axes:\n  x:\n    steps_per_mm: many\n", "axes.x.steps_per_mm is 'many'"),
+        ("axes:\n  x\n", "'x' is no line"),
+        ("axes:\n  q:\n    steps_per_mm: 5\n", "say nothing of any axis"),
+        ("[printer]\n[include x.cfg]\n", "[include x.cfg] is not followed"),
+        ("[stepper_x]\nrotation_distance: 0\nmicrosteps: 16\n", "rotation_distance is '0'"),
+        ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 3\n", "gear_ratio: 3"),
+        ("[stepper_x]\nrotation_distance 4\n", "'rotation_distance 4' is no line"),
+        ("[printer]\nmax_velocity: 9\n", "say nothing of any axis"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "settings.txt"
+    file.write_text(text)
+    with pytest.raises(MachineError, match=re.escape(said)):
+        read_settings(file)
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        (["mas=1 kg"], "Did you mean mass?"),
+        (["mass"], "answers nothing that is asked"),
+        (["mass=1 kg", "mass=2 kg"], "given twice"),
+        (["rotary=Q", *OWNER], "no axis Q"),
+        (["rotary=A", "mass.Q=1 kg", *OWNER], "no axis Q"),
+        (["rotary=A", "torque=1 kg", *OWNER[1:]], "--set torque='1 kg'"),
+        (["rotary=A", "rate.A=5 mm/min", *OWNER], "--set rate.A='5 mm/min'"),
+        (["rotary=A", "travel=5", *OWNER], "--set travel='5'"),
+        (["rotary=A", 'torque=1 N m", x = "', *OWNER[1:]], "--set torque="),
+        (["rotary=A", "mass=-1 kg", "travel=1 m", *OWNER[:5], *OWNER[6:]], "greater than 0"),
+    ],
+)
+def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], said: str) -> None:
+    file = tmp_path / "m503.txt"
+    file.write_text(MARLIN)
+    with pytest.raises(OptionError, match=re.escape(said)):
+        machine_text(read_settings(file), parse_answers(answers), "mine")
+
+
+def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
+    """300 dumps with a line changed, cut or doubled: a machine file or one line of error."""
+    rng = random.Random(11)
+    file, made = tmp_path / "settings.txt", tmp_path / "machine.toml"
+    answers = parse_answers([*OWNER, "rotary=A", "travel=600 mm"])
+    read = 0
+    for _ in range(300):
+        lines = rng.choice((GRBL, MARLIN, FLUIDNC, KLIPPER)).splitlines()
+        at = rng.randrange(len(lines))
+        line = lines[at]
+        cut = rng.randrange(len(line) + 1)
+        lines[at] = rng.choice(
+            (line[:cut], line[cut:], line + line, line[:cut] + rng.choice("\t=:[x9.-") + line[cut:])
+        )
+        file.write_text("\n".join(lines) + "\n")
+        try:
+            made.write_text(machine_text(read_settings(file), answers, "mine"))
+        except InputError as error:
+            assert "\n" not in str(error)
+            continue
+        read += 1
+    assert 30 < read < 290
