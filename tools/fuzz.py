@@ -29,6 +29,7 @@ from pathlib import Path
 from types import FrameType
 
 import ezdxf.filemanagement  # noqa: F401 - a case must not wait for it
+from fuzz_designs import fuzz_designs
 from fuzz_drawings import fuzz_drawings
 from fuzz_files import fuzz_targets
 from fuzz_programs import fuzz_programs
@@ -259,6 +260,7 @@ READERS: dict[str, Reader] = {
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
     **{name: Reader(*target) for name, target in fuzz_recordings().items()},
     **{name: Reader(*target) for name, target in fuzz_drawings().items()},
+    **{name: Reader(*target) for name, target in fuzz_designs(mutate).items()},
 }
 
 _PAR = b"""FW-CNC.PAR

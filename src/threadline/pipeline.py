@@ -170,6 +170,7 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         array of the 1994 controller. ``nc``: a part program for LinuxCNC. ``st``:
         structured text for a PLC, its configuration in a second file. ``plcopen``: the same as
         PLCopen XML. ``steps``: step tables and stitches, binary and CSV, with a manifest.
+        ``t15``: a Saurer T15 card.
     out
         The file.
 

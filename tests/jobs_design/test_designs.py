@@ -94,6 +94,8 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
         ("a.exp", exp(jump(5, 5)), "no stitch in the design"),
         ("a.dst", b"LA:x" + b"\x20" * 600, "without the mark of its end"),
         ("a.dst", b"", "without the mark of its end"),
+        ("a.exp", exp((1, 1), (2, 2)) + b"\x01", "byte 3 of 5 is no record"),
+        ("a.exp", exp((1, 1), b"\x80\x55\x00\x00", (2, 2)), "byte 4 of 8 is no record"),
         ("a.hus", b"\x5b\xaf\xc8\x00" * 3, "cannot be read as HUS"),
         ("a.vp3", b"%vsm%", "cannot be read as VP3"),
     ],

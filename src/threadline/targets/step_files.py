@@ -15,12 +15,16 @@ import numpy as np
 
 from threadline import __version__
 from threadline.arrays import FloatArray
+from threadline.errors import PlanError
+from threadline.jobs.design.records import UNIT_M
+from threadline.jobs.design.t15 import MOST, t15_bytes
 from threadline.signals import StepPlay
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.step_tables import shortest_s, steps_residual_m
 from threadline.targets.stitched import Stitched
 
 FORMAT = "threadline step tables 1"
+_CUTS = ("colour", "trim")
 TABLES_MAGIC, STITCHES_MAGIC = b"TLSTEPT1", b"TLSTEPS1"
 
 
@@ -56,6 +60,29 @@ def write_steps(stitched: Stitched, path: Path) -> list[Written]:
         file.write(json.dumps(_manifest(stitched, files), indent=1, sort_keys=True).encode())
         file.write(b"\n")
     return [written(path), *files]
+
+
+def write_t15(stitched: Stitched, path: Path) -> Written:
+    """Write the design as a Saurer T15 card.
+
+    Raises
+    ------
+    PlanError
+        If the design is in units that a card does not have.
+    """
+    unit_m = stitched.pace.tables.unit.si
+    if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > MOST:
+        raise PlanError(
+            f"a T15 card is in units of {UNIT_M * 1e3:g} mm and holds {MOST} in a stitch; the "
+            f"machine moves by {unit_m * 1e3:g} mm, {stitched.pace.tables.longest_units} at most",
+            place=stitched.machine.place,
+            remedy="Take a machine with such units.",
+        )
+    turns = stitched.turns
+    changes = {e.tick for e in stitched.turns.events if e.kind == "tool" and e.name in _CUTS}
+    with atomic_file(path) as file:
+        file.write(t15_bytes(turns.moves.units, turns.moves.needle, changes | {len(turns)}))
+    return written(path)
 
 
 def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen
 from threadline.targets.schedule import Scheduled
-from threadline.targets.step_files import write_steps
+from threadline.targets.step_files import write_steps, write_t15
 from threadline.targets.stitched import Stitched
 from threadline.targets.structured_text import write_structured_text
 from threadline.trajectory.types import Trajectory
@@ -105,5 +105,6 @@ SWITCH_TARGETS: Mapping[str, Target] = {
 """Targets of on/off machines."""
 STEP_TARGETS: Mapping[str, Target] = {
     "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
+    "t15": Target(write=lambda plan, path: [write_t15(plan.stitched, path)]),
 }
 """Targets of machines that play step tables between their stitches."""

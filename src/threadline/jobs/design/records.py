@@ -12,6 +12,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import JobError, Place
+from threadline.jobs.design.t15 import SUFFIX, read_t15
 from threadline.opening import open_binary
 
 _READERS = {
@@ -25,7 +26,7 @@ _READERS = {
     ".u01": "U01Reader",
 }
 """Readers of pystitch, by the ending of the file."""
-SUFFIXES = tuple(_READERS)
+SUFFIXES = (*_READERS, SUFFIX)
 UNIT_M = 1e-4
 """Of these formats: 0.1 mm."""
 MAX_BYTES = 64 * 1024 * 1024
@@ -86,8 +87,8 @@ def read_records(path: Path) -> Records:
     suffix = path.suffix.lower()
     if suffix == ".dst":
         _check_dst(content, place)
-    stitches = _decoded(content, suffix, place)
-    table = np.array(stitches, dtype=np.float64).reshape(len(stitches), 3)
+    decoded = read_t15(content, place) if suffix == SUFFIX else _decoded(content, suffix, place)
+    table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
     if not np.isfinite(table).all():
         raise _not_of_its_format(suffix, "a place that is no number", place)
     act = table[:, 2].astype(np.int64) & 0xFF
@@ -111,11 +112,16 @@ def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
 
     pattern = EmbPattern()
     reader = importlib.import_module(f"pystitch.{_READERS[suffix]}")
+    stream = io.BytesIO(content)
     try:
-        reader.read(io.BytesIO(content), pattern)
+        reader.read(stream, pattern)
     except Exception as error:
         # It raises whatever its arithmetic meets in a damaged file.
         raise _not_of_its_format(suffix, f"{type(error).__name__} in its reader", place) from error
+    if suffix == ".exp" and (stream.tell() < len(content) or len(content) % 2):
+        # It has no mark of its end: what its reader left is lost.
+        why = f"byte {stream.tell() - 2} of {len(content)} is no record"
+        raise _not_of_its_format(suffix, why, place)
     stitches: list[list[float]] = pattern.stitches
     return stitches
 

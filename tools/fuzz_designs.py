@@ -1,0 +1,109 @@
+"""Embroidery designs, damaged: those of every format that can be written here.
+
+HUS has no writer: its reader is fuzzed with a file of one's own,
+``python tools/fuzz_designs.py FILE``.
+"""
+
+from __future__ import annotations
+
+import io
+import random
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pystitch
+
+from threadline.errors import ThreadlineError
+from threadline.jobs import Job, read_job
+from threadline.jobs.design.t15 import t15_bytes
+from threadline.machine import load_machine
+
+Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]
+Mutate = Callable[[random.Random, bytes], bytes]
+FRAME = load_machine("schiffli-frame")
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "rosette.dst"
+WRITERS = {
+    "dst": pystitch.write_dst,
+    "exp": pystitch.write_exp,
+    "pes": pystitch.write_pes,
+    "jef": pystitch.write_jef,
+    "vp3": pystitch.write_vp3,
+    "xxx": pystitch.write_xxx,
+    "u01": pystitch.write_u01,
+}
+
+
+def seeds() -> dict[str, bytes]:
+    """Return a sound design in every format."""
+    found = {}
+    for suffix, write in WRITERS.items():
+        out = io.BytesIO()
+        write(pystitch.read(str(EXAMPLE)), out)
+        found[suffix] = out.getvalue()
+    numbers = random.Random(2)
+    ways = np.array([[numbers.randint(-165, 165) for _ in "XY"] for _ in range(200)])
+    sewn = np.array([numbers.random() < 0.9 for _ in ways], dtype=np.int64)
+    found["t15"] = t15_bytes(ways, sewn, {50, 200})
+    return found
+
+
+def damaged(rng: random.Random, data: bytes, mutate: Mutate | None = None) -> bytes:
+    """Cut it off, change some bytes where records are, or treat it as any file."""
+    kind = rng.randrange(8)
+    if kind == 0:
+        return data[: rng.randrange(len(data) + 1)]
+    if kind == 1 and mutate is not None:
+        return mutate(rng, data)
+    if kind == 2:
+        return bytes(rng.randrange(256) for _ in range(rng.randrange(2000)))
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 8, 40))):
+        at = rng.randrange(len(out)) if rng.random() < 0.6 else rng.randrange(min(len(out), 600))
+        out[at] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
+    return bytes(out)
+
+
+def read_design(path: Path) -> Job:
+    """Read a design; of what is accepted every place is a number and on the grid of 0.1 mm."""
+    job = read_job(path, FRAME)
+    for run in job.runs():
+        if hasattr(run, "targets"):
+            assert np.isfinite(run.targets).all()
+    return job
+
+
+def fuzz_designs(mutate: Mutate) -> dict[str, Target]:
+    """Return the readers of designs: file name, maker of cases, reader, weight."""
+
+    def maker(data: bytes) -> Callable[[random.Random], bytes]:
+        return lambda rng: damaged(rng, data, mutate)
+
+    return {
+        f"design-{suffix}": (f"a.{suffix}", maker(data), read_design, 1)
+        for suffix, data in seeds().items()
+    }
+
+
+def main() -> int:
+    """Damage one's own file many times; print what came of it."""
+    file, cases = Path(sys.argv[1]), int((sys.argv[2:] or ["1000"])[0])
+    data, tally = file.read_bytes(), Counter[str]()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / file.name
+        for index in range(cases):
+            path.write_bytes(damaged(random.Random(index), data))
+            try:
+                read_design(path)
+                tally["accepted"] += 1
+            except ThreadlineError as error:
+                tally["refused" if "\n" not in str(error) else "several lines"] += 1
+    print(dict(tally))
+    return 1 if tally["several lines"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
