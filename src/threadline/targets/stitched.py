@@ -18,7 +18,7 @@ from threadline.signals import Event, StepPlay, StepTable, StitchBlock, Stream
 from threadline.targets.step_tables import step_tables
 from threadline.targets.stitch_pace import Moves, Pace
 
-_IN_BLOCK = 4096
+_IN_BLOCK = 256
 _WHOLE = 1e-3  # of a unit: a place is on the grid of the design
 _BUDGET_S = 1e-9
 
