@@ -33,9 +33,9 @@ def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
 
 
 Rounding = Literal["nearest", "floor", "truncate"]
-"""To the nearest whole number, to the one below, to the one towards zero."""
+"""To the nearest whole number, down, or towards zero."""
 Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(_weighing)]
-"""Coordinates, weighed into a force's way or a stretch: one of them counts at least."""
+"""Weights of coordinates, in a stretch or in the way of a force; at least one is not 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -18,7 +18,7 @@ from threadline.machine.quantity import Quantity, Units
 
 Length = Annotated[Quantity, Units(("m",), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
-"""Of the air: a second is long for it."""
+"""A delay, lag or ramp of compressed air: even one second is long for it."""
 InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]

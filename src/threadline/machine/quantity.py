@@ -170,8 +170,8 @@ def _matching_unit(written: str, units: tuple[str, ...]) -> str:
 class Units:
     """Marks a field of the machine model with the SI units and the values that it may have.
 
-    A number that is ``positive`` is so at both ends of its tolerance; one that is ``certain`` too,
-    unless it is 0 itself.
+    A ``positive`` number must be above 0 at both ends of its tolerance. A ``certain`` one must be,
+    too, unless its value is exactly 0.
     """
 
     units: tuple[str, ...]

@@ -16,7 +16,7 @@ ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
 
 @cache
 def schema() -> dict[str, Any]:
-    """Return the schema of a machine file; it takes longer to make than a file to read."""
+    """Return the schema of a machine file; kept, for making it takes longer than reading one."""
     return ADAPTER.json_schema(mode="validation")
 
 
@@ -46,9 +46,9 @@ def field_names(location: tuple[str, ...]) -> list[str]:
 
 
 def kinds_with(location: tuple[str, ...]) -> list[str]:
-    """Return the kinds that have the key at the end of ``location``, behind the kind that has not.
+    """Return the kinds that have the last key of ``location``, which the kind before it lacks.
 
-    Empty where what the key is in has no kinds.
+    Empty for a part of which there are no kinds.
     """
     among, key = location[:-2], location[-1]
     kinds = field_node(among).get("discriminator", {}).get("mapping", {})

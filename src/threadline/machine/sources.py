@@ -51,8 +51,8 @@ class Stepper:
 
     ``full_steps`` counts full steps per rad (m) of the body, each in ``microsteps``. The most that
     it pulls at a speed is a ``curve`` of a data sheet or follows from its ``winding``.
-    ``microstep_error`` is by how far it stands beside a microstep at most; ``detent`` the torque
-    with which the motor without current holds.
+    ``microstep_error`` is the largest distance at which it stands from a microstep; ``detent`` is
+    the torque that the motor holds without current.
     """
 
     kind: Literal["stepper"]
@@ -95,7 +95,7 @@ class Stepper:
 
     @property
     def stiffness(self) -> float:
-        """N m/rad (N/m) with which it holds its step: the slope of its sine, a step a quarter."""
+        """N m/rad (N/m) about its step: the slope of a sine of which a step is a quarter."""
         held = self.curve[0].torque if self.winding is None else self.winding.holding_torque
         return float(held.si * self.full_steps.si * np.pi / 2.0)
 

@@ -41,7 +41,7 @@ _PLANNED = (
     "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.jerk", "axes.*.travel.*",
     "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
 )  # fmt: skip
-"""What a plan goes by and no machine does: the same in every variant of the machine."""
+"""Numbers that plans go by and motions do not: the same in every variant of a machine."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +64,7 @@ class Uncertain:
 
 
 def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
-    """Return what varies of ``machine``, in the order of its file, a group where its first is.
+    """Return what varies of ``machine``, in the order of its file; a group where its first is.
 
     Limits that a plan goes by (velocity, travel, the shortest dwell of a valve) are no part of it.
 
@@ -179,8 +179,9 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
 def variant(machine: Machine, parts: FloatArray) -> Machine:
     """Return the machine whose numbers lie at ``parts``, (n,), of their tolerances.
 
-    What ``numbers_at`` gives, to the bit; its hash tells it from every other. Counts per unit stay
-    what commands are counted in: other ones put the load elsewhere.
+    Its numbers are those of ``numbers_at``, to the bit, and its hash is its own. Commands are
+    counted in the file's counts per unit in every variant: where these vary, the same counts put
+    the load elsewhere.
     """
     numbers = {name: float(values[0]) for name, values in numbers_at(machine, parts).items()}
     scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}

@@ -206,7 +206,8 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
         closed_loop = loop.closed()
         z = closed_loop.eigenvalues()
         unstable = len(off_the_circle(closed_loop.A))
-        # Poles within a tenth of the origin are gone in a tick; their logarithm says nothing.
+        # Motions of poles within a tenth of the origin are gone in a tick: as s they would say
+        # nothing.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
         try:

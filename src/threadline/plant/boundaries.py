@@ -70,8 +70,8 @@ def swinging(matrix: FloatArray) -> ComplexArray:
 def off_the_circle(matrix: FloatArray) -> ComplexArray:
     """Return the eigenvalues of ``x[k+1] = matrix x[k]`` that grow, by more than rounding.
 
-    Under a velocity loop the position is integrated, open: an eigenvalue 1 that is no instability.
-    It counts as on the circle up to 1e-9, and up to ``SIMPLE`` times the norm.
+    Under a velocity loop nothing feeds the position back: its eigenvalue is 1, and no instability.
+    Such a one counts as on the circle up to 1e-9, and up to ``SIMPLE`` times the norm.
     """
     found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
     return found[np.abs(found) > 1.0 + max(_CIRCLE, SIMPLE * size_of(matrix))]

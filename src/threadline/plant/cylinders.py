@@ -104,7 +104,8 @@ class CylinderEquations:
     def holding(self) -> FloatArray:
         """Return the (variants, n) row of the force that holds the piston still, N, less the air's.
 
-        What its share of the common motion takes beyond what the network gives it.
+        It is the force that the piston's share of the common motion takes beyond what the network
+        gives.
         """
         own = self.joined(self.matrix) - self.matrix[:, self.piston]
         return self.piston_inertia[:, None] * own

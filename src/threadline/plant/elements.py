@@ -18,7 +18,7 @@ from threadline.arrays import FloatArray
 
 INFINITE = np.inf
 STAY = -1
-"""As a guard's next mode: it has none, the bound is infinite."""
+"""The next mode of a guard that cannot be left, because its bound is infinite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

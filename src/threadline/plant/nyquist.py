@@ -26,7 +26,7 @@ def unstable_count(loop: Loop) -> int:
         If the count doesn't come out whole: a pole lies on the imaginary axis.
     """
     poles = open_loop_poles(loop)
-    # A filter that answers to speed alone hides an integrator; what is hidden does not turn.
+    # A filter that answers to speed alone cancels an integrator, which then turns nothing.
     numerator = loop.filters[loop.index].continuous_numerator
     hidden = len(numerator) - len(np.trim_zeros(numerator, "b"))
     poles = np.delete(poles, np.flatnonzero(poles == 0.0)[:hidden])

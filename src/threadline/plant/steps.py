@@ -73,7 +73,7 @@ def step_response(
     value = np.ascontiguousarray(closed.respond(reference)[:, row])
     final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
     if final == 0.0:
-        return None  # nothing of it follows: there is no share of the end to tell
+        return None  # this output never moves: there is no end to take shares of
     time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
     return read_step(time_s, value, final)
 

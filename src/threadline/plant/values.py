@@ -68,8 +68,8 @@ class Values(Locked):
     def by_delay(self) -> list[tuple[Values, IntArray]]:
         """Return the variants by their dead times, each with its (k,) places among all.
 
-        A dead time decides when things happen, so that variants of one batch share it: in what is
-        returned it is a number of the machine.
+        All variants of one batch must share their dead times, which decide when things happen: in
+        what is returned they are numbers of the machine, and no longer replaced.
         """
         late = [path for path in self.replaced if path.endswith(".delay")]
         if not late:

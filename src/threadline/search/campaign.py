@@ -26,7 +26,7 @@ _HIGHEST_HZ = 200.0
 _SWEEP_COUNTS = 60.0
 _RUN_RAD_S = 20.0
 _STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16, 32, 64, -2, -3, -4, -6)
-"""Back as well: a belt whose runs fall slack answers otherwise one way than the other."""
+"""Steps in both senses, because a belt that falls slack answers differently in each."""
 _RUN_S = 0.8
 _LONG_RUN_S = 3.0
 

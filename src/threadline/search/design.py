@@ -254,7 +254,7 @@ def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: Float
     same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
     own = tried.taken(np.flatnonzero(same))
     if evaluator.tolerances:
-        # The first sample left out those that are in spec as drawn but dear.
+        # The first sample tried no corners of candidates that are in spec as drawn but expensive.
         points = with_settings(space, parameters, evaluator.effort.settings_log2)
         for level in range(len(space.levels)):
             levels = np.full(len(points), level, dtype=np.int64)

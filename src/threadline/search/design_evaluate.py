@@ -262,7 +262,7 @@ class Evaluator:
             return
         count = self.space.corner_count
         corners = self.space.corners(points[at[near]])
-        # The filters are those of the machine as drawn: nobody knows at which corner it is.
+        # All corners get the filters of the machine as drawn: nobody knows at which corner it is.
         numbers = self.space.numbers(corners) | {
             k: np.repeat(v[near], count) for k, v in gains.items()
         }

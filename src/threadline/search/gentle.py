@@ -112,7 +112,7 @@ def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
     """Say whether a share of the limits makes no difference to a plan."""
     if options.timing.pace is Pace.PROGRAMMED:
         return True
-    # Smoothed for its loads, a path would say nothing of how it was timed.
+    # Planned without feed-forward, whose smoothing would hide how the path was timed.
     return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 
 _LONGEST_PERIODS = 1.6
-"""A command is at most this many periods longer than the unshaped one: a shaper is not."""
+"""A command of levels is at most so many periods longer than the unshaped one."""
 _INTERVALS = 800
 
 

@@ -17,7 +17,7 @@ from threadline.targets.schedule import ScheduledMove
 from threadline.targets.schedule_moves import Levels
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd")
-"""Tried as they are; others are longer, and gaps and levels of its own a move has besides."""
+"""Shapers that are tried for every move; others take longer than gaps or levels made for it."""
 _LEAST_LEFT, _OTHERS = 8, 12  # commands that are kept of each duration
 _ENOUGH = 12
 _STEPS = 34  # of a period: finer ones gain no time
@@ -92,7 +92,7 @@ class MoveCommands:
 
 
 def step_scans(turn: complex) -> int:
-    """Return of how many scans every one is looked at: a quick PLC has more than it takes."""
+    """Return every how many scans a place is looked at: a fast PLC has more than enough."""
     return max(int(period_scans(turn) // _STEPS), 1)
 
 

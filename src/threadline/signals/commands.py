@@ -95,7 +95,7 @@ class TickTable(Locked):
         return sum(len(block) for block in self)
 
     def rows_hash(self) -> RowsHash:
-        """Return what is to take in the rows of this table, to hash them while they pass by."""
+        """Return a hash to which the rows of this table are added as they pass by."""
         return RowsHash(
             TICKS, self.clock.period_s, self.axes, self.counts_per_unit, self.start_counts
         )

@@ -25,7 +25,7 @@ class ChannelKind(StrEnum):
     TOOL = "tool"  # where the point that does the work was
     VOLTAGE = "voltage"  # at the amplifier's input
     CURRENT = "current"  # in the motor
-    TORQUE_SHARE = "torque_share"  # asked of a drive that is told positions, over what it has
+    TORQUE_SHARE = "torque_share"  # asked of a position source, over what it has
     INPUT = "input"
     OUTPUT = "output"
     OPERATION = "operation"  # index of the operation of the job that was under way

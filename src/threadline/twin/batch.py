@@ -21,7 +21,7 @@ from threadline.twin.simulate import DEFAULT_SETTLE_S, check_commands
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 16
 _MOST_BYTES = 1 << 27
-"""Of samples before they are sorted into channels."""
+"""The most that samples may take before they are sorted into channels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

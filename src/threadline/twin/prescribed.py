@@ -180,7 +180,7 @@ class _Moving:
     def run(self, travelled: IntArray) -> tuple[FloatArray, FloatArray, tuple[int, str]]:
         """Return (n, n_states + 2 s) of every tick, (n, s) shares of the torque, and how far.
 
-        That is how many of the ticks are known, and what happens then.
+        How far is the number of ticks that are known, and what happens at the one after them.
 
         Parameters
         ----------

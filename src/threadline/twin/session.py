@@ -189,8 +189,8 @@ class Session:
     def hold(self) -> None:
         """Halt the rows from the next tick on, wherever they are; the plant goes on.
 
-        The command stands still at once. To come to rest within the limits of the machine is for
-        who sends the rows.
+        The command stands still at once, whatever that asks of the machine. A sender who wants to
+        come to rest within its limits sends rows that do so instead.
         """
         if not self._held:
             self._held = True
@@ -199,7 +199,7 @@ class Session:
     def resume(self) -> None:
         """Let the rows go on, after ``hold``, after a stop, and after a wait that is passed over.
 
-        At a stop at which ``hold`` is in force both end.
+        Where ``hold`` is in force at a stop, one call ends both.
         """
         if self._held or self._halted is not None:
             self._held, self._halted = False, None

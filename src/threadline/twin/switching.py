@@ -41,7 +41,7 @@ from threadline.twin.switching_run import (
 SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0
 _SAMPLES = 1 << 13
-"""In a block of a recording, unless a single scan has more."""
+"""Samples in a block of a recording; more only where a single scan has more."""
 _AT_ONCE = 128
 """Variants whose tables are in memory together."""
 

@@ -29,7 +29,7 @@ HALVINGS = 12
 PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
 _ADHESION_N = 1.0
-"""A piston leaves its stop once more than this pulls at it; less would only make it flutter."""
+"""N. A piston leaves its stop only when more than this pulls at it: at less it would flutter."""
 _TAYLOR = 8
 _STROKE, _RATE, _FRAME, _STOP, _STICK, ROWS = 0, 1, 2, 3, 4, 5
 _LENGTH, _RAMP, _CUSHION, _FRICTION, _BREAK, _SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7

@@ -1,4 +1,4 @@
-"""How the runs ended that are judged: what no run came to was not measured."""
+"""How the judged runs ended: what comes after the end of a run was not measured."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def told_end(outcome: Outcome) -> str:
 
 
 def not_beyond(result: Result, why: str) -> Result:
-    """Return a result of runs of which one ended early: what failed until then has failed."""
+    """Return ``result`` of runs of which one ended early: only what failed until then is known."""
     if not why or result.status in {Status.FAILED, Status.NOT_MEASURED}:
         return result
     so_far = "" if result.measured is None else f" ({result.measured:.4g} {result.unit} until then)"

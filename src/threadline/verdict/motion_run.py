@@ -142,7 +142,7 @@ class MotionRun(Setting):
     def _channels(self, reading: RunReading, axis: str = "") -> list[Channel]:
         """Return the channels that a measure reads, of ``axis`` alone or of all.
 
-        The one at whose instants all are taken is among them.
+        The channel at whose instants all others are judged is always among them.
         """
         found = [master_channel(self.recording, self.axes)]
         for alternatives in reading.needs:

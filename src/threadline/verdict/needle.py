@@ -99,7 +99,7 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
             return
         at = np.array(index, dtype=np.int64)
         points = np.array([move.target for move in taken], dtype=np.float64)
-        # A move without motion ends when the one before it did.
+        # A move that goes nowhere has no piece of motion: it ends when the move before it ends.
         found = np.searchsorted(operation, at, side="right") - 1
         down = np.where(found >= 0, end_s[np.maximum(found, 0)], before_s)
         own = (found >= 0) & (operation[np.maximum(found, 0)] == at)

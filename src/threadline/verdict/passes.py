@@ -1,4 +1,4 @@
-"""In which pass of a subroutine something happened: a line alone may be run a thousand times."""
+"""In which pass of a subroutine something happened: one line may be run a thousand times."""
 
 from __future__ import annotations
 

@@ -197,7 +197,8 @@ def _worst(results: Sequence[Result]) -> list[Result]:
 def _row(result: Result) -> list[str]:
     measured, note = result.measured, result.note
     if result.name == "travel" and measured is not None and measured < 0.0:
-        # For people a travel that is kept is exceeded by nothing.
+        # To people a travel that is kept is told as 0 beyond it, and the room that is left as a
+        # note.
         room = _shown(without_noise(-measured), result.unit)
         measured, note = 0.0, f"{room} of room left"
     return [

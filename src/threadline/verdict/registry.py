@@ -112,8 +112,8 @@ _KINDS = (
         ),
         options=repeat.OPTIONS,
     ),
-    # A path tells beforehand how far it goes, a schedule does not: the one measure whose input
-    # differs. A sum of increments may end a rounding beyond the travel.
+    # The only measure with two inputs: a path tells beforehand how far it goes, a schedule does
+    # not. The allowance is for sums of increments that end a rounding beyond the travel.
     MeasureKind(
         name="travel",
         dimension="axis",

@@ -68,7 +68,8 @@ class _Residual:
             self._clear()
         since = block.time_s - self._end.time_s
         after = self._after_s
-        # The first sample is where the command arrived: the load must be seen after it.
+        # At the first instant the command has just arrived: only later samples show the load
+        # ringing.
         inside = (since > 0) & (since >= after) & (since <= after + self._window_s)
         if not inside.any():
             return

@@ -279,7 +279,8 @@ class _Reader:
             example = f'Write it like {key} = "5 %".'
         written = text if isinstance(text, str) else repr(text)
         if unit and re.fullmatch(r"[0-9.]+", written.strip()):
-            # Nobody means 0.8 m; a number alone is of the unit that people work in.
+            # A number without a unit is likely to be in the unit that people work in: 0.8 mm, not
+            # 0.8 m.
             example = f'Write it like {key} = "{written.strip()} {USUAL.get(unit, unit)}".'
             self._refuse(f"{key} = {text!r} has no unit", index, key, example)
         if not isinstance(text, str):

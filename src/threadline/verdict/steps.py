@@ -1,4 +1,4 @@
-"""Lost steps: the torque that is asked of a drive over what it has at its speed."""
+"""Lost steps: the torque that is asked of a drive, over the torque that it has at its speed."""
 
 from __future__ import annotations
 

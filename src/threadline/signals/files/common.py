@@ -47,8 +47,8 @@ class Written:
 def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     """Open a file that appears at ``path`` when the block ends well, and not at all otherwise.
 
-    In a block ``together`` of ``threadline.writing`` it appears at the end of that. The ``name``
-    of what is opened is where its bytes are until then.
+    Inside a ``together`` block of ``threadline.writing`` it appears when that block ends. Until
+    then its bytes are in the file that the ``name`` of the opened stream gives.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def clear_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(known: KnownFile) -> Iterator[None]:
-    """Do as ``clear_errors``, once the file is seen to hold what it did when it was first read.
+    """As ``clear_errors``, for a file that must still hold what it held when first read.
 
     Raises
     ------

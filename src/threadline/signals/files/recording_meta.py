@@ -118,7 +118,7 @@ def recording_from(
     path
         The file.
     samples
-        Called for each reading with the file as it is now, the channels, and ``given``.
+        Called for each reading with the opened file, the channels, and the arguments ``given``.
     """
     found = checked_meta(_META, meta, path)
     place = Place(str(path))

@@ -144,7 +144,8 @@ def _samples(
     }
     for channel in channels:
         if channel.kind is ChannelKind.OPERATION:
-            # A recording holds each value many times over.
+            # Each operation lasts many samples: a few distinct values are all that has to be
+            # checked.
             for value in np.unique(samples[channel.name]).tolist():
                 if (fault := operation_fault(value)) is not None:
                     raise RecordingError(fault, place=Place(str(path)), remedy=OPERATION_REMEDY)

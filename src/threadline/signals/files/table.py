@@ -88,7 +88,8 @@ def table_from(
     path
         The file.
     rows
-        Called for each reading with the file as it is now, the number of axes, and ``given``.
+        Called for each reading with the opened file, the number of axes, and the arguments
+        ``given``.
     """
     found = checked_meta(_META, meta, path)
     place = Place(str(path))
@@ -112,7 +113,7 @@ def table_from(
 
 
 def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
-    """Return ``table``, whose description is ``meta``, once its rows are seen to be those written.
+    """Return ``table``, described by ``meta``, after a check that its rows are those written.
 
     Older tables don't say what the hash of their rows is; they are taken as they are.
 

@@ -83,8 +83,9 @@ def read_table_csv(path: Path) -> TickTable:
     Raises
     ------
     RecordingError
-        If it is something else, a row is wrong, or they are not those that were written; of an
-        older table a wrong one is told while it is read.
+        If it is something else, a row is wrong, or the rows are not those that were written. A
+        table of an older version has no hash of its rows: a wrong row of it is found only while it
+        is read.
     """
     with clear_errors(path):
         meta, number, columns = read_head(path, TITLE)

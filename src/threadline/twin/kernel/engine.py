@@ -224,7 +224,7 @@ class Run:
         if self._pool is None:
             state.run(0, blocks, *given)
             return
-        # More parts than cores: a core that others use too must not keep the rest waiting.
+        # More parts than cores, so that a core busy with other programs does not delay the rest.
         cuts = np.linspace(0, blocks, 8 * self._threads + 1).astype(int)
         jobs = [
             self._pool.submit(state.run, int(a), int(b), *given) for a, b in pairwise(cuts) if a < b

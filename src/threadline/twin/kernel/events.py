@@ -94,7 +94,7 @@ def _table(context: Context, tables: Value, mode: Value) -> Value:
 
 
 def _copy(code: Code, target: Value, source: Value, rows: int, where: Value) -> None:
-    """Write rows to some lanes; all lanes, by far the most common, need not be read before."""
+    """Write rows to some lanes; where it is all, by far the most often, nothing is read first."""
     width = code.width
     everywhere = code.bits(where).equals((1 << width) - 1)
     with code.when(everywhere), code.count(0, rows) as row:
@@ -106,7 +106,7 @@ def _copy(code: Code, target: Value, source: Value, rows: int, where: Value) -> 
 
 
 def _choose_source(code: Code, rows: Lanes, tables: Value, offset: Value) -> None:
-    """Write where the rows of advances are: in the table of a mode, nowhere for several modes."""
+    """Write where the rows of advances are: in the table of a mode, 0 for several modes."""
     layout, width = rows.layout, rows.shape.width
     mode = code.to_integer(code.read(code.place(rows.base, layout[Field.MODE,] * width), 0))
     same = rows[Field.MODE,].equals(code.to_number(mode))

@@ -70,7 +70,7 @@ class Lanes:
         self._known[row] = lifted
 
     def leave_behind(self, row: Row, value: Value) -> None:
-        """Set a row for whoever reads it next; here its name goes on meaning what it was."""
+        """Set a row in memory for other code; this code goes on with the value that it has read."""
         self.code.write_lanes(self.base, self.layout[row] * self.shape.width, value)
 
     def forget(self) -> None:

@@ -125,7 +125,7 @@ class _Run:
             code.write(self.clock, ClockEntry.UNTIL_SAMPLE, until.get() - 1, INTEGER)
 
     def sent(self, actions: tuple[Action, ...]) -> dict[Action, Value]:
-        """Return the places in the dead times that these actions use, and move on there."""
+        """Return where these actions write and read in the rings of dead times; advance them."""
         code, shape = self.code, self.shape
         found: dict[Action, Value] = {}
         if not shape.delayed:
@@ -179,7 +179,8 @@ class _Run:
         if len(actions) > advances:
             self.over_lanes(write)
         if advances and (shape.guards or len(actions) == 1):
-            # By itself: a processor overlaps short chains of operations better than long ones.
+            # In a loop of its own: processors overlap short chains of operations better than long
+            # ones.
             self.over_lanes(advance)
 
 

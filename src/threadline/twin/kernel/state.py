@@ -183,13 +183,13 @@ class State:
             (self.clock, kept.clock), (self.counts, kept.counts),
         ):  # fmt: skip
             mine[:] = other
-        # Code takes the mode that it is in for met.
+        # The code does not ask for the table of the mode that it starts in: it has to be there.
         for mode in np.unique(self.work[:, self.layout[Field.MODE,]]):
             self.modes.meet(int(mode))
         self._find_sources()
 
     def _find_sources(self) -> None:
-        """Set where the rows of advances are: in the table of a mode, nowhere for several."""
+        """Set where the rows of advances are: in the table of a mode, 0 for several modes."""
         if (Field.SOURCE,) not in self.layout.row:
             return
         layout, width = self.layout, self.shape.width
@@ -205,7 +205,8 @@ class State:
 def _numbers(machine: Machine, piece: Piece, phases: FloatArray) -> dict[Row, FloatArray]:
     """Return what rows of the workspace hold at the start: (variants,) or (1,) each."""
     control, equations = piece.control, piece.equations
-    # A phase of a half is a start on a whole count: rounding to the nearest is the floor a half on.
+    # A phase of a half means that the axis starts on a whole count: rounding to the nearest is the
+    # floor of the position plus a half.
     offset = {"nearest": 0.0, "floor": 0.5, "truncate": 0.5}
     found: dict[Row, FloatArray] = {}
     for c in range(phases.shape[1]):
