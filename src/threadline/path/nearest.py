@@ -48,33 +48,39 @@ def _to_chords(point, vertices, first, last, difference):
 
 
 @njit(cache=True)
-def _gap(c, u, target, point):
-    _at(c, u, point)
+def _gap(c, u, target):
     gap = 0.0
-    for j in range(len(point)):
-        gap += (point[j] - target[j]) ** 2
+    for j in range(c.shape[1]):
+        value = 0.0
+        for k in range(c.shape[0] - 1, -1, -1):
+            value = value * u + c[k, j]
+        gap += (value - target[j]) ** 2
     return gap
 
 
 @njit(cache=True)
-def _bracketed(c, target, low, high, u, point):
+def _bracketed(c, target, low, high, u):
     """Return u and the squared distance of a nearest place between two samples, from ``u`` on.
 
     Newton's step on the slope of the squared distance, where it stays within the bracket; else the
     middle of it. The bracket shrinks to the side to which the distance falls, so that a place at
     which the slope vanishes without being nearest (a piece that begins at rest) holds nothing up.
     """
-    best, where = _gap(c, u, target, point), u
+    best, where = np.inf, u
     for _ in range(NEAREST):
-        slope, bend = 0.0, 0.0
+        gap, slope, bend = 0.0, 0.0, 0.0
         for j in range(c.shape[1]):
             value, first, second = 0.0, 0.0, 0.0
             for k in range(c.shape[0] - 1, -1, -1):
                 second = second * u + first
                 first = first * u + value
                 value = value * u + c[k, j]
-            slope += (value - target[j]) * first
-            bend += first * first + 2.0 * (value - target[j]) * second
+            apart = value - target[j]
+            gap += apart * apart
+            slope += apart * first
+            bend += first * first + 2.0 * apart * second
+        if gap < best:
+            best, where = gap, u
         if slope > 0.0 or u >= high:
             high = u
         else:
@@ -87,22 +93,18 @@ def _bracketed(c, target, low, high, u, point):
         if abs(ahead - u) < CLOSE:
             break
         u = ahead
-        gap = _gap(c, u, target, point)
-        if gap < best:
-            best, where = gap, u
     return where, best
 
 
 @njit(cache=True)
-def _nearest_on_piece(c, target, limit, point):
+def _nearest_on_piece(c, target, limit, gaps):
     """Return u and the squared distance of the place of a piece that is nearest to ``target``.
 
-    Places farther than ``limit`` (squared) are found roughly.
+    Places farther than ``limit`` (squared) are found roughly. ``gaps`` is (SAMPLES + 1,) room.
     """
-    gaps = np.empty(SAMPLES + 1)
     best, where = np.inf, 0.0
     for k in range(SAMPLES + 1):
-        gaps[k] = _gap(c, k / SAMPLES, target, point)
+        gaps[k] = _gap(c, k / SAMPLES, target)
         if gaps[k] < best:
             best, where = gaps[k], k / SAMPLES
     # No place between two samples is nearer than the samples by more than the way between them.
@@ -120,7 +122,7 @@ def _nearest_on_piece(c, target, limit, point):
         if np.sqrt(gaps[k]) - way > np.sqrt(min(best, limit)):
             continue
         low, high = max(k - 1, 0) / SAMPLES, min(k + 1, SAMPLES) / SAMPLES
-        u, gap = _bracketed(c, target, low, high, k / SAMPLES, point)
+        u, gap = _bracketed(c, target, low, high, k / SAMPLES)
         if gap < best:
             best, where = gap, u
     return where, best
@@ -137,6 +139,7 @@ def compare(c, vertex, vertices, window, best, offset):
     axes = c.shape[2]
     point = np.empty(axes)
     difference = np.empty(axes)
+    gaps = np.empty(SAMPLES + 1)
     largest = np.zeros(axes)
     worst, worst_piece, worst_u = -1.0, 0, 0.0
     for i in range(len(c)):
@@ -182,7 +185,7 @@ def compare(c, vertex, vertices, window, best, offset):
         for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
             if best[v] == 0.0:
                 continue
-            u, gap = _nearest_on_piece(c[i], vertices[v], best[v], point)
+            u, gap = _nearest_on_piece(c[i], vertices[v], best[v], gaps)
             if gap < best[v]:
                 best[v] = gap
                 _at(c[i], u, point)
