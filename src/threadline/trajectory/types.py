@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -70,6 +69,10 @@ class TrajectoryBlock(Locked):
         return np.asarray(result / duration[:, None] ** derivative)
 
 
+_SPAN = "span_s"
+"""Under this name a trajectory keeps its duration and when it moves, once it was read."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
     """Axis positions over time, from rest to rest.
@@ -89,15 +92,38 @@ class Trajectory:
     historical: bool = False
 
     def __iter__(self) -> Iterator[TrajectoryBlock]:
-        return iter(self.blocks)
+        return iter(self.blocks) if _SPAN in self.__dict__ else self._first_reading()
 
-    @cached_property
+    def _first_reading(self) -> Iterator[TrajectoryBlock]:
+        """Yield the blocks; after the last keep what they tell of the whole."""
+        end_s, moves_s = 0.0, (0.0, 0.0)
+        moved = False
+        for block in self.blocks:
+            end_s = block.end_s
+            moving = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
+            if moving.any():
+                begin_s = moves_s[0] if moved else float(block.start_s[moving][0])
+                moves_s = begin_s, float((block.start_s + block.duration_s)[moving][-1])
+                moved = True
+            yield block
+        self.__dict__[_SPAN] = end_s, moves_s
+
+    def _span_s(self) -> tuple[float, tuple[float, float]]:
+        if _SPAN not in self.__dict__:
+            for _ in self:
+                pass
+        known: tuple[float, tuple[float, float]] = self.__dict__[_SPAN]
+        return known
+
+    @property
     def duration_s(self) -> float:
-        """How long it takes; reads the whole trajectory once."""
-        end = 0.0
-        for block in self:
-            end = block.end_s
-        return end
+        """How long it takes; reads the whole trajectory, unless it was read before."""
+        return self._span_s()[0]
+
+    @property
+    def moves_s(self) -> tuple[float, float]:
+        """When it begins to move and when it comes to rest for good, s; read as ``duration_s``."""
+        return self._span_s()[1]
 
     def __call__(self, time_s: FloatArray | float, derivative: int = 0) -> FloatArray:
         """Return the (m, axes) ``derivative``-th derivative at ``time_s``, held before and after.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 from threadline.errors import RecordingError
-from threadline.plan import Plan
 from threadline.signals import Channel, Recording, RecordingBlock, Stream
 
 _ROUNDING = 1e-9  # of a sample
@@ -110,16 +108,3 @@ class Coverage:
 
 def _s(channel: Channel, tick: int) -> str:
     return f"{channel.clock.time_s(tick):.6g} s"
-
-
-@lru_cache(maxsize=8)
-def motion_s(plan: Plan) -> tuple[float, float]:
-    """Return when the motion of a plan begins and ends; reads the trajectory once."""
-    begin_s, end_s = -1.0, 0.0
-    for block in plan.motion.trajectory:
-        moves = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
-        if moves.any():
-            if begin_s < 0.0:
-                begin_s = float(block.start_s[moves][0])
-            end_s = float((block.start_s + block.duration_s)[moves][-1])
-    return max(begin_s, 0.0), end_s

@@ -19,7 +19,7 @@ from threadline.verdict.blocks import (
     sample_interval_s,
 )
 from threadline.verdict.by_time import checked_operations, with_operation
-from threadline.verdict.coverage import Coverage, Lack, motion_s
+from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.found import Finding, Found
 from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
@@ -111,7 +111,7 @@ class MotionRun(Setting):
         for last in judged_blocks(self.recording, self.axes, self.lag_samples, path):
             for one in running:
                 one.measure.feed(last)
-        begin_s, end_s = motion_s(self.plan)
+        begin_s, end_s = self.plan.motion.trajectory.moves_s
         if last is not None and self._arrived(last):
             end_s = float(last.time_s[-1])  # sooner than planned
         return [self._result(one, begin_s, end_s) for one in running]
@@ -136,7 +136,7 @@ class MotionRun(Setting):
 
     def unseen(self, reading: RunReading) -> str:
         """Say, once the recording was read, what a measure of many runs did not see of it."""
-        lack = self.coverage.lack(self._channels(reading), *motion_s(self.plan))
+        lack = self.coverage.lack(self._channels(reading), *self.plan.motion.trajectory.moves_s)
         return "" if lack is None else lack.why
 
     def _channels(self, reading: RunReading, axis: str = "") -> list[Channel]:
