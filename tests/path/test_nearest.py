@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from threadline.path import path_deviation
-from threadline.path.nearest import _nearest_on_piece
+from threadline.path.nearest import SAMPLES, _nearest_on_piece
 
 from .test_deviation import path_of, programmed
 
@@ -40,8 +40,7 @@ def test_random_pieces_against_dense_search(at_rest: int) -> None:
         c = rng.normal(scale=0.01, size=(order, axes))
         c[1 : 1 + at_rest] = 0.0
         target = c[0].copy() if case % 4 == 0 else rng.normal(scale=0.01, size=axes)
-        point = np.empty(axes)
-        u, squared = _nearest_on_piece(c, target, np.inf, point)
+        u, squared = _nearest_on_piece(c, target, np.inf, np.empty(SAMPLES + 1))
         assert np.sqrt(squared) <= dense(c, target) + 1e-9, (case, c, target)
         there = u ** np.arange(order) @ c
         assert np.sqrt(squared) == pytest.approx(np.linalg.norm(there - target), abs=1e-15)

@@ -14,7 +14,7 @@ from threadline.path.types import PieceBlock, PlannedPath
 from threadline.trajectory.smoothing import Smoother
 from threadline.trajectory.types import TrajectoryBlock
 
-SAMPLES = 16384  # in hand at once
+SAMPLES = 8192  # in hand at once: arrays of more are paged in anew each time
 
 
 def timed_blocks(path: PlannedPath) -> Iterator[TrajectoryBlock]:
@@ -48,8 +48,8 @@ def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
                 if smoother is None:
                     smoother = Smoother(smoothing, part.coefficients[0, 0], int(part.operation[0]))
                 count = max(0, int(np.ceil((block.end_s - phase) / smoothing.step_s)))
-                for begin in range(0, count, SAMPLES):  # a slow piece has millions of them
-                    some = np.arange(begin, min(begin + SAMPLES, count))
+                # A slow piece has millions of samples; equal parts leave no short one over.
+                for some in np.array_split(np.arange(count), -(-count // SAMPLES) or 1):
                     times = np.asarray(phase + some * smoothing.step_s, dtype=np.float64)
                     which = np.searchsorted(block.start_s, times, side="right") - 1
                     fresh = smoother.extend(block.evaluate(times), block.operation[which])
