@@ -21,7 +21,7 @@ from threadline.report.onoff import (
     break_sweep,
     break_sweeps,
     move_sweep,
-    petri_figure,
+    petri_figures,
     train_of,
 )
 from threadline.report.style import figure_style
@@ -104,19 +104,24 @@ def test_break_figure_has_a_panel_for_every_shaper_and_the_circles_of_the_twin()
 
 
 def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
-    """One row per step; a transition fires at the shaper's time or when the input comes."""
+    """Rows of five; a transition fires at the shaper's time or when the input comes."""
     machine = load_machine(TRIMMED)
     scheduled = compile_schedule(
         read_job(examples / "letter-cycle.toml", machine), machine, shaping_of(machine, "zv")
     )
     with figure_style():
-        (panel,) = petri_figure(scheduled).axes
-    texts = [t.get_text() for t in panel.texts]
+        figures = petri_figures(scheduled)
+    panels = [panel for figure in figures for panel in figure.axes]
+    assert len(panels) == len(figures) == 2
+    for figure in figures:  # as wide as a page has room for, and no higher
+        assert figure.get_size_inches()[0] == 7.2
+        assert figure.get_size_inches()[1] < 9.5
+    texts = [t.get_text() for panel in panels for t in panel.texts]
     numbers = [int(t) for t in texts if t.isdigit()]
     assert sorted(numbers) == list(range(1, 50))
     waits = [e.name for e in scheduled.commands.events if e.kind == "wait"]
     assert sum(t in waits for t in texts) == len(waits) == 9
-    bars = [line for line in panel.lines if line.get_marker() != "o"]
+    bars = [line for panel in panels for line in panel.lines if line.get_marker() != "o"]
     assert len(bars) == 49
     assert sum("main_air" in t.split("\n") for t in texts) == 49  # it opens first and stays open
     assert "180 ms" in texts  # 0.172 s of the ZV, on the scan of 10 ms after the place's own

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.search import find_fastest
+from threadline.machine import load_machine
+from threadline.search import feed_range_m_s, find_fastest
 from threadline.verdict import Result, Status, Verdict
 
 
@@ -150,3 +151,15 @@ def test_feeds_can_be_typed_back() -> None:
     assert found.best == pytest.approx(0.0312345678, rel=2.1e-3)
     close = find_fastest(judged, 1.0, 1.0 + 1e-12, points=5)
     assert close.tried == 5  # so near to each other that every digit is needed
+
+
+def test_what_ends_at_the_highest_feed_of_a_machine_can_be_typed_too() -> None:
+    """A velocity limit in deg/s on a radius has 16 digits; the feed that is tried has six."""
+    machine = load_machine("lathe-winder")
+    low, high = feed_range_m_s(machine)
+    assert all(feed == float(f"{feed:.6g}") for feed in (low, high))
+    limit = float((machine.velocity_limit * machine.radius_m).max())
+    assert high == pytest.approx(limit, rel=5e-6)
+    found = find_fastest(lambda f: verdict(0.5), low, high)
+    assert found.best == high
+    assert len(repr(found.best)) <= 8

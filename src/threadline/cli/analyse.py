@@ -51,11 +51,11 @@ def analyse(
 ) -> None:
     """Analyse the loops of MACHINE: margins, bandwidth, poles, modes, actuators, steps.
 
-    What has no loop, as a cylinder, says so in a line and gives its modes.
+    A cylinder has no loop: a line says so, and its modes are given.
 
-    Both the true sampled loop and the continuous one with its exact dead time. With --lead the
-    axes get the filters that give them that crossover and phase margin. Exit status: 0 when every
-    loop is stable, 1 when one is not, 2 wrong input.
+    A loop is analysed twice: sampled, as it is, and continuous with its exact dead time. With
+    --lead the axes have lead filters that are designed for that crossover and phase margin. Exit
+    status: 0 when every loop is stable, 1 when one is not, 2 wrong input.
 
     Example: threadline analyse stitcher --axis X --report reports/stitcher
     """

@@ -135,7 +135,7 @@ def _notes(study: CamStudy) -> dict[int, str]:
 
 
 def _rows(study: CamStudy, *, everything: bool = False) -> Table:
-    """Return the rows: all where they are few or wanted, else those of which there is to tell."""
+    """Return every row where they are few or all are wanted, else those with a remark."""
     table, notes = study.cam, _notes(study)
     whole = everything or len(table.h_m) <= _FEW
     faired = study.faired(study.chosen)

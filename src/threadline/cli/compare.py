@@ -85,8 +85,8 @@ def compare(
 ) -> None:
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
-    Of an on/off machine it is shapers that stand side by side, of an embroidery machine the laws
-    of its moves. The fastest feed of each
+    On an on/off machine shapers are compared instead, on an embroidery machine the laws of its
+    moves. The fastest feed of each
     interpolation is searched within the placement criteria alone. Exit status: 0 when
     every proof is in spec, 1 when one is not, 2 wrong input.
 
@@ -213,7 +213,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
 
 
 def _label(proof: Proof, key: str) -> str:
-    """Return what a case has of one of the options that are compared."""
+    """Return the value that a compared option has in a case."""
     if key == "interpolation":
         return proof.plan.interpolation
     return proof.plan.options.get(key, "none")
@@ -240,7 +240,7 @@ def _worst(proof: Proof, name: str) -> str:
 def _values(
     text: str | None, defaults: Mapping[str, tuple[str, ...]], key: str, otherwise: str
 ) -> list[str]:
-    """Return the values of an option that is compared: as given, else those of the kind."""
+    """Return the values of a compared option: those given, else those of the kind of work."""
     return list(defaults.get(key, (otherwise,))) if text is None else _listed(text, f"--{key}")
 
 

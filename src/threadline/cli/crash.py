@@ -1,4 +1,4 @@
-"""What a defect of the program ends in: an exit status of its own, one line, a file to send."""
+"""How a defect of the program ends: an exit status of its own, one line, and a file to send in."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def keep_traceback(error: Exception, given: Sequence[str]) -> str:
     Parameters
     ----------
     error
-        What nobody expected.
+        The exception that the program did not expect.
     given
         The arguments of the command.
     """

@@ -118,10 +118,11 @@ def fastest(
 ) -> None:
     """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
 
-    Of a seam it is the needle speed that is searched, in stitch/s. With --margin "20 %" it is
-    the fastest that keeps a fifth of every limit free. Of an on/off machine it is the shortest
-    cycle: a shaper or switchings of its own for every move, and the waits between them. Of an
-    embroidery design it is the speed of the shaft, constant and with a speed for each stitch.
+    For a seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
+    limit is kept free. For an on/off machine the shortest cycle is searched: every move gets a
+    shaper or switchings of its own, and every wait its length.
+    For an embroidery design the speed of the shaft is searched, a constant one and one that is
+    different for each stitch.
 
     Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
 
@@ -248,7 +249,7 @@ def fastest(
 
 
 def _end_of_mismatch(best: Rung, highest: float | None, machine: Machine) -> float:
-    """Return where the search over tolerances ends: a little above what the file's own does."""
+    """Return the highest speed that is tried over tolerances: a little above the nominal best."""
     if highest is not None:
         return highest
     if best.found.best is None:

@@ -81,12 +81,12 @@ _UNKNOWN_HZ = 100.0
 
 
 def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
-    """Refuse a report without what it shows, and two machines for one search.
+    """Refuse --report without --mismatch, which it draws, and --mismatch beside --actual.
 
     Raises
     ------
     OptionError
-        If they are given so, or the report cannot be written.
+        If the options do not go together, or the report cannot be written.
     """
     if report is not None and not mismatch:
         raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
@@ -150,7 +150,7 @@ def show_mismatch(
     unit
         In which speeds are printed.
     per_unit
-        How many of it make one of what was searched.
+        What the searched speeds are multiplied by to be in ``unit``.
     """
     names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
     rows = [
@@ -173,7 +173,7 @@ def needle_hz(text: str | None) -> float | None:
     Raises
     ------
     OptionError
-        If it is not one.
+        If the text is no needle speed.
     """
     if text is None:
         return None

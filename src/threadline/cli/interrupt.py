@@ -33,7 +33,7 @@ class Termination:
         self.came = False
 
     def answer(self, _signal: int, _frame: FrameType | None) -> None:
-        """Interrupt what runs: what takes files away at an interrupt does so now, too."""
+        """Raise an interrupt in what runs, so that its unfinished files are removed."""
         self.came = True
         raise KeyboardInterrupt
 
@@ -51,7 +51,7 @@ def leaving_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def terminating() -> Iterator[Termination]:
-    """Take SIGTERM as an interrupt: give what says whether it was one."""
+    """Treat SIGTERM as an interrupt, and yield what knows whether one came."""
     termination = Termination()
     with _answering({signal.SIGTERM: termination.answer}):
         yield termination
@@ -59,7 +59,7 @@ def terminating() -> Iterator[Termination]:
 
 @contextmanager
 def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
-    """Answer signals for the block, but those that are ignored, as a shell asks of a background."""
+    """Handle signals within the block, except what is ignored, as it is in background jobs."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -22,7 +22,7 @@ class LazyCommand:
     Parameters
     ----------
     module
-        In ``threadline.cli``; its ``register`` adds the command to a typer application.
+        Its name in ``threadline.cli``; its ``register`` adds the command to a typer application.
     summary
         One line for ``threadline --help``: what the command's own help begins with.
     """
@@ -50,7 +50,7 @@ COMMANDS = {
 
 
 class LazyGroup(TyperGroup):
-    """A group whose commands are the table above."""
+    """A group of commands, each imported when it is called."""
 
     def list_commands(self, _context: Any) -> list[str]:
         """Return the names in the order of the table."""

@@ -131,7 +131,7 @@ def _run(given: list[str]) -> int:
 
 
 def _refuse_undecodable(given: list[str]) -> None:
-    """Refuse an argument that is no text: a name of bytes could not be told, nor be recorded."""
+    """Refuse an argument that is no valid text: it could be neither printed nor recorded."""
     for text in given:
         try:
             text.encode("utf-8")
@@ -142,7 +142,7 @@ def _refuse_undecodable(given: list[str]) -> None:
 
 
 def _flush() -> None:
-    """Hand on what was printed; an error names what it was printed to."""
+    """Flush what was printed; an error names the output that refused it."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -153,7 +153,7 @@ def _flush() -> None:
 
 
 def _discard_output() -> None:
-    """Let nothing more go to standard output: the interpreter would try once more, and complain."""
+    """Send standard output nowhere, or the interpreter would try it once more and complain."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
 
 

@@ -1,4 +1,4 @@
-"""What is said when the head does not keep the time of a needle that turns evenly."""
+"""Warnings of a seam whose stitches do not keep the time of a needle that turns evenly."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def project_files(kind: str) -> dict[str, bytes]:
 
 
 def _without_operator(machine: str) -> str:
-    """Return a machine file without its operator's settings: they are of the machine it was."""
+    """Return a machine file without the operator's settings, which belong to the library's own."""
     return re.sub(r"^\[operator\]\n(?:[^\n\[][^\n]*\n)*\n?", "", machine, flags=re.MULTILINE)
 
 

@@ -91,7 +91,7 @@ JsonOption = Annotated[
 
 
 def report_folder(text: str) -> Path:
-    """Return the folder of a report; an empty name would be the current folder."""
+    """Return the folder of a report; refuse an empty name, which would be the current folder."""
     if not text:
         raise typer.BadParameter("it is empty; name a folder, or . for this one")
     return Path(text)
@@ -153,7 +153,7 @@ def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
     Raises
     ------
     OptionError
-        If it is one, by whatever name.
+        If the output is one of the inputs, by whatever name.
     """
     if output is None or not output.exists():
         return

@@ -32,14 +32,14 @@ def print_json(content: Any) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line for people; what is no letter, sign or blank of it is written as an escape."""
+    """Print a line for people, with control characters written as escapes."""
     with _to_stdout():
         sys.stdout.write(plain(text) + "\n")
 
 
 @contextmanager
 def _to_stdout() -> Iterator[None]:
-    """Let a full disk behind standard output be named as such, and not as a file."""
+    """Name standard output in errors of writing to it, such as that of a full disk."""
     try:
         yield
     except BrokenPipeError:

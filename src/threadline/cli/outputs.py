@@ -30,7 +30,8 @@ def check_outputs(
     Raises
     ------
     OptionError
-        If the folder is none, nothing can be written there, or something is in the way.
+        If what should be a folder is a file, nothing can be written there, or something is in the
+        way.
     """
     if file is not None:
         check_output(file)

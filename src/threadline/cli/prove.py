@@ -97,10 +97,10 @@ def prove(
 
     Example: threadline prove examples/x-180.prg -m lathe-winder --feed "10 count/tick"
 
-    With the loads' own inverse: threadline prove examples/stitcher-test-path.seam.toml
-    -m stitcher --feed-forward
+    With feed-forward through the inverse of the loads:
+    threadline prove examples/stitcher-test-path.seam.toml -m stitcher --feed-forward
 
-    Of an on/off machine: threadline prove examples/letter-cycle.toml
+    On an on/off machine: threadline prove examples/letter-cycle.toml
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
     chosen = machine_from(machine, par)

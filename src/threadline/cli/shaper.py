@@ -109,7 +109,7 @@ def shaper(
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Design a shaper: its table, its sensitivity, its cost, and warnings.
+    """Design an input shaper and print its impulses, its sensitivity and its cost in time.
 
     Frequencies are undamped, vibration is normalised to one unit impulse, and insensitivity is
     (f_hi - f_lo) / f within the tolerance. Exit status: 0, or 2 for wrong input.

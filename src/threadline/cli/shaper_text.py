@@ -62,8 +62,8 @@ def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Ask
     Raises
     ------
     OptionError
-        If a part cannot be read or is out of range, there are neither one nor as many damping
-        ratios, or bands overlap.
+        If a part cannot be read or is out of range, there is not one damping ratio for all or one
+        for each, or bands overlap.
     """
     ratios = list(damping or [0.0])
     if len(ratios) == 1:
@@ -219,7 +219,7 @@ def price_table(made: Realised) -> Table:
 
 
 def price_content(made: Realised) -> list[dict[str, float]]:
-    """Return the same for ``--json``."""
+    """Return what the ticks of a controller cost as JSON content."""
     return [
         {
             "frequency_hz": over.mode.frequency_hz,
@@ -238,7 +238,7 @@ def price_content(made: Realised) -> list[dict[str, float]]:
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
-    """Yield a warning for every damping ratio that looks like something else."""
+    """Yield a warning for every damping ratio that looks like the real part of an eigenvalue."""
     for m in modes:
         if m.damping_ratio < SUSPICIOUS_DAMPING:
             continue

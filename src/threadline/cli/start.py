@@ -1,7 +1,7 @@
-"""Where the program begins: answers an interrupt before there is anything to interrupt.
+"""Where the program begins.
 
-Importing this takes a moment; the commands are imported with an interrupt answered in one line,
-as it is later on.
+Interrupts are handled before the commands are imported, which takes seconds: an interrupt ends in
+one line then, too.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def run() -> None:
 
 
 def _open_streams() -> None:
-    """Give standard streams that were closed somewhere to go, and let none of them refuse a text.
+    """Open standard streams that were closed, and let each of them take any text.
 
-    Otherwise the next file that is opened would take the number of a closed stream, and get what
-    is told there.
+    The next file that is opened would otherwise get the number of a closed stream, and with it
+    what is printed there.
     """
     for number in range(_STREAMS):
         try:

@@ -51,7 +51,7 @@ _TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)
 def note(text: str) -> None:
     """Print a line for people on standard error, so that --json stays pure.
 
-    Nobody may be reading there; that is no reason to fail.
+    Where nobody reads it, the line is lost and nothing fails.
     """
     try:
         sys.stderr.write(plain(text) + "\n")
@@ -100,13 +100,13 @@ def _beat(held: Telling, ended: threading.Event) -> None:
 
 
 def tell_warnings(warnings: Iterable[str]) -> None:
-    """Tell warnings that have waited, those that say one thing of several parts together."""
+    """Print warnings that have waited; those that say the same of several parts are one line."""
     for line in grouped(warnings):
         note(f"warning: {line}")
 
 
 def grouped(warnings: Iterable[str]) -> list[str]:
-    """Return warnings with those that say the same, or the same of other parts, as one.
+    """Return warnings with each text once, and once where only the part that it is of differs.
 
     >>> grouped(["axes.X: 3 A of 2 A", "axes.Y: 4 A of 2 A", "slow", "slow"])
     ['axes.X: 3 A of 2 A (likewise axes.Y)', 'slow (2 times)']

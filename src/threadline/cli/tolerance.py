@@ -28,7 +28,7 @@ def warn_tolerance(plan: Plan) -> None:
 
 
 def proof_warnings(proof: Proof) -> list[str]:
-    """Return the same of a plan whose verdict has the path deviation already."""
+    """Return the line of ``tolerance_warnings`` for a proof, whose verdict has the deviation."""
     found = [r for r in proof.verdict.results if r.name == "path_deviation"]
     if not found or found[0].measured is None or _keeps(proof.plan):
         return []

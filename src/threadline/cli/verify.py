@@ -1,4 +1,4 @@
-"""``threadline verify``: whether a proof is one of what its files say now."""
+"""``threadline verify``: whether a proof still holds for its files as they are now."""
 
 from __future__ import annotations
 

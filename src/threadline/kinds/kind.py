@@ -1,4 +1,4 @@
-"""What a kind of work has to say of itself, and nothing else asks."""
+"""What every kind of work defines, so that nothing else asks which kind it has."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Kind:
         The same on a machine with other friction, supply and phases, drawn from the generator:
         one more run for the repeatability.
     asked
-        The specification with what the options alone ask to be told.
+        A specification and options to the specification with what the options ask to be reported.
     release
         Refuses a plan that no controller may be given.
     compared

@@ -49,15 +49,15 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
 
 
 def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
-    """Return what is asked: a shaper of levels leaves no path to deviate from."""
+    """Return the specification as it is: there is no path that a shaper could change."""
     return spec
 
 
 def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
     """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
 
-    The phase of the scan has nothing to stand against: what moves is set off by a scan, and what
-    no cylinder closes comes when it is waited for.
+    The phase of the scan is not varied: every move begins at a scan, and an input that no cylinder
+    closes comes when it is waited for.
     """
     other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
     return simulate_switching(switch_schedule(commands), other)

@@ -76,7 +76,7 @@ def write_analysis(
 
 
 def analysis_tables(analyses: Mapping[str, Analysis]) -> list[Table]:
-    """Return the tables of an analysis: loops, network, steps; of what has no loop, its modes."""
+    """Return the tables of an analysis: loops, network, steps; modes of what has no loop."""
     axes = {name: a for name, a in analyses.items() if isinstance(a, AxisAnalysis)}
     others = {name: a for name, a in analyses.items() if isinstance(a, CylinderAnalysis)}
     told = {name: a for name, a in analyses.items() if isinstance(a, ToldAnalysis)}

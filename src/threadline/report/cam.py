@@ -1,4 +1,4 @@
-"""The report of a measured cam: its rows, its differences and its law, before and after fairing."""
+"""The report of a measured cam: its rows, differences and law, as measured and as faired."""
 
 from __future__ import annotations
 

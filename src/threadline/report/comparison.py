@@ -1,4 +1,4 @@
-"""The report of a comparison: Chapter 10 of the winder's thesis, for any job."""
+"""The report of a comparison, for any job what Chapter 10 of the winder's thesis is for its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a redesign: what changes, what it buys, and what is in spec about it."""
+"""The report of a redesign: what changes, what that gains, and which machines are in spec."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def change_rows(result: DesignResult) -> _Table:
 
 
 def gain_rows(found: Found) -> _Table:
-    """Return what has to be set besides: filters, acceleration, needle."""
+    """Return the settings that go with the changes: filters, acceleration, needle."""
     rows = []
     candidate = found.candidate
     if candidate.crossover_hz is not None:

@@ -23,7 +23,7 @@ _STILL = 0.02
 
 
 def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
-    """Return the steps of an axis, and what is to be seen.
+    """Return a figure of the steps of an axis, and its caption.
 
     Motor and load over time as shares of each step; below, what current and time each took.
     """

@@ -52,7 +52,7 @@ def write_laws(
     curves
         What is drawn over frequency, beside ``mode``, for a move of ``move_m``.
     residual_m, band
-        What was asked for, where anything was.
+        The largest amplitude, and the share of the frequency, that a law was made for; else None.
 
     Raises
     ------

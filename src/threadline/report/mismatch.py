@@ -1,4 +1,4 @@
-"""The picture of how speeds in spec fall over the tolerances of a machine."""
+"""The picture of how the fastest speed in spec varies over the tolerances of a machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def draw_mismatch(
     unit
         In which speeds are drawn.
     per_unit
-        How many of it make one of what was searched.
+        What the searched speeds are multiplied by to be in ``unit``.
     """
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))

@@ -120,7 +120,7 @@ def feed_lines(plan: Plan) -> list[str]:
 
 
 def motion_lines(plan: Plan) -> list[str]:
-    """Return the line that says how long the motion is, where the table is longer."""
+    """Return a line with the duration of the motion where the table of commands is longer."""
     if plan.motion.of_loads is None:
         return []
     begin_s, end_s = plan.motion.moving_s

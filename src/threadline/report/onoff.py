@@ -1,7 +1,8 @@
-"""Why shapers of an on/off machine are of unit magnitude: a broken beam; and the Petri net."""
+"""Figures of an on/off machine: what a broken beam leaves ringing, and the Petri net."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from threadline.machine import Machine
 from threadline.plant.pneumatic import StepRinging, flow_mode, step_ringing
 from threadline.shaping import FlexibleMode, Shaper, convolve, design
 from threadline.shaping.types import UNSHAPED
-from threadline.targets.plc_net import petri_net
+from threadline.targets.plc_net import NetPlace, petri_net
 from threadline.targets.schedule import Scheduled, ScheduledMove
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 KINDS = ("zv", "zvd", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei", "negative-zv")
 MICRO = 1e6
+_PLACES_IN_ROW, _ROWS_ON_PAGE = 5, 9  # what a page of paper has room for, to be read
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +61,10 @@ def level_steps(shaper: Shaper, on_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 def break_sweep(name: str, shaper: Shaper, on_s: float, ringing: StepRinging) -> BreakSweep:
-    """Break the beam at every millisecond of the move: the level drops to 0 at once.
+    """Return what rings if a beam is broken at each millisecond of a move, on for ``on_s``.
 
-    Steps of the level ring on independently; each counts with its decay since. The valves that
-    shut are one more step, of minus the level of that instant.
+    All valves shut at the break. What rings then is the sum of what every step of the level so far
+    has left, each decayed since, and of one more step: the level down to 0.
     """
     return sweep_of_steps(name, *level_steps(shaper, on_s), ringing)
 
@@ -70,7 +72,7 @@ def break_sweep(name: str, shaper: Shaper, on_s: float, ringing: StepRinging) ->
 def sweep_of_steps(
     name: str, steps: FloatArray, heights: FloatArray, ringing: StepRinging
 ) -> BreakSweep:
-    """The same for any command: its level steps by ``heights`` at the times ``steps``, s."""
+    """Return the sweep of a command whose level steps by ``heights`` at the times ``steps``, s."""
     times = np.arange(0.0, steps[-1] + 0.2, 1e-3)
     done = steps[None, :] <= times[:, None] + 1e-12
     gone = np.where(done, times[:, None] - steps[None, :], 0.0)
@@ -90,11 +92,11 @@ def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
 
 
 def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) -> FloatArray:
-    """Return what rings, m, when the valves shut at some scans after a move began: by the twin.
+    """Return what the twin has ringing, (n,) m, if the valves shut n ``scans`` after a move began.
 
-    A beam is broken half a scan before. The move is played alone from the start of the stroke.
-    (n,) amplitudes at the instant of the shutting, by a sine fitted to what the frame does once
-    lag and dead time are over.
+    The move is played alone, from the start of the stroke, and a beam is broken half a scan before
+    the valves shut. Amplitudes are those at the instant of the shutting: a sine is fitted to the
+    frame's motion once lag and dead time are over, and traced back.
     """
     machine, commands = scheduled.machine, scheduled.commands
     cylinder, pole = machine.cylinders[move.axis], step_ringing(machine, move.axis).pole
@@ -144,7 +146,7 @@ def break_figure(
 
     columns = 3
     rows = -(-len(sweeps) // columns)
-    figure = Figure(figsize=(9.0, 2.3 * rows))
+    figure = Figure(figsize=(7.2, 2.0 * rows))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     worst = next(float(s.ringing_m.max()) for s in sweeps if s.name == "none") * MICRO
     for panel, sweep in zip(panels, sweeps, strict=False):
@@ -161,39 +163,48 @@ def break_figure(
     return figure
 
 
-def petri_figure(scheduled: Scheduled) -> Figure:
-    """Draw the Petri net of a schedule: a row of places per step, bars for transitions."""
+def petri_figures(scheduled: Scheduled) -> list[Figure]:
+    """Draw the Petri net of a schedule: rows of places for each step, bars for transitions.
+
+    A figure is as high as a page of a report; a long schedule has several.
+    """
+    net = petri_net(scheduled)
+    rows: list[tuple[str, list[NetPlace]]] = []
+    for step in dict.fromkeys(place.step for place in net.places):
+        places = [place for place in net.places if place.step == step]
+        for first in range(0, len(places), _PLACES_IN_ROW):
+            named = not first or len(rows) % _ROWS_ON_PAGE == 0
+            rows.append((step if named else "", places[first : first + _PLACES_IN_ROW]))
+    return [
+        _petri_page(rows[first : first + _ROWS_ON_PAGE])
+        for first in range(0, len(rows), _ROWS_ON_PAGE)
+    ]
+
+
+def _petri_page(rows: Sequence[tuple[str, Sequence[NetPlace]]]) -> Figure:
     from matplotlib.figure import Figure
 
-    net = petri_net(scheduled)
-    steps = list(dict.fromkeys(place.step for place in net.places))
-    by_step = {step: [p for p in net.places if p.step == step] for step in steps}
-    widest = max(len(places) for places in by_step.values())
-    figure = Figure(figsize=(1.25 * widest + 1.6, 1.15 * len(steps) + 0.8))
+    figure = Figure(figsize=(7.2, 0.95 * len(rows) + 0.2))
     panel = figure.subplots()
-    for row, step in enumerate(steps):
-        panel.text(-0.7, -row, step, ha="right", va="center", weight="bold")
-        for column, place in enumerate(by_step[step]):
+    for row, (step, places) in enumerate(rows):
+        panel.text(-0.45, -row, step, ha="right", va="center", weight="bold", fontsize=8)
+        for column, place in enumerate(places):
             face = "white" if place.wait is None else "#E8E8E8"
-            panel.plot(column, -row, "o", markersize=21, mfc=face, mec="black", zorder=3)
+            panel.plot(column, -row, "o", markersize=17, mfc=face, mec="black", zorder=3)
             panel.text(column, -row, str(place.number), ha="center", va="center", zorder=4)
             label = f"{place.due_ms} ms" if place.wait is None else place.wait[0]
-            panel.plot([column + 0.5] * 2, [-row - 0.22, -row + 0.22], "k-", linewidth=2.4)
+            panel.plot([column + 0.5] * 2, [-row - 0.17, -row + 0.17], "k-", linewidth=2.4)
             panel.annotate(
                 "",
-                (column + 0.95 - 0.2, -row),
-                (column + 0.2, -row),
+                (column + 0.8, -row),
+                (column + 0.18, -row),
                 arrowprops={"arrowstyle": "->", "linewidth": 0.8},
                 zorder=1,
             )
-            panel.text(column + 0.5, -row + 0.27, label, ha="center", va="bottom", fontsize=6)
+            panel.text(column + 0.5, -row + 0.2, label, ha="center", va="bottom", fontsize=6)
             flows = "\n".join(place.on)
-            panel.text(column, -row - 0.25, flows, ha="center", va="top", fontsize=4.6)
-    panel.set_xlim(-2.2, widest + 0.2)
-    panel.set_ylim(-len(steps) + 0.3, 0.75)
+            panel.text(column, -row - 0.2, flows, ha="center", va="top", fontsize=5.5)
+    panel.set_xlim(-1.6, _PLACES_IN_ROW - 0.1)
+    panel.set_ylim(-len(rows) + 0.2, 0.55)
     panel.set_axis_off()
-    panel.set_title(
-        f"{scheduled.job.name}: one token; grey places wait for an input; a broken beam returns "
-        "the token to place 0, everything off"
-    )
     return figure

@@ -19,6 +19,7 @@ Case: TypeAlias = tuple[str, Proof, Traces]
 """A label, the proof and its traces."""
 
 _AROUND_S = 0.3
+_TALL_IN = 8.6  # of all panels together: a page of paper has room for them
 
 
 def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
@@ -61,7 +62,7 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
     from matplotlib.figure import Figure
 
     feeds = list(dict.fromkeys(proof.plan.options["feed"] for _, proof, _ in cases))
-    figure = Figure(figsize=(7.2, 1.0 + 3.0 * len(feeds)))
+    figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.0)))
     panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
     point_m, sign = _outermost(cases, axis)
     for panel, feed in zip(panels, feeds, strict=True):
@@ -92,6 +93,11 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
     return figure
 
 
+def _tall_in(panels: int, each_in: float) -> float:
+    """Return the height of a figure, inches: many panels are lower, so that a page holds them."""
+    return 1.0 + min(each_in * panels, max(_TALL_IN, 1.5 * panels))
+
+
 def _outermost(cases: list[Case], axis: str) -> tuple[float, float]:
     """Return the end of the programmed travel that is missed by more, and its direction."""
     _, proof, traces = cases[0]
@@ -120,7 +126,7 @@ def paths_figure(cases: list[Case], first: str, second: str) -> Figure:
     from matplotlib.figure import Figure
 
     feeds = list(dict.fromkeys(proof.plan.options["feed"] for _, proof, _ in cases))
-    figure = Figure(figsize=(7.2, 1.0 + 3.2 * len(feeds)))
+    figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.2)))
     panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
     for panel, feed in zip(panels, feeds, strict=True):
         here = [case for case in cases if case[1].plan.options["feed"] == feed]

@@ -64,7 +64,7 @@ def _sensitivity(
 ) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 4.2))
+    figure = Figure(figsize=(7.2, 4.0))
     axes = figure.subplots()
     low = _SPAN[0] * min(m.frequency_hz for m in modes)
     high = _SPAN[1] * max(m.frequency_hz for m in modes)
@@ -94,7 +94,7 @@ def _sensitivity(
 def _step(shaper: Shaper) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 3.4))
+    figure = Figure(figsize=(7.2, 3.2))
     axes = figure.subplots()
     margin = 0.15 * max(shaper.duration_s, 1e-9)
     edges = np.concatenate([[-margin], shaper.times_s, [shaper.duration_s + margin]])

@@ -26,7 +26,7 @@ from threadline.report.stitched_figures import (
 )
 from threadline.report.style import figure_style
 from threadline.search import Comparison
-from threadline.verdict import closing, verdict_rows
+from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
         document = Document(
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
-            verdicts=[("every case in spec" if good else "not every case is in spec", good)],
+            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

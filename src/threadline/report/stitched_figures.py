@@ -30,7 +30,7 @@ def design_figure(proof: Proof) -> Figure:
     plan = proof.plan
     run = StitchRun(proof.recording, plan)
     use, said = _use(proof, run)
-    figure = Figure(figsize=(8.0, 7.0))
+    figure = Figure(figsize=(7.2, 7.0))
     panel = figure.subplots()
     places = np.vstack((np.array(plan.job.start), plan.stitched.places_m)) * 1e3
     pieces = np.stack((places[:-1], places[1:]), axis=1)
@@ -96,7 +96,7 @@ def moves_figure(plan: Plan) -> Figure:
     stitched = plan.stitched
     unit_mm = stitched.pace.tables.unit.si * 1e3
     units = np.abs(stitched.turns.moves.units).max(axis=1)[stitched.frame_moves == 1]
-    figure = Figure(figsize=(8.0, 3.0))
+    figure = Figure(figsize=(7.2, 3.0))
     panel = figure.subplots()
     counts = np.bincount(units)
     panel.bar(
@@ -115,7 +115,7 @@ def pace_figure(plan: Plan) -> Figure:
     from matplotlib.figure import Figure
 
     stitched = plan.stitched
-    figure = Figure(figsize=(8.0, 4.6))
+    figure = Figure(figsize=(7.2, 4.6))
     speed, time = figure.subplots(2, 1, sharex=True)
     number = np.arange(1, len(stitched.turns) + 1)
     speed.plot(number, _MINUTE / stitched.turns.turn_s, drawstyle="steps-mid", **ACTUAL)
@@ -135,7 +135,7 @@ def speeds_figure(plans: Sequence[Plan]) -> Figure:
     """Draw the speed along the design, plan by plan."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.0, 3.6))
+    figure = Figure(figsize=(7.2, 3.6))
     panel = figure.subplots()
     for plan, style in zip(plans, cycle(AXES), strict=False):
         turns = plan.stitched.turns

@@ -1,4 +1,4 @@
-"""How every figure looks: readable in print, without colour, and by the colour-blind."""
+"""The look of every figure, readable in print, without colour and by the colour-blind."""
 
 from __future__ import annotations
 

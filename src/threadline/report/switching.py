@@ -1,4 +1,4 @@
-"""The report of a proof of switchings."""
+"""The report of a proof of an on/off machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.report.document import (
     options_facts,
     origin_facts,
 )
-from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figure
+from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figures
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import (
@@ -37,9 +37,11 @@ _CAPTIONS = {
     "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
     "circles at the scans that shut the valves; then every kind of shaper, made for "
     "the machine's own mode.",
-    "petri-net": "The sequence that the PLC program runs: places numbered as in its text, below "
-    "them the outputs that are on. A bar lets the token pass when its input comes, or at its "
-    "time, counted from the last input that was waited for (before the first, from the start).",
+    "petri-net": "The sequence that the PLC program runs, a Petri net with one token: places "
+    "numbered as in its text, below them the outputs that are on. A bar lets the token pass when "
+    "its input comes, or at its time, counted from the last input that was waited for (before the "
+    "first, from the start). Grey places wait for an input. A broken beam returns the token to "
+    "place 0, everything off.",
 }
 
 
@@ -73,7 +75,11 @@ def write_switching(proof: Proof, folder: Path) -> Path:
             sweep, twin = move_sweep(plan.scheduled, longest)
             sweeps = [sweep, *break_sweeps(plan.machine, longest.axis)]
             figures["broken-beam"] = break_figure(sweeps, twin)
-        figures["petri-net"] = petri_figure(plan.scheduled)
+        captions = dict(_CAPTIONS)
+        for number, figure in enumerate(petri_figures(plan.scheduled), start=1):
+            name = "petri-net" if number == 1 else f"petri-net-{number}"
+            figures[name] = figure
+            captions[name] = _CAPTIONS["petri-net"] if number == 1 else "The sequence, continued."
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle="; ".join(
@@ -87,7 +93,7 @@ def write_switching(proof: Proof, folder: Path) -> Path:
             warnings=(*plan.job.warnings, *plan.scheduled.warnings),
             tables=[Table(title="Criteria", header=header, rows=rows), *steps],
             figures=figures,
-            captions=_CAPTIONS,
+            captions=captions,
             facts=_facts(proof),
         )
         return write_document(document, folder, "report")
@@ -129,7 +135,7 @@ def about_switching(proof: Proof) -> list[str]:
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:
-    """Return every cylinder and how it is shaped: a bare kind was made for its own mode."""
+    """Return every cylinder with how it is shaped, in words; nothing if no shaper was asked for."""
     if "shaper" not in plan.options:
         return []
     shaping = plan.scheduled.shaping

@@ -55,7 +55,7 @@ def cycle_figure(proof: Proof) -> Figure:
     axes = proof.plan.job.axes
     outputs = proof.plan.scheduled.commands.outputs
     height = 1.3 * len(axes) + 0.19 * len(outputs) + 0.8
-    figure = Figure(figsize=(9.0, height))
+    figure = Figure(figsize=(7.2, height))
     panels = figure.subplots(
         len(axes) + 1,
         1,
@@ -90,7 +90,7 @@ def frame_figure(proof: Proof, unshaped: Proof | None) -> Figure:
 
     run = SwitchRun(proof.recording, proof.plan)
     axes = proof.plan.job.axes
-    figure = Figure(figsize=(9.0, 1.9 * len(axes) + 0.6))
+    figure = Figure(figsize=(7.2, 1.9 * len(axes) + 0.6))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=True):
         for other, look, label in (
@@ -112,7 +112,7 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
     from matplotlib.figure import Figure
 
     axes = proof.plan.job.axes
-    figure = Figure(figsize=(9.0, 2.1 * len(axes) + 0.4))
+    figure = Figure(figsize=(7.2, 2.1 * len(axes) + 0.4))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=True):
         cases = [(proof, "#0072B2", "", proof.plan.options.get("shaper", "no shaper"))]
@@ -146,7 +146,7 @@ def residuals_figure(proofs: Sequence[Proof]) -> Figure:
     from matplotlib.figure import Figure
 
     axes = proofs[0].plan.job.axes
-    figure = Figure(figsize=(9.0, 2.1 * len(axes) + 0.6))
+    figure = Figure(figsize=(7.2, 2.1 * len(axes) + 0.6))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=True):
         for proof, look, marker in zip(proofs, cycle(AXES), cycle("osvDX^"), strict=False):

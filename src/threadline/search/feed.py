@@ -30,7 +30,12 @@ def feed_range_m_s(machine: Machine) -> tuple[float, float]:
     tick_s = float(machine.tick_clock.period_s)
     low = float((machine.radius_m / machine.counts_per_unit).max()) / tick_s
     high = float((machine.velocity_limit * machine.radius_m).max())
-    return low, high
+    return _typed(low), _typed(high)
+
+
+def _typed(feed: float) -> float:
+    """Return a feed of six digits: a search that ends there has an answer that can be typed."""
+    return float(f"{feed:.6g}")
 
 
 def fastest_feed(
