@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 _SHOWN = 60
+_FIGURES = re.compile(r"[-+]?\b\d[\d.]*(?:e[-+]?\d+)?")
+_PARTS = re.compile(r"\b(\w+)\.([A-Za-z][\w-]*)|\baxis ([A-Z])\b")
 
 _KINDS = {
     "string": ("must be a text", 'Write it in quotes, like "servo".'),
@@ -163,3 +165,27 @@ def _nearest(error: Mapping[str, Any], expected: str) -> str:
 def _shown(value: object) -> str:
     text = repr(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
+
+
+def grouped(warnings: Iterable[str]) -> list[str]:
+    """Return warnings with each text once, and once where only the part that it is of differs.
+
+    >>> grouped(["axes.X: 3 A of 2 A", "axes.Y: 4 A of 2 A", "slow", "slow"])
+    ['axes.X: 3 A of 2 A (likewise axes.Y)', 'slow (2 times)']
+    """
+    groups: dict[str, list[str]] = {}
+    for text in warnings:
+        of_part = _PARTS.match(text) is not None
+        kind = _FIGURES.sub("#", _PARTS.sub(r"\1", text)) if of_part else text
+        groups.setdefault(kind, []).append(text)
+    lines = []
+    for first, *others in groups.values():
+        subjects = dict.fromkeys(text.partition(":")[0] for text in others)
+        subjects.pop(first.partition(":")[0], None)
+        if subjects:
+            lines.append(f"{first} (likewise {', '.join(subjects)})")
+        elif others:
+            lines.append(f"{first} ({len(others) + 1} times)")
+        else:
+            lines.append(first)
+    return lines

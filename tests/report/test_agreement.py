@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from pypdf import PdfReader
 
+from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
@@ -154,3 +155,20 @@ def test_bars_are_of_axes_that_move(tmp_path: Path) -> None:
     text = "\n".join(each.extract_text() for each in pdf.pages)
     assert "turning_point_error X" in text
     assert not re.search(r"(error|velocity|jerk|acceleration) [AY]\b", text)
+
+
+def test_the_report_has_the_warnings_that_the_terminal_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the machine file too, those of one kind together; each once."""
+    job = tmp_path / "a.seam.toml"
+    job.write_text(SEAM.format(speed=20))
+    with pytest.raises(SystemExit):
+        main(["prove", str(job), "-m", "stitcher", "--report", str(tmp_path / "report")])
+    lines = capsys.readouterr().err.splitlines()  # on a busy computer one says "still at work"
+    told = [line for line in lines if line.startswith("warning: ")]
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    listed = [html.unescape(line) for line in re.findall(r"<li>(.*?)</li>", page)]
+    assert [f"warning: {line}" for line in listed] == told
+    assert any("drives.x" in line and "(likewise drives.y)" in line for line in listed)
+    assert len(listed) == len(set(listed)) >= 3

@@ -24,8 +24,8 @@ from threadline.cli.options import (
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.told import warning
-from threadline.cli.tolerance import proof_warnings
 from threadline.cli.warn import warn
+from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.kinds import kind_of

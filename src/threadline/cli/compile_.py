@@ -33,8 +33,8 @@ from threadline.cli.options import (
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.told import note
-from threadline.cli.tolerance import tolerance_warnings
 from threadline.cli.warn import warn
+from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.pipeline import open_job, plan_job, target_of, write

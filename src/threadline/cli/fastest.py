@@ -44,8 +44,8 @@ from threadline.cli.options import (
     report_folder,
 )
 from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.tolerance import warn_tolerance
-from threadline.cli.warn import warn
+from threadline.cli.warn import tell, warn
+from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
@@ -210,7 +210,7 @@ def fastest(
         title = f"{read.name} on {chosen.name}{margin_words(kept_free)}"
         drawn = None if report is None else write_mismatch(cells, title, report, "mm/s", 1e3)
     if best.found.best is not None or options.following is Following.MOTOR:
-        warn_tolerance(plan_job(read, chosen, _at(options, best)))
+        tell(tolerance_warnings(plan_job(read, chosen, _at(options, best))))
     again = (
         None
         if best.found.best is None

@@ -10,8 +10,8 @@ import typer
 from threadline.cli.found import limit_words, margin_words, resolution_words
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
-from threadline.cli.tolerance import warn_tolerance
-from threadline.cli.warn import warn
+from threadline.cli.warn import tell, warn
+from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError, UnitError
 from threadline.jobs import Job, read_job
 from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
@@ -55,7 +55,7 @@ def fastest_seam(
         written = None if report is None else write_mismatch(cells, title, report)
     if found.best is not None:
         sewn = read_job(job, machine, needle_speed=f"{found.best!r} stitch/s")
-        warn_tolerance(plan_job(sewn, machine, options))
+        tell(tolerance_warnings(plan_job(sewn, machine, options)))
     if json:
         content = _content(found) | {"margin": margin} | mismatch_json(cells)
         if written is not None:

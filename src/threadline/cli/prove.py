@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.needle import needle_warnings
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
@@ -37,8 +36,8 @@ from threadline.cli.options import (
 )
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
-from threadline.cli.tolerance import proof_warnings
-from threadline.cli.warn import warn
+from threadline.cli.warn import tell
+from threadline.doubts import doubts
 from threadline.machine import Machine
 from threadline.pipeline import Proof, with_shaping
 from threadline.pipeline import prove as prove_job
@@ -130,8 +129,7 @@ def prove(
             if proof_file is not None:
                 write_proof(proof, proof_file)
             written = None if report is None else write_report(proof, report)
-    more = [*proof.plan.intent.warnings, *proof_warnings(proof), *needle_warnings(proof)]
-    warn(chosen, proof.plan.job, more)
+    tell(doubts(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:

@@ -7,7 +7,6 @@ it does not. Only the standard library is imported here.
 from __future__ import annotations
 
 import os
-import re
 import sys
 import threading
 import time
@@ -17,13 +16,12 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 from threadline.escaping import plain
+from threadline.wording import grouped
 
 STDOUT = "standard output"
 """What an error calls it where a file would have its name."""
 _STDERR = 2  # its file descriptor
 _EVERY_S = 50.0  # a minute without a word is too long
-_NUMBERS = re.compile(r"[-+]?\b\d[\d.]*(?:e[-+]?\d+)?")
-_PARTS = re.compile(r"\b(\w+)\.([A-Za-z][\w-]*)|\baxis ([A-Z])\b")
 
 
 @dataclass(slots=True)
@@ -103,27 +101,3 @@ def tell_warnings(warnings: Iterable[str]) -> None:
     """Print warnings that have waited; those that say the same of several parts are one line."""
     for line in grouped(warnings):
         note(f"warning: {line}")
-
-
-def grouped(warnings: Iterable[str]) -> list[str]:
-    """Return warnings with each text once, and once where only the part that it is of differs.
-
-    >>> grouped(["axes.X: 3 A of 2 A", "axes.Y: 4 A of 2 A", "slow", "slow"])
-    ['axes.X: 3 A of 2 A (likewise axes.Y)', 'slow (2 times)']
-    """
-    groups: dict[str, list[str]] = {}
-    for text in warnings:
-        of_part = _PARTS.match(text) is not None
-        kind = _NUMBERS.sub("#", _PARTS.sub(r"\1", text)) if of_part else text
-        groups.setdefault(kind, []).append(text)
-    lines = []
-    for first, *others in groups.values():
-        subjects = dict.fromkeys(text.partition(":")[0] for text in others)
-        subjects.pop(first.partition(":")[0], None)
-        if subjects:
-            lines.append(f"{first} (likewise {', '.join(subjects)})")
-        elif others:
-            lines.append(f"{first} ({len(others) + 1} times)")
-        else:
-            lines.append(first)
-    return lines

@@ -1,4 +1,4 @@
-"""What deserves a second look before a plan is relied on, said the same way by every command."""
+"""Warnings on standard error, said the same way by every command."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from threadline.plant.suspicions import suspicions
 
 
 def warn(machine: Machine, job: Job, more: Iterable[str] = ()) -> None:
-    """Print what is suspicious about ``machine`` and ``job``, and ``more``, on standard error."""
-    for said in [*suspicions(machine), *job.warnings, *more]:
+    """Tell what is suspicious about ``machine`` and ``job``, and ``more``."""
+    tell([*suspicions(machine), *job.warnings, *more])
+
+
+def tell(warnings: Iterable[str]) -> None:
+    """Tell warnings once the command has answered."""
+    for said in warnings:
         warning(said)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from threadline.doubts import doubts_of_all
 from threadline.pipeline import Proof
 from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
@@ -16,6 +17,7 @@ from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
 from threadline.search import Comparison
 from threadline.verdict import closing_of_all
+from threadline.wording import grouped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,6 +50,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
             title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",
             subtitle=first.plan.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
+            warnings=grouped(doubts_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from threadline.control import Demand
+from threadline.doubts import doubts
 from threadline.jobs.gcode.f_words import RULES
 from threadline.pipeline import Proof
 from threadline.plan import Plan
@@ -23,6 +24,7 @@ from threadline.report.traces import collect
 from threadline.targets import calculate
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
+from threadline.wording import grouped
 
 
 def write_motion(proof: Proof, folder: Path) -> Path:
@@ -47,7 +49,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
             subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
             f"feed {plan.options.get('feed', 'programmed')}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=plan.job.warnings,
+            warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 Table(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from threadline.doubts import doubts, doubts_of_all
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.document import (
@@ -28,6 +29,7 @@ from threadline.report.style import figure_style
 from threadline.search import Comparison
 from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
+from threadline.wording import grouped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +68,7 @@ def write_stitched(proof: Proof, folder: Path) -> Path:
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; {plan.planned_with}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=(*plan.job.warnings, *plan.stitched.warnings),
+            warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
@@ -93,6 +95,7 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
+            warnings=grouped(doubts_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from threadline.doubts import doubts, doubts_of_all
 from threadline.options import OF_AXES, Options
 from threadline.pipeline import Proof, plan_job, prove_plan
 from threadline.plan import Plan
@@ -27,6 +28,7 @@ from threadline.report.switching_figures import (
 from threadline.search import Comparison
 from threadline.targets.schedule_moves import shaping_words
 from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
+from threadline.wording import grouped
 
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
@@ -90,7 +92,7 @@ def write_switching(proof: Proof, folder: Path) -> Path:
                 ]
             ),
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=(*plan.job.warnings, *plan.scheduled.warnings),
+            warnings=grouped(doubts(proof)),
             tables=[Table(title="Criteria", header=header, rows=rows), *steps],
             figures=figures,
             captions=captions,
@@ -117,7 +119,10 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
-            warnings=tuple(f"{name} is refused: {why}" for name, why in found.refused),
+            warnings=[
+                *(f"{name} is refused: {why}" for name, why in found.refused),
+                *grouped(doubts_of_all(found.proofs)),
+            ],
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,
