@@ -15,6 +15,7 @@ from threadline.errors import RecordingError
 from threadline.signals import ChannelKind, Clock
 from threadline.verdict import Criterion, Status, closing, judge
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.samples import Setting
 
 from .builders import SERVO, follow, plan_through, record, spec_of
 
@@ -126,7 +127,13 @@ FOLLOWING = [name for name, kind in MEASURES.items() if kind.needs and kind.foll
 
 
 def test_what_follows_the_path_is_all_that_needs_the_place_of_the_tool() -> None:
-    at_tool = {n for n, k in MEASURES.items() if any(ChannelKind.LOAD in a for a in k.needs)}
+    at_tool = {
+        name
+        for name, kind in MEASURES.items()
+        for reading in kind.reads
+        if getattr(reading, "run", None) is Setting
+        and any(ChannelKind.LOAD in alternatives for alternatives in reading.needs)
+    }
     assert set(FOLLOWING) == at_tool
     assert {"contour_error", "turning_point_error", "stitch_placement_error"} <= at_tool
 

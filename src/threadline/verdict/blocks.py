@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
 from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.verdict.follower import MOST_WAITING, Follower, sample_interval_s
 from threadline.verdict.progress import chords_under_way
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -29,7 +31,6 @@ _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: a sample beyond it is no measurement
 _CHORDS = ("low", "high", "safe")
-_ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may differ by a rounding
 
 
 def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) -> Channel | None:
@@ -91,61 +92,6 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
     )
 
 
-class _Follower:
-    """One channel at the instants of another: its own samples, or the last one until the next.
-
-    Of a finer channel that is ``largest`` it is the sample of largest magnitude since the instant
-    before: between two instants nothing of it is lost.
-    """
-
-    def __init__(self, channel: Channel, master: Channel, *, largest: bool = False) -> None:
-        self._channel = channel
-        same = channel.clock == master.clock and channel.stride == master.stride
-        self._slack_s = None if same else _ROUNDING * sample_interval_s(master)
-        self._largest, self._fresh = largest, 0
-        self._time_s: FloatArray = np.empty(0)  # of samples that may still be needed
-        self._values: FloatArray = np.empty(0)
-
-    def at(self, block: RecordingBlock, time_s: FloatArray) -> FloatArray:
-        """Return (n, ...) values at (n,) instants."""
-        values = block.samples[self._channel.name]
-        if values.ndim == 1 and not np.isfinite(values).all():
-            when = "" if not len(time_s) else f" near {float(time_s[0]):.6g} s"
-            raise RecordingError(
-                f"channel {self._channel.name!r} holds a value that is not finite{when}",
-                remedy="Repair the trace, or leave the channel out.",
-            )
-        if self._slack_s is None:
-            # What is missing of it in this block is no number; whoever needs it is told so.
-            lacking = max(len(time_s) - len(values), 0)
-            known = values[: len(time_s)]
-            return known if not lacking else np.concatenate([known, np.full(lacking, np.nan)])
-        first = block.first_tick[self._channel.clock.name]
-        times = self._channel.clock.times_s(first, len(values), self._channel.stride)
-        times = np.concatenate([self._time_s, times])
-        values = np.concatenate([self._values, values])
-        self._time_s, self._values = times, values
-        if not len(times) or not len(time_s):
-            return np.full(len(time_s), np.nan)
-        held = np.maximum(np.searchsorted(times, time_s + self._slack_s, side="right") - 1, 0)
-        keep = int(held[-1])
-        self._time_s, self._values = times[keep:], values[keep:]
-        if not self._largest:
-            return np.asarray(values[held])
-        # The first of those kept was taken at the instant before.
-        begin = np.minimum(np.concatenate([[self._fresh], held[:-1] + 1]), held)
-        self._fresh = 1
-        # Of every pair of places the stretch between them; what lies between pairs is left out.
-        pairs = np.column_stack([begin, held + 1]).ravel()
-        sizes = np.append(np.abs(values[: keep + 1]), 0.0)
-        return np.asarray(np.maximum.reduceat(sizes, pairs)[::2])
-
-
-def sample_interval_s(channel: Channel) -> float:
-    """Return the time between two samples of a channel."""
-    return float(channel.clock.period_s * channel.stride)
-
-
 @dataclass(slots=True)
 class _Held:
     """Samples in hand: instants, columns of all axes, and whole numbers."""
@@ -178,41 +124,96 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
     ]
     followers = {
         name: [
-            None if c is None else _Follower(c, master, largest=name in _LARGEST) for c in channels
+            None if c is None else Follower(c, master, largest=name in _LARGEST) for c in channels
         ]
         for name, channels in found.items()
         if any(c is not None for c in channels)
     }
     operations = recording.find(ChannelKind.OPERATION)
-    operation_follower = None if operations is None else _Follower(operations, master)
+    if operations is not None:
+        followers["operation"] = [Follower(operations, master)]
+    waiting = _Waiting(recording, followers)
     reached = np.iinfo(np.int64).min
-    for block in recording:
-        count = len(block.samples[master.name])
-        _refuse_absurd(block)
-        if not count:
-            for row in followers.values():
-                for follower in row:
-                    if follower is not None:
-                        follower.at(block, np.empty(0))
-            continue
-        first = block.first_tick[master.clock.name]
-        time_s = master.clock.times_s(first, count, master.stride)
-        columns = {
-            name: _columns([None if f is None else f.at(block, time_s) for f in row], recording)
-            for name, row in followers.items()
-        }
-        if "commanded" in columns:  # the same of all runs
-            columns["commanded"] = columns["commanded"][:, 0]
-        whole = {}
-        if operation_follower is not None:
-            # Where samples are missing it is unknown, as before the first.
-            numbers = np.nan_to_num(operation_follower.at(block, time_s), nan=-1.0)
-            operation = np.rint(numbers).astype(np.int64)
-            # After its end a controller may say -1: the machine is still at its last operation.
-            operation = np.maximum.accumulate(np.maximum(operation, reached))
-            reached = int(operation[-1])
-            whole["operation"] = operation
-        yield _Held(time_s, columns, whole)
+    for block in chain(recording, (None,)):
+        if block is None:  # nothing more comes
+            parts = waiting.taken(0)
+        else:
+            _refuse_absurd(block)
+            count = len(block.samples[master.name])
+            first = block.first_tick.get(master.clock.name, 0)
+            waiting.take(block, master.clock.times_s(first, count, master.stride))
+            parts = waiting.taken(waiting.unknown())
+        for part in parts:
+            numbers = part.columns.pop("operation", None)
+            if "commanded" in part.columns:  # the same of all runs
+                part.columns["commanded"] = part.columns["commanded"][:, 0]
+            if numbers is not None:
+                # Where samples are missing it is unknown, as before the first.
+                told = np.nan_to_num(numbers[:, 0, 0], nan=-1.0)
+                operation = np.rint(told).astype(np.int64)
+                # After its end a controller may say -1: the machine is still at its last operation.
+                operation = np.maximum.accumulate(np.maximum(operation, reached))
+                reached = int(operation[-1])
+                part.whole["operation"] = operation
+            yield part
+
+
+class _Waiting:
+    """Samples that wait until every channel has come as far: a recorder need not keep them in step.
+
+    Channels of one clock and stride come together. Of others one may be behind: samples of the
+    master wait for it, ``MOST_WAITING`` of them at most.
+
+    Parameters
+    ----------
+    recording
+        Of which the samples are.
+    followers
+        Per column and axis, None where there is no channel.
+    """
+
+    def __init__(
+        self, recording: Recording, followers: Mapping[str, Sequence[Follower | None]]
+    ) -> None:
+        self._recording, self._followers = recording, followers
+        self._others = [f for row in followers.values() for f in row if f and not f.same]
+        self._held: list[tuple[FloatArray, dict[Follower, FloatArray]]] = []  # the oldest first
+
+    def take(self, block: RecordingBlock, time_s: FloatArray) -> None:
+        """Take a block, in which the master has samples at ``time_s``."""
+        for follower in self._others:
+            follower.take(block)
+        if len(time_s):
+            every = (f for row in self._followers.values() for f in row if f and f.same)
+            self._held.append((time_s, {f: f.values(block, len(time_s)) for f in every}))
+
+    def unknown(self) -> int:
+        """Return how many of the last samples not every channel has come to yet."""
+        if not self._others:
+            return 0
+        count = 0
+        for time_s, _ in self._held:
+            count += len(time_s) - min(f.known(time_s) for f in self._others)
+        return min(count, MOST_WAITING)
+
+    def taken(self, left: int) -> Iterator[_Held]:
+        """Yield the samples but for the last ``left``, block by block."""
+        count = sum(len(time_s) for time_s, _ in self._held) - left
+        while count > 0:
+            time_s, own = self._held.pop(0)
+            if count < len(time_s):
+                rest = {f: values[count:] for f, values in own.items()}
+                self._held.insert(0, (time_s[count:], rest))
+                time_s, own = time_s[:count], {f: values[:count] for f, values in own.items()}
+            count -= len(time_s)
+            columns = {
+                name: _columns(
+                    [None if f is None else own[f] if f.same else f.at(time_s) for f in row],
+                    self._recording,
+                )
+                for name, row in self._followers.items()
+            }
+            yield _Held(time_s, columns, {})
 
 
 def _columns(channels: Sequence[FloatArray | None], recording: Recording) -> FloatArray:

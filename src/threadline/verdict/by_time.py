@@ -28,46 +28,55 @@ OPERATION_BY_TIME = "operations from the plan by time"
 _ROUNDING = 1e-9  # of a tick: an instant that is a tick but for a rounding is that tick
 
 
-def checked_operations(recording: Recording, plan: Plan) -> Recording:
-    """Return ``recording`` without operations that say nothing, and refusing those of no job.
+class Told:
+    """The blocks of a live recording, and whether their operations tell anything.
 
-    A column of -1 throughout says that none was recorded. What the twin has simulated is taken as
-    it is.
+    A column of -1 throughout says that none was recorded: known once the recording was read, or
+    at the first operation that is one.
 
-    Raises
-    ------
-    RecordingError
-        While it is read: if an operation is not one of the job's.
+    Parameters
+    ----------
+    blocks
+        Read once.
+    channel
+        That of the operations.
+    job
+        Of which they are.
+
+    Attributes
+    ----------
+    anything
+        Whether an operation was told so far.
     """
-    channel = recording.find(ChannelKind.OPERATION)
-    if channel is None or recording.simulated:
-        return recording
-    name = channel.name
-    if all((block.samples[name] < 0).all() for block in recording):
-        kept = tuple(c for c in recording.channels if c is not channel)
-        return replace(recording, channels=kept)
-    return replace(recording, blocks=Stream(_checked, recording.blocks, channel, plan.job))
 
+    def __init__(self, blocks: Iterable[RecordingBlock], channel: Channel, job: Job) -> None:
+        self._blocks, self._channel, self._job = blocks, channel, job
+        self.anything = False
 
-def _checked(
-    blocks: Iterable[RecordingBlock], channel: Channel, job: Job
-) -> Iterator[RecordingBlock]:
-    """Yield ``blocks`` as long as their operations are those of the job."""
-    count = 0
-    for block in blocks:
-        samples = block.samples[channel.name]
-        if len(samples) and samples.max() >= count:
-            count = count or _count(job)
-            at = int(np.argmax(samples >= count))
-            if samples[at] >= count:
-                first = block.first_tick[channel.clock.name]
-                time_s = channel.clock.times_s(first, len(samples), channel.stride)[at]
-                raise RecordingError(
-                    f"the operation at {time_s:.6g} s is {samples[at]:.12g}, and "
-                    f"{job.name} has {count}, from 0 to {count - 1}",
-                    remedy="Judge it against the job that was run, or leave the column out.",
-                )
-        yield block
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        """Yield the blocks.
+
+        Raises
+        ------
+        RecordingError
+            If an operation is not one of the job's.
+        """
+        channel, count = self._channel, 0
+        for block in self._blocks:
+            samples = block.samples[channel.name]
+            self.anything = self.anything or not (samples < 0).all()
+            if len(samples) and samples.max() >= count:
+                count = count or _count(self._job)
+                at = int(np.argmax(samples >= count))
+                if samples[at] >= count:
+                    first = block.first_tick[channel.clock.name]
+                    time_s = channel.clock.times_s(first, len(samples), channel.stride)[at]
+                    raise RecordingError(
+                        f"the operation at {time_s:.6g} s is {samples[at]:.12g}, and "
+                        f"{self._job.name} has {count}, from 0 to {count - 1}",
+                        remedy="Judge it against the job that was run, or leave the column out.",
+                    )
+            yield block
 
 
 def _count(job: Job) -> int:
@@ -82,16 +91,13 @@ def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Rec
 
     A trace of another controller knows nothing of operations. Its time counts from the start of
     the commands (docs/files.md), so each instant has its row in them, and the row its operation;
-    before the first row and after the last, theirs. A recording that has operations is returned as
-    it is: what was under way counts, not what was meant to be.
+    before the first row and after the last, theirs.
 
     Raises
     ------
     RecordingError
         If the recording holds no position of any of ``axes``.
     """
-    if recording.find(ChannelKind.OPERATION) is not None:
-        return recording
     commands = tick_table(plan.commands)
     master = master_channel(recording, axes)
     channel = Channel(

@@ -13,7 +13,8 @@ from threadline.verdict.by_time import OPERATION_BY_TIME
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
 from threadline.verdict.ended import heard, not_beyond, told_end
 from threadline.verdict.found import Finding, Found, joined
-from threadline.verdict.measure import MeasureKind, OfRuns, Run, Running
+from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run
+from threadline.verdict.one_pass import Findings, Key, Pass, read_all
 from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.runs import open_run
@@ -21,8 +22,6 @@ from threadline.verdict.types import Criterion, Result, Spec, Verdict
 from threadline.wording import nearest
 
 _KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
-_Key = tuple[str, tuple[tuple[str, float], ...]]  # a measure and its options
-_Findings = dict[_Key, list[Found]]
 
 
 def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
@@ -53,7 +52,7 @@ class Judge:
         self._keys = {_key(criterion): criterion for criterion in spec.criteria}
 
     @cached_property
-    def _of_plan(self) -> _Findings:
+    def _of_plan(self) -> Findings:
         return _of_plan(self.plan, self._keys)
 
     def verdict(self, recordings: Sequence[Recording]) -> Verdict:
@@ -117,7 +116,7 @@ class Judge:
 
     def _measured(
         self, recordings: Sequence[Recording], *, together: bool = True
-    ) -> tuple[_Findings, list[Run], list[Outcome]]:
+    ) -> tuple[Findings, list[Run], list[Outcome]]:
         plan = self.plan
         if not recordings:
             raise RecordingError("there is no recording to judge", remedy="Give at least one.")
@@ -125,14 +124,25 @@ class Judge:
             _check_same_job(recording, plan)
             _check_units(recording, plan)
         listened = heard(recordings)
-        runs = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
-        findings: _Findings = {}
-        for run in runs:
-            several = together and len(runs) == 1 and run.recording.runs > 1
-            for key, found in _of_run(run, self._keys, together=several).items():
+        opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
+        kinds = {key: MEASURES[criterion.name] for key, criterion in self._keys.items()}
+        # Runs side by side in one recording are measured together as they come.
+        several = together and len(opened) == 1 and recordings[0].runs > 1
+        passes = [Pass(run, kinds, together=several) for run in opened]
+        in_step = {
+            key: reading.in_step(opened, kind.with_defaults(dict(key[1])))
+            for key, kind in kinds.items()
+            if isinstance(reading := kind.of_run(opened[0]), OfRuns)
+            and together
+            and not (several and reading.start is not None)
+        }
+        read_all(passes, list(in_step.values()))
+        runs = [one.run for one in passes]
+        findings: Findings = {}
+        for one in passes:
+            for key, found in one.found().items():
                 findings[key] = joined(findings.get(key, []), found)
-        if together:
-            findings |= _of_runs(runs, {k: v for k, v in self._keys.items() if k not in findings})
+        findings |= _of_runs(in_step, runs, self._keys)
         findings |= self._of_plan
         return findings, runs, [listener.outcome() for _, listener in listened]
 
@@ -170,7 +180,7 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
     return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
 
 
-def _key(criterion: Criterion) -> _Key:
+def _key(criterion: Criterion) -> Key:
     kind = MEASURES.get(criterion.name)
     if kind is None:
         raise SpecError(
@@ -180,50 +190,21 @@ def _key(criterion: Criterion) -> _Key:
     return criterion.name, tuple(sorted(criterion.options.items()))
 
 
-def _of_run(run: Run, keys: Mapping[_Key, Criterion], *, together: bool) -> _Findings:
-    """Measure a recording by every measure that reads one, all in the same pass.
-
-    The runs that it holds ``together`` also by the measures of many runs.
-    """
-    found: _Findings = {}
-    running: dict[_Key, Running] = {}
-    for key in keys:
-        kind = MEASURES[key[0]]
-        reading = kind.of_run(run)
-        if reading is None or (isinstance(reading, OfRuns) and not together):
-            continue
-        start = reading.start
-        if start is None:
-            continue
-        missing = run.lacks(reading, kind.per_axis)
-        if missing:
-            # Of every axis: another recording may have measured it, and this one counts too.
-            for_axes = run.plan.axes if kind.per_axis else ("",)
-            found[key] = [
-                Found.made([Finding(value=None, axis=axis, note=missing)]) for axis in for_axes
-            ]
-        else:
-            measure = start(run, kind.with_defaults(dict(key[1])))
-            running[key] = Running(kind=kind, reading=reading, measure=measure)
-    for key, measured in zip(running, run.results(list(running.values())), strict=True):
-        found[key] = measured
-    return found
-
-
-def _of_runs(runs: Sequence[Run], keys: Mapping[_Key, Criterion]) -> _Findings:
-    """Measure several recordings together, by the measures of many runs."""
-    found: _Findings = {}
-    for key in keys:
-        kind = MEASURES[key[0]]
+def _of_runs(
+    begun: Mapping[Key, MeasureOfRuns], runs: Sequence[Run], keys: Mapping[Key, Criterion]
+) -> Findings:
+    """Return what was found of several recordings together, which have been read."""
+    found: Findings = {}
+    for key, measure in begun.items():
+        kind = MEASURES[keys[key].name]
         reading = kind.of_run(runs[0])
-        if not isinstance(reading, OfRuns):
-            continue
+        assert isinstance(reading, OfRuns)
         reasons = (run.lacks(reading, kind.per_axis) for run in runs)
         missing = next(filter(None, reasons), "")
         if missing:
             found[key] = [Found.made([Finding(value=None, note=missing)])]
             continue
-        measured = list(reading.measure(runs, kind.with_defaults(dict(key[1]))))
+        measured = list(measure.finish(runs))
         unseen = next(filter(None, (run.unseen(reading) for run in runs)), "")
         if unseen and any(finding.value is not None for finding in measured):
             measured = [Finding(value=None, note=unseen)]
@@ -231,7 +212,7 @@ def _of_runs(runs: Sequence[Run], keys: Mapping[_Key, Criterion]) -> _Findings:
     return found
 
 
-def _of_plan(plan: Plan, keys: Mapping[_Key, Criterion]) -> _Findings:
+def _of_plan(plan: Plan, keys: Mapping[Key, Criterion]) -> Findings:
     """Run every measure of the plan; those of one pass share it."""
     names = {name for name, _ in keys}
     readings = {name: MEASURES[name].of_plan(plan) for name in names}
@@ -245,7 +226,7 @@ def _of_plan(plan: Plan, keys: Mapping[_Key, Criterion]) -> _Findings:
 
 
 def _rows(
-    criterion: Criterion, findings: Mapping[_Key, list[Found]], run: Run, spec: Spec
+    criterion: Criterion, findings: Mapping[Key, list[Found]], run: Run, spec: Spec
 ) -> Iterator[tuple[MeasureKind, Found]]:
     """Yield what was found of a criterion: of each axis and step that it is asked of."""
     kind, plan = MEASURES[criterion.name], run.plan

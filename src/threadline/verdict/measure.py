@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
+from threadline.arrays import IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
 from threadline.verdict.found import Finding, Found
@@ -53,8 +54,7 @@ class Running:
 class Run(Protocol):
     """One recording beside its plan, as the measures of its kind of work read it.
 
-    ``of`` says in words what it is a run of. Where ``by_time``, the operations of the recording
-    are those of the plan at the same instant. ``absent`` is said of an axis of which nothing was
+    ``of`` says in words what it is a run of. ``absent`` is said of an axis of which nothing was
     found.
     """
 
@@ -71,13 +71,26 @@ class Run(Protocol):
 
     @property
     def by_time(self) -> bool:
-        """Whether the operations are the plan's."""
+        """Whether the operations are those of the plan at the same instant."""
+
+    @property
+    def untold(self) -> Run | None:
+        """The same run by time, as long as nobody knows whether its own operations tell anything.
+
+        Its blocks are those of this run: they are to be read in step.
+        """
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:
         """Say why the recording cannot tell what a measure asks for; empty where it can."""
 
-    def results(self, running: Sequence[Running]) -> list[list[Found]]:
-        """Read the recording once; return what each measure found, as far as it was seen."""
+    def blocks(self) -> Iterator[Block]:
+        """Yield what measures are fed with; reads the recording."""
+
+    def leave(self) -> None:
+        """Read no more of the recording."""
+
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
+        """Return what each measure found, as far as it was seen, after the last block."""
 
     def unseen(self, reading: RunReading) -> str:
         """Say, once the recording was read, what a measure of many runs did not see of it."""
@@ -85,6 +98,42 @@ class Run(Protocol):
 
 RunT_contra = TypeVar("RunT_contra", contravariant=True)
 Options = Mapping[str, float]
+
+
+class MeasureOfRuns(Protocol):
+    """Measures runs that were recorded one by one, in one pass over all of them in step."""
+
+    def feed(self, number: int, block: Block, by_time: IntArray | None) -> None:
+        """Take the next samples of a run.
+
+        Parameters
+        ----------
+        number
+            Of the run, from 0 on.
+        by_time
+            (n,) operations of the plan at the same instants, as long as nobody knows whether the
+            recording has its own.
+        """
+
+    def finish(self, runs: Sequence[Any]) -> Sequence[Finding]:
+        """Return what was found of the runs, given as what they turned out to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class _WholeRuns:
+    """A measure that has its runs whole."""
+
+    finish: Callable[[Sequence[Any]], Sequence[Finding]]
+
+    def feed(self, number: int, block: Block, by_time: IntArray | None) -> None:
+        """Take no notice: the runs are there already."""
+
+
+def whole_runs(
+    measure: Callable[[Sequence[RunT_contra], Options], Sequence[Finding]],
+) -> Callable[[Sequence[RunT_contra], Options], MeasureOfRuns]:
+    """Return what begins a measurement that a function makes of whole runs at once."""
+    return lambda _, options: _WholeRuns(lambda runs: measure(runs, options))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,14 +207,14 @@ class OfRuns(Generic[RunT_contra]):
 
     Parameters
     ----------
-    measure
-        Of runs that were recorded one by one.
+    in_step
+        Begins a measurement of runs that were recorded one by one.
     start
         Begins a measurement of runs that one recording holds side by side; None where none can.
     """
 
     run: type[Any]
-    measure: Callable[[Sequence[RunT_contra], Options], Sequence[Finding]]
+    in_step: Callable[[Sequence[RunT_contra], Options], MeasureOfRuns]
     start: Callable[[RunT_contra, Options], Measure] | None = None
     needs: Needs = ()
     follows: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -10,16 +10,17 @@ from typing import ClassVar
 import numpy as np
 
 from threadline.plan import Plan
-from threadline.signals import Channel, ChannelKind, Recording
+from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.blocks import (
     find_first,
     judged_blocks,
     master_channel,
     peak_channels,
-    sample_interval_s,
 )
-from threadline.verdict.by_time import checked_operations, with_operation
+from threadline.verdict.by_time import Told, with_operation
 from threadline.verdict.coverage import Coverage, Lack
+from threadline.verdict.follower import sample_interval_s
+from threadline.verdict.fork import Branch, Fork
 from threadline.verdict.found import Finding, Found
 from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
@@ -42,6 +43,12 @@ class MotionRun(Setting):
         The recording had no operations: it has those of the commands at the same instant.
     coverage
         Which instants of each channel the recording holds, once it was read.
+    told
+        Of a live recording with operations: whether they tell anything.
+    instead
+        The same run by time, where they do not.
+    branch
+        What of the recording this run reads, where another reads it in step.
     """
 
     of: ClassVar[str] = "a machine with axes"
@@ -50,6 +57,19 @@ class MotionRun(Setting):
     lag_s: float
     by_time: bool
     coverage: Coverage
+    told: Told | None = None
+    instead: MotionRun | None = None
+    branch: Branch[RecordingBlock] | None = None
+
+    @property
+    def untold(self) -> MotionRun | None:
+        """The same run by time, as long as its own operations have told nothing."""
+        return None if self.told is None or self.told.anything else self.instead
+
+    def leave(self) -> None:
+        """Read no more of the recording."""
+        if self.branch is not None:
+            self.branch.leave()
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:
         """Say why the recording cannot tell what a measure asks for; empty where it can."""
@@ -103,14 +123,15 @@ class MotionRun(Setting):
             f"record every {1e3 * finest_s:.4g} ms at least"
         )
 
-    def results(self, running: Sequence[Running]) -> list[list[Found]]:
-        """Read the recording once; return what each measure found, as far as it was seen."""
+    def blocks(self) -> Iterator[Block]:
+        """Yield what measures are fed with; reads the recording, in bounded memory."""
+        path = PathWindow(self.plan.motion.programmed)
+        return judged_blocks(self.recording, self.axes, self.lag_samples, path)
+
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
+        """Return what each measure found, as far as it was seen, after the last block."""
         if not running:
             return []
-        path, last = PathWindow(self.plan.motion.programmed), None
-        for last in judged_blocks(self.recording, self.axes, self.lag_samples, path):
-            for one in running:
-                one.measure.feed(last)
         begin_s, end_s = self.plan.motion.trajectory.moves_s
         if last is not None and self._arrived(last):
             end_s = float(last.time_s[-1])  # sooner than planned
@@ -181,16 +202,40 @@ def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
 def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     """Return ``recording`` beside ``plan``: with operations, and commanded where it was meant.
 
+    What was under way counts, not what was meant to be: a recording keeps its operations. One that
+    has none, or only ever -1, has those of the commands by time. Whether a live recording has any
+    is known once it was read, and it may be read once only: until then the run comes with the
+    same ``by_time``, on blocks of the same reading.
+
     Raises
     ------
     RecordingError
         If the recording holds no position of any axis of the plan, or, while it is read, an
         operation that the job does not have.
     """
-    axes = plan.axes
     coverage = Coverage(recording)
-    checked = checked_operations(coverage.watched, plan)
-    judged = as_intended(with_operation(checked, plan, axes), plan)
+    watched = coverage.watched
+    channel = recording.find(ChannelKind.OPERATION)
+    if channel is None:
+        timed = with_operation(watched, plan, plan.axes)
+        return _beside(timed, plan, lag_s, coverage, by_time=True)
+    if recording.simulated:  # the twin tells
+        return _beside(watched, plan, lag_s, coverage, by_time=False)
+    fork = Fork(watched)
+    told = Told(fork.first, channel, plan.job)
+    others = tuple(c for c in recording.channels if c is not channel)
+    untold = replace(watched, channels=others, blocks=fork.second)
+    timed = with_operation(untold, plan, plan.axes)
+    instead = _beside(timed, plan, lag_s, coverage, by_time=True)
+    run = _beside(replace(watched, blocks=told), plan, lag_s, coverage, by_time=False)
+    return replace(run, told=told, instead=replace(instead, branch=fork.second))
+
+
+def _beside(
+    recording: Recording, plan: Plan, lag_s: float, coverage: Coverage, *, by_time: bool
+) -> MotionRun:
+    axes = plan.axes
+    judged = as_intended(recording, plan)
     interval_s = sample_interval_s(master_channel(judged, axes))
     return MotionRun(
         plan=plan,
@@ -200,7 +245,7 @@ def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
         interval_s=interval_s,
         lag_samples=int(np.floor(lag_s / interval_s + _ROUNDING)),
         lag_s=lag_s,
-        by_time=checked.find(ChannelKind.OPERATION) is None,
+        by_time=by_time,
         coverage=coverage,
     )
 

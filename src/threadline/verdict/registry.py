@@ -23,7 +23,15 @@ from threadline.verdict.advance import start_progress
 from threadline.verdict.contour import start_contour
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.found import Finding
-from threadline.verdict.measure import Measure, MeasureKind, OfPlan, OfRun, OfRuns, whole
+from threadline.verdict.measure import (
+    Measure,
+    MeasureKind,
+    OfPlan,
+    OfRun,
+    OfRuns,
+    whole,
+    whole_runs,
+)
 from threadline.verdict.rise import OPTIONS as RISE_OPTIONS
 from threadline.verdict.rise import start_rise
 from threadline.verdict.samples import Setting
@@ -103,12 +111,12 @@ _KINDS = (
         reads=(
             OfRuns(
                 run=Setting,
-                measure=repeat.measure_repeatability,
+                in_step=repeat.start_in_step,
                 start=repeat.start_repeatability,
                 needs=(_ACTUAL, _OPERATION),
                 follows=True,
             ),
-            OfRuns(run=SwitchRun, measure=switch_measures.repeatability),
+            OfRuns(run=SwitchRun, in_step=whole_runs(switch_measures.repeatability)),
         ),
         options=repeat.OPTIONS,
     ),

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import zip_longest
+from dataclasses import dataclass, replace
+from hashlib import sha256
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.verdict.blocks import judged_blocks
+from threadline.arrays import FloatArray, IntArray
 from threadline.verdict.found import Finding, Found, Worst
-from threadline.verdict.measure import Measure, Option
+from threadline.verdict.measure import Measure, MeasureOfRuns, Option, Run
 from threadline.verdict.samples import Block, Setting
 
 OPTIONS = {"recordings": Option(unit="", default=20.0)}
@@ -24,14 +24,14 @@ class _Spread:
     """
 
     def __init__(self, radius_m: FloatArray, lacking: str) -> None:
-        self._radius_m, self._lacking = radius_m, lacking
+        self.radius_m, self._lacking = radius_m, lacking
         self._worst = Worst(1, len(radius_m), note=lacking or "the recordings are empty")
 
     def feed(self, block: Block) -> None:
         """Take the next samples of all runs."""
         if self._lacking or block.actual is None:
             return
-        away = (block.actual - block.actual.mean(axis=1, keepdims=True)) * self._radius_m
+        away = (block.actual - block.actual.mean(axis=1, keepdims=True)) * self.radius_m
         squared = (away**2).sum(axis=2)
         at, run = np.unravel_index(int(np.argmax(squared)), squared.shape)
         index = np.array([at])
@@ -63,10 +63,8 @@ def start_repeatability(setting: Setting, options: Mapping[str, float]) -> Measu
     )
 
 
-def measure_repeatability(
-    runs: Sequence[Setting], options: Mapping[str, float]
-) -> Sequence[Finding]:
-    """Return the spread of runs that were recorded one by one.
+def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> MeasureOfRuns:
+    """Begin measuring the spread of runs that were recorded one by one.
 
     Fewer than the specification asks for measure nothing, nor do runs that were not in the same
     operation at the same instant.
@@ -74,21 +72,97 @@ def measure_repeatability(
     Parameters
     ----------
     runs
-        Read in step; memory holds one block of each.
+        Read in step; memory holds what one of them is ahead of the others.
     options
         ``recordings``: how many it takes.
     """
     wanted, count = max(int(options["recordings"]), 2), sum(run.runs for run in runs)
-    if count < wanted:
-        return [Finding(value=None, note=f"needs {wanted} recordings, has {count}")]
-    streams = [judged_blocks(run.recording, run.axes, 0, None) for run in runs]
-    spread = _Spread(runs[0].radius_m, "")
-    for blocks in zip_longest(*streams):
-        if any(block is None or len(block) != len(blocks[0]) for block in blocks):
-            return [Finding(value=None, note="the recordings differ in length")]
-        operations = np.stack([b.operation for b in blocks if b.operation is not None])
-        if (operations != operations[0]).any():
-            return [Finding(value=None, note="the recordings differ in their operations")]
-        actual = [block.actual for block in blocks if block.actual is not None]
-        spread.feed(replace(blocks[0], actual=np.concatenate(actual, axis=1)))
-    return [found.worst() for found in spread.finish()]
+    few = f"needs {wanted} recordings, has {count}" if count < wanted else ""
+    return _InStep(len(runs), _Spread(runs[0].radius_m, few), few)
+
+
+@dataclass(slots=True)
+class _Taken:
+    """Samples of a run that wait for those of the others: a block, from one of its samples on."""
+
+    block: Block
+    by_time: IntArray | None
+    begin: int = 0
+
+    @property
+    def left(self) -> int:
+        return len(self.block) - self.begin
+
+
+class _Operations:
+    """The operations of a run, as they were recorded and by time, by their hashes."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self._own, self._by_time, self.both = sha256(), sha256(), False
+
+    def take(self, block: Block, by_time: IntArray | None) -> None:
+        self.samples += len(block)
+        if block.operation is not None:
+            self._own.update(block.operation.tobytes())
+        if by_time is not None:
+            self.both = True
+            self._by_time.update(by_time.tobytes())
+
+    def digest(self, run: Run) -> bytes:
+        return (self._by_time if self.both and run.by_time else self._own).digest()
+
+
+class _InStep:
+    """The spread of runs, sample by sample, as soon as every run has one."""
+
+    def __init__(self, count: int, spread: _Spread, few: str) -> None:
+        self._few = few
+        # By time a sample may be of another operation: the same spread, told with that one.
+        self._own, self._by_time = spread, _Spread(spread.radius_m, few)
+        self._waiting: list[deque[_Taken]] = [deque() for _ in range(count)]
+        self._operations = [_Operations() for _ in range(count)]
+
+    def feed(self, number: int, block: Block, by_time: IntArray | None) -> None:
+        """Take the next samples of a run."""
+        if self._few or block.actual is None or not len(block):
+            return
+        self._operations[number].take(block, by_time)
+        self._waiting[number].append(_Taken(block, by_time))
+        while all(self._waiting):
+            heads = [waiting[0] for waiting in self._waiting]
+            count = min(head.left for head in heads)
+            self._compare(heads, count)
+            for head, waiting in zip(heads, self._waiting, strict=True):
+                head.begin += count
+                if not head.left:
+                    waiting.popleft()
+
+    def _compare(self, heads: Sequence[_Taken], count: int) -> None:
+        actual = [
+            head.block.actual[head.begin : head.begin + count]
+            for head in heads
+            if head.block.actual is not None
+        ]
+        first, rows = heads[0].block, slice(heads[0].begin, heads[0].begin + count)
+        part = replace(
+            first,
+            time_s=first.time_s[rows],
+            actual=np.concatenate(actual, axis=1),
+            commanded=None if first.commanded is None else first.commanded[rows],
+            operation=None if first.operation is None else first.operation[rows],
+        )
+        self._own.feed(part)
+        by_time = heads[0].by_time
+        self._by_time.feed(replace(part, operation=None if by_time is None else by_time[rows]))
+
+    def finish(self, runs: Sequence[Run]) -> Sequence[Finding]:
+        """Return the largest distance, if the runs did the same at the same instants."""
+        if not self._few:
+            if any(one.samples != self._operations[0].samples for one in self._operations):
+                return [Finding(value=None, note="the recordings differ in length")]
+            told = {one.digest(run) for one, run in zip(self._operations, runs, strict=True)}
+            if len(told) > 1:
+                return [Finding(value=None, note="the recordings differ in their operations")]
+        late = runs[0].by_time and self._operations[0].both
+        return [found.worst() for found in (self._by_time if late else self._own).finish()]

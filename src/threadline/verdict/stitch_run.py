@@ -19,6 +19,7 @@ from threadline.signals import ChannelKind, Recording, RecordingBlock
 from threadline.verdict.coverage import Coverage
 from threadline.verdict.found import Found
 from threadline.verdict.measure import Running, RunReading
+from threadline.verdict.samples import Block
 
 NEEDLE = "needle"
 
@@ -60,6 +61,7 @@ class StitchRun:
     of: ClassVar[str] = "an embroidery machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
+    untold = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
@@ -95,7 +97,14 @@ class StitchRun:
         named = [c for c in self.recording.channels if c.name == NEEDLE]
         return "" if named else "no needle channel: nobody knows when it was in the cloth"
 
-    def results(self, running: Sequence[Running]) -> list[list[Found]]:
+    def blocks(self) -> Iterator[Block]:
+        """Yield nothing: its measures have the run whole."""
+        return iter(())
+
+    def leave(self) -> None:
+        """Do nothing: it is read as a whole."""
+
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
         """Return what each measure finds, as far as the stitches were seen."""
         found = [list(one.measure.finish()) for one in running]
         why = self.unseen_why()

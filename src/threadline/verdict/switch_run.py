@@ -7,7 +7,7 @@ or live.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import ClassVar, TypeAlias
@@ -23,6 +23,7 @@ from threadline.targets.schedule import REST_LAGS, ScheduledMove
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.found import Found
 from threadline.verdict.measure import Running, RunReading
+from threadline.verdict.samples import Block
 
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums
@@ -91,6 +92,7 @@ class SwitchRun:
     of: ClassVar[str] = "an on/off machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
+    untold = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
@@ -159,7 +161,14 @@ class SwitchRun:
         """Say nothing: each of its measures tells itself what it lacks, step by step."""
         return ""
 
-    def results(self, running: Sequence[Running]) -> list[list[Found]]:
+    def blocks(self) -> Iterator[Block]:
+        """Yield nothing: its measures have the run whole."""
+        return iter(())
+
+    def leave(self) -> None:
+        """Do nothing: it is read as a whole."""
+
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
         """Return what each measure finds in the run, which it has whole."""
         found = [list(one.measure.finish()) for one in running]
         why = self.ended(self.time_s, self.end_s) if self.followed else ""

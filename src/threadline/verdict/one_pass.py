@@ -1,0 +1,145 @@
+"""Runs while they are read: each once, all measures of it at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.verdict.found import Finding, Found
+from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run, Running
+from threadline.verdict.samples import Block
+
+Key = tuple[str, tuple[tuple[str, float], ...]]
+"""A measure and its options."""
+Findings = dict[Key, list[Found]]
+
+
+class _Begun:
+    """The measures of one run, begun, and what cannot be measured of it."""
+
+    def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
+        self.run = run
+        self._lacking: Findings = {}
+        self._running: dict[Key, Running] = {}
+        self.last: Block | None = None
+        for key, kind in kinds.items():
+            reading = kind.of_run(run)
+            if reading is None or (isinstance(reading, OfRuns) and not together):
+                continue
+            if reading.start is None:
+                continue
+            missing = run.lacks(reading, kind.per_axis)
+            if missing:
+                # Of every axis: another recording may have measured it, and this one counts too.
+                for_axes = run.plan.axes if kind.per_axis else ("",)
+                self._lacking[key] = [
+                    Found.made([Finding(value=None, axis=axis, note=missing)]) for axis in for_axes
+                ]
+            else:
+                measure = reading.start(run, kind.with_defaults(dict(key[1])))
+                self._running[key] = Running(kind=kind, reading=reading, measure=measure)
+
+    def blocks(self) -> Iterator[Block]:
+        """Feed the measures; yield what they were fed with."""
+        for block in self.run.blocks():
+            for one in self._running.values():
+                one.measure.feed(block)
+            self.last = block
+            yield block
+
+    def found(self) -> Findings:
+        measured = self.run.results(list(self._running.values()), self.last)
+        return self._lacking | dict(zip(self._running, measured, strict=True))
+
+
+class _Timed:
+    """A run by time that is read in step with the same run as it was recorded."""
+
+    def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
+        self.begun = _Begun(run, kinds, together)
+        self._blocks = self.begun.blocks()
+        self._operation: IntArray = np.empty(0, dtype=np.int64)  # of samples not asked for yet
+
+    def operations(self, count: int) -> IntArray:
+        """Read on until there are the operations of ``count`` more samples; return them."""
+        while len(self._operation) < count:
+            block = next(self._blocks)
+            assert block.operation is not None
+            self._operation = np.concatenate([self._operation, block.operation])
+        taken, self._operation = self._operation[:count], self._operation[count:]
+        return taken
+
+    def finish(self) -> None:
+        """Read what is left."""
+        for _ in self._blocks:
+            pass
+
+    def leave(self) -> None:
+        """Read no more; nothing is kept for it."""
+        self.begun.run.leave()
+
+
+class Pass:
+    """One pass over one run.
+
+    While nobody knows whether the recording has operations of its own, the run is measured both
+    ways side by side: as it was recorded, and with the operations of the plan by time.
+
+    Parameters
+    ----------
+    run
+        The run.
+    kinds
+        Measures, by what is asked for.
+    together
+        Whether the runs that its recording holds side by side are measured together, too.
+    """
+
+    def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], *, together: bool) -> None:
+        self._begun = _Begun(run, kinds, together)
+        self._timed = None if run.untold is None else _Timed(run.untold, kinds, together)
+
+    def blocks(self) -> Iterator[tuple[Block, IntArray | None]]:
+        """Read the run; yield its blocks, and the operations by time while they may be needed."""
+        for block in self._begun.blocks():
+            if self._timed is not None and self._begun.run.untold is None:
+                self._timed.leave()
+                self._timed = None
+            yield block, None if self._timed is None else self._timed.operations(len(block))
+        if self._timed is not None:
+            self._timed.finish()
+            self._begun = self._timed.begun
+
+    @property
+    def run(self) -> Run:
+        """The run; once it was read, as what it turned out to be."""
+        return self._begun.run
+
+    def found(self) -> Findings:
+        """Return what was found of this run, after it was read."""
+        return self._begun.found()
+
+
+def read_all(passes: Sequence[Pass], together: Sequence[MeasureOfRuns]) -> None:
+    """Read every run once.
+
+    Parameters
+    ----------
+    together
+        Measures of all of them: where there are any, the run that is furthest behind is read next,
+        so that none of them is far ahead of another.
+    """
+    readers = dict(enumerate(one.blocks() for one in passes))
+    taken = dict.fromkeys(readers, 0)
+    while readers:
+        number = min(readers, key=taken.__getitem__) if together else next(iter(readers))
+        item = next(readers[number], None)
+        if item is None:
+            del readers[number]
+            continue
+        block, by_time = item
+        taken[number] += len(block)
+        for measure in together:
+            measure.feed(number, block, by_time)
