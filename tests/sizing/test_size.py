@@ -275,3 +275,26 @@ def test_nothing_from_nothing() -> None:
         size(Demands())
     with pytest.raises(OptionError, match="no profile"):
         size(Demands(move_m=1.0, move_s=1.0, profile="square"))
+
+
+def test_the_torque_margin_is_that_of_a_frame_by_hand() -> None:
+    """1150 kg by a trapezoid of thirds: 4.5 x 16.5 mm / (120 ms)^2 = 5.156 m/s^2, 5.93 kN.
+
+    On a pinion of 20 mm that is 118.6 N m; a servo of 712 N m has 6 times that.
+    """
+    frame = {
+        "load_mass_kg": 1150.0,
+        "pulley_radius_m": 0.02,
+        "gear_ratio": 1.0,
+        "motor_inertia_kg_m2": 1e-9,
+        "move_m": 0.0165,
+        "move_s": 0.12,
+        "motor_torque_n_m": 712.0,
+    }
+    needed = 1150.0 * 4.5 * 0.0165 / 0.12**2 * 0.02
+    for wanted, warned in ((6.0, 0), (10.0, 1)):
+        found = size(Demands(**frame, torque_margin=wanted))
+        (margin,) = (line.value for line in found.lines if line.name == "move torque margin")
+        assert margin == pytest.approx(712.0 / needed, rel=1e-8)  # the rotor is 2e-9 of it
+        assert len(found.warnings) == warned
+    assert "wanted are 10 times: 1186 N m" in found.warnings[0]

@@ -44,6 +44,8 @@ class Demands:
         Of the motor and its amplifier.
     move_m, move_s, dwell_s, profile, ramp
         A move from rest to rest that is repeated, with a pause after each.
+    motor_torque_n_m, torque_margin
+        What the motor has at its peak, and how many times the torque of the motion that is to be.
     encoder_lines, count_rate_limit_hz
         Lines a motor turn (four counts each), and what the counter can follow.
     """
@@ -71,6 +73,8 @@ class Demands:
     dwell_s: float = 0.0
     profile: str = "trapezoidal"
     ramp: float = 1.0 / 3.0
+    motor_torque_n_m: float | None = None
+    torque_margin: float | None = None
     encoder_lines: float | None = None
     count_rate_limit_hz: float | None = None
 

@@ -21,6 +21,7 @@ from threadline.sizing.result import SizeLine, Sizing
 
 _STITCHER = "stitcher thesis"
 _WINDER = "filament winding thesis"
+_EMBROIDERY = "embroidery frame paper: servos of 6 to 10 times, of low inertia"
 _MECHANICS = "mechanics"
 _KT_KV_AGREE = 0.05
 
@@ -180,6 +181,7 @@ class _Sheet:
                 "cruise torque + (rotor + reflected inertia) acceleration ratio / radius",
                 _MECHANICS,
             )
+        self._margin("torque margin", peak)
         if g.torque_constant_n_m_a is None:
             return
         steady_a = self.add(
@@ -208,6 +210,20 @@ class _Sheet:
                 "V",
                 "Ke motor speed + R peak current",
                 _MECHANICS,
+            )
+
+    def _margin(self, name: str, needed_n_m: float) -> None:
+        """How many times the torque that is needed the motor has."""
+        g = self.given
+        if g.motor_torque_n_m is None or needed_n_m == 0.0:
+            return
+        margin = self.add(
+            name, g.motor_torque_n_m / needed_n_m, "", "motor torque / peak torque", _EMBROIDERY
+        )
+        if g.torque_margin is not None and margin < g.torque_margin:
+            self.warnings.append(
+                f"the motor has {margin:.3g} times the torque that is needed, wanted are "
+                f"{g.torque_margin:g} times: {g.torque_margin * needed_n_m:.4g} N m"
             )
 
     def _constants(self) -> None:
@@ -275,6 +291,7 @@ class _Sheet:
             "root mean square over the move and the dwell",
             f"{_WINDER}, section 6.3 (heat goes with its square)",
         )
+        self._margin("move torque margin", peak)
         if g.torque_constant_n_m_a is not None:
             for name, torque in (("move peak current", peak), ("move rms current", rms)):
                 self.add(name, torque / g.torque_constant_n_m_a, "A", "torque / Kt", _MECHANICS)
