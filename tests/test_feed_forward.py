@@ -10,11 +10,12 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
+from threadline.described import options_from
 from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
-from threadline.options import Options, options_from
+from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.rigid import current_needed
 from threadline.report import write_report

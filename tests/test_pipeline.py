@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from threadline.described import describe, options_from
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
@@ -13,8 +14,6 @@ from threadline.machine import load_machine
 from threadline.options import (
     LEAST_SHARE,
     Options,
-    describe,
-    options_from,
     parse_feed,
     parse_share,
     parse_tolerance_m,

@@ -86,7 +86,8 @@ def prove(
         Runs in all.
     **words
         ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``radius``, ``tolerance``,
-        ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``law``: as on the command line.
+        ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``law``,
+        ``contour``: as on the command line.
 
     Raises
     ------
@@ -330,6 +331,7 @@ _WORDS = {
     "feed_mode": None,
     "radius": None,
     "law": None,
+    "contour": None,
 }
 
 

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from threadline.errors import OptionError, UnitError
-from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.path.plan import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M
+from threadline.path.plan import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 from threadline.units import parse_quantity, same_dimension, split_quantity
 
 DEFAULT_INTERPOLATION = "auto"
 DEFAULT_LIMITS = "100 %"
+DEFAULT_CONTOUR_M = 3e-4
+"""How far loops may leave the path of ``optimal``. With the tolerance of the path 0.4 mm of the
++-0.5 mm that the winder and the stitcher were to keep; the rest is for what no plan knows: counts,
+levels of the DAC, friction, another day."""
+LEAST_CONTOUR_M = 1e-6
+NO_CONTOUR = "none"
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
-_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
+FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
 LEAST_SHARE = 1e-3
@@ -60,6 +67,9 @@ class TimingChoice:
         the limits of jerk ask for.
     shaper
         Text of the shaper that it is convolved with; None shapes nothing.
+    contour_m
+        How far the loads may leave the path while their loops follow; infinite where the timing
+        does not ask.
     """
 
     pace: Pace
@@ -68,6 +78,7 @@ class TimingChoice:
     limit_share: float
     smoothing_s: float | None
     shaper: str | None
+    contour_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +116,9 @@ class Options:
     shaper_mode, shaper_damping
         Text of the frequency, and damping ratio, of shapers of levels that name none; None is
         the machine's own.
+    contour_m
+        How far the loads may leave the path of ``optimal`` while their loops follow, at the tool;
+        infinite for no such limit, None for ``DEFAULT_CONTOUR_M``.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -118,6 +132,12 @@ class Options:
     feed_forward_s: float | None = None
     shaper_mode: str | None = None
     shaper_damping: float | None = None
+    contour_m: float | None = None
+
+    @property
+    def follows_contour(self) -> bool:
+        """Whether the timing bounds what the loops make of it; loads that follow need none."""
+        return self.interpolation == OPTIMAL and self.following is Following.MOTOR
 
     @property
     def path(self) -> PathChoice:
@@ -141,7 +161,12 @@ class Options:
             limit_share=self.limit_share,
             smoothing_s=self.feed_forward_s,
             shaper=self.shaper,
+            contour_m=self._contour_m if self.follows_contour else math.inf,
         )
+
+    @property
+    def _contour_m(self) -> float:
+        return DEFAULT_CONTOUR_M if self.contour_m is None else self.contour_m
 
     @property
     def following(self) -> Following:
@@ -217,6 +242,25 @@ def parse_tolerance_m(text: str) -> float:
     return value
 
 
+def parse_contour_m(text: str) -> float:
+    """Return how far loops may leave the path, such as ``"0.3 mm"``, in m; infinite for ``none``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a length of at least ``LEAST_CONTOUR_M``.
+    """
+    if text == NO_CONTOUR:
+        return math.inf
+    value = parse_number("contour", text, "m", "0.3 mm")
+    if value < LEAST_CONTOUR_M:
+        raise OptionError(
+            f"contour {text!r} must be at least {LEAST_CONTOUR_M * 1e6:g} um",
+            remedy=f'Write "{NO_CONTOUR}" to plan on the limits of axes and drives alone.',
+        )
+    return value
+
+
 def parse_share(text: str) -> float:
     """Return a share such as ``"25 %"`` as a number.
 
@@ -277,6 +321,7 @@ def options_of(
     law: str | None = None,
     dialect: str | None = None,
     radius: str | None = None,
+    contour: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text.
 
@@ -284,7 +329,8 @@ def options_of(
     ------
     OptionError
         If one is unreadable, a smoothing is given without feed-forward, a meaning of F with a
-        feed that replaces it, or a law with another interpolation.
+        feed that replaces it, a law with another interpolation, or a contour with any but
+        ``optimal`` followed by the motors.
     """
     if law is not None:
         if interpolation != DEFAULT_INTERPOLATION:
@@ -303,6 +349,12 @@ def options_of(
             f"--feed-mode {feed_mode!r} says what F means, and --feed replaces every F",
             remedy="Leave one of them out.",
         )
+    if contour is not None and (interpolation != OPTIMAL or feed_forward):
+        what = "feed-forward, whose loads follow," if feed_forward else interpolation
+        raise OptionError(
+            f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of {what}",
+            remedy=f"Leave it out, or give --interpolation {OPTIMAL} without --feed-forward.",
+        )
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
@@ -315,6 +367,7 @@ def options_of(
         feed_forward_s=parse_width_s(FEED_FORWARD if smoothing is None else smoothing)
         if feed_forward
         else None,
+        contour_m=None if contour is None else parse_contour_m(contour),
     )
 
 
@@ -332,65 +385,3 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
             "share of limits to choose",
             remedy="Leave these options out; a shaper may be given.",
         )
-
-
-def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
-    """Return the options as text: enough to make the same plan again."""
-    feed = "programmed"
-    if options.feed is not None:
-        unit = _UNITS.get(options.feed.mode, "m/s")
-        feed = f"{options.feed.value!r} {unit}"
-    return {
-        "job": job.file,
-        "machine": machine.reference,
-        **({"par": machine.parameters} if machine.parameters else {}),
-        "interpolation": options.interpolation,
-        "feed": feed,
-        **({} if options.dialect is None else {"dialect": options.dialect}),
-        **({} if options.feed_mode is None else {"feed-mode": options.feed_mode}),
-        **({} if options.radius is None else {"radius": options.radius}),
-        "tolerance": f"{options.tolerance_m!r} m",
-        "limits": f"{options.limit_share * 100.0!r} %",
-        **({} if options.shaper is None else {"shaper": options.shaper}),
-        **({} if options.shaper_mode is None else {"mode": options.shaper_mode}),
-        **({} if options.shaper_damping is None else {"damping": repr(options.shaper_damping)}),
-        **(
-            {}
-            if options.feed_forward_s is None
-            else {"feed-forward": f"{options.feed_forward_s!r} s"}
-        ),
-    }
-
-
-def options_from(description: dict[str, str]) -> Options:
-    """Return the options that ``describe`` wrote down.
-
-    Raises
-    ------
-    OptionError
-        If one of them is missing or unreadable.
-    """
-    try:
-        feed_text = description["feed"]
-        return Options(
-            interpolation=description["interpolation"],
-            feed=None if feed_text == "programmed" else parse_feed(feed_text),
-            dialect=description.get("dialect"),
-            feed_mode=description.get("feed-mode"),
-            radius=description.get("radius"),
-            tolerance_m=parse_tolerance_m(description["tolerance"]),
-            limit_share=parse_share(description.get("limits", "100 %")),
-            shaper=description.get("shaper"),
-            shaper_mode=description.get("mode"),
-            shaper_damping=None
-            if "damping" not in description
-            else parse_number("damping", description["damping"], "", "0.17"),
-            feed_forward_s=None
-            if "feed-forward" not in description
-            else parse_width_s(description["feed-forward"]),
-        )
-    except KeyError as error:
-        raise OptionError(
-            f"the recording does not say with which {error.args[0]} its plan was made",
-            remedy="Give the job, the machine and the options.",
-        ) from error

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from threadline import __version__
+from threadline.described import options_from
 from threadline.errors import Place, ProofError
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
 from threadline.opening import read_text
-from threadline.options import options_from
 from threadline.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.plan import Plan
 from threadline.signals.files.common import Written, atomic_file, written

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from hashlib import file_digest
 from pathlib import Path
 
+from threadline.described import options_from
 from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine, load_machine
@@ -15,7 +16,6 @@ from threadline.options import (
     DEFAULT_INTERPOLATION,
     DEFAULT_TOLERANCE,
     FEED_FORWARD,
-    options_from,
 )
 from threadline.pipeline import open_job, plan_job, with_shaping
 from threadline.plan import Plan

@@ -10,13 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.path.builders import job_of, polylines
+from tests.trajectory.builders import without_drives
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
 from threadline.path import path_deviation, plan_path, programmed_path
 from threadline.trajectory import limit_peaks, plan_trajectory
-from threadline.trajectory.optimal import Limits, blocks, elements_of, fastest
+from threadline.trajectory.optimal import Limits, blocks, elements_of, fastest, in_time
 
-WINDER = load_machine("lathe-winder")
+AS_BUILT = load_machine("lathe-winder")
+WINDER = without_drives(AS_BUILT)
+"""Its axes alone: what its drives can give has tests of its own."""
 RAPID = Feed(FeedMode.RAPID, 0.0)
 
 
@@ -65,10 +68,10 @@ def test_rest_to_rest_takes_the_time_of_the_closed_form(
     if printed_s is not None:
         assert least_s == pytest.approx(printed_s, abs=6e-6)
     solution, limits = straight(length, velocity, acceleration, jerk)
-    coefficients, duration_s, _ = blocks.in_time(solution, limits)
-    assert least_s * (1 - 1e-9) <= duration_s.sum() <= least_s * 1.005
-    assert coefficients[0, 0] == pytest.approx(0.0) and coefficients[-1].sum() == pytest.approx(
-        length
+    motion = in_time.in_time(solution, limits)
+    assert least_s * (1 - 1e-9) <= motion.end_s <= least_s * 1.005
+    assert motion.evaluate(np.array([0.0, motion.end_s])) == pytest.approx(
+        np.array([[0.0], [length]])
     )
 
 
@@ -206,13 +209,13 @@ def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
     """Elements so long that their polynomials in time leave the limits, and no cut to mend it."""
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
     cut_s = plan(("X", "Y"), points)[2].duration_s
-    monkeypatch.setattr(blocks, "_CUTS", 0)
+    monkeypatch.setattr(in_time, "_CUTS", 0)
     monkeypatch.setattr("threadline.trajectory.optimal.solve._VARIED", 30.0)
     monkeypatch.setattr("threadline.trajectory.optimal.solve._IDLE_ROUNDS", 0)
     _, _, coarse = plan(("X", "Y"), points)
     ratio = max(peak.ratio for peak in limit_peaks(coarse, WINDER))
     assert 0.5 < ratio <= 1.0 + 1e-9  # the bound that slows it is somewhat above the extremes
     assert coarse.duration_s > cut_s
-    monkeypatch.setattr(blocks, "_stretch", lambda *_: 1.0)
+    monkeypatch.setattr(in_time, "_stretch", lambda *_: 1.0)
     _, _, unmended = plan(("X", "Y"), points)
     assert max(peak.ratio for peak in limit_peaks(unmended, WINDER)) > 1.001

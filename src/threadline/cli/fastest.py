@@ -29,6 +29,7 @@ from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     ActualOption,
+    ContourOption,
     FeedForwardOption,
     InterpolationOption,
     JobArgument,
@@ -74,6 +75,7 @@ def fastest(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     law: LawOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    contour: ContourOption = None,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
     par: ParOption = None,
@@ -136,7 +138,13 @@ def fastest(
     asked = load_spec(spec, chosen).with_margin(kept_free)
     read = read_job(job, chosen)
     options = options_of(
-        interpolation, None, tolerance, feed_forward=feed_forward, smoothing=smoothing, law=law
+        interpolation,
+        None,
+        tolerance,
+        feed_forward=feed_forward,
+        smoothing=smoothing,
+        law=law,
+        contour=contour,
     )
     kind_of(chosen).check_options(chosen, options)
     if read.paced_by == "switchings":
@@ -227,6 +235,7 @@ def fastest(
                 "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
                 "--feed-forward": "" if feed_forward else None,
                 "--smoothing": smoothing,
+                "--contour": contour,
                 "--actual": actual,
             },
         )

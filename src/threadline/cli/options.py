@@ -74,7 +74,15 @@ RadiusOption = Annotated[
 ToleranceOption = Annotated[
     str,
     typer.Option(
-        help='Largest deviation from the programmed path, kept by auto and parabolic: "0.1 mm".'
+        help="Largest deviation from the programmed path, kept by auto, optimal and parabolic: "
+        '"0.1 mm".'
+    ),
+]
+ContourOption = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Of optimal: how far the loops may leave the path; default "
+        f'"{planning.DEFAULT_CONTOUR_M * 1e3:g} mm", "{planning.NO_CONTOUR}" for no limit.'
     ),
 ]
 LimitsOption = Annotated[

@@ -12,6 +12,7 @@ from threadline.cli.options import (
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     ActualOption,
+    ContourOption,
     DialectOption,
     FeedForwardOption,
     FeedModeOption,
@@ -66,6 +67,7 @@ def prove(
     feed_mode: FeedModeOption = None,
     radius: RadiusOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    contour: ContourOption = None,
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     shaper: ShaperOption = None,
     feed_forward: FeedForwardOption = False,
@@ -118,6 +120,7 @@ def prove(
         law,
         dialect,
         radius,
+        contour,
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     with progress_bar(not json) as progress:

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from threadline.described import describe
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.laws import law
 from threadline.machine import Machine
 from threadline.machine.vary import vary
-from threadline.options import Options, describe
+from threadline.options import Options
 from threadline.path.plan import BY_LAW
 from threadline.plan import Plan, Stitched
 from threadline.signals import Commands, Recording, StepPlay, played

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from threadline.described import describe
 from threadline.jobs.operations import Job
 from threadline.kinds.kind import Kind
 from threadline.machine import Machine
 from threadline.machine.vary import vary
-from threadline.options import Options, describe, refuse_axis_options
+from threadline.options import Options, refuse_axis_options
 from threadline.plan import Plan, Scheduled
 from threadline.signals import Commands, Recording, SwitchSchedule, switch_schedule
 from threadline.targets.schedule import compile_schedule

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from threadline.described import describe
 from threadline.errors import OptionError, PlanError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.laws import law
 from threadline.machine import Machine
 from threadline.machine.vary import derate, vary
-from threadline.options import Options, PathChoice, describe
+from threadline.options import Options, PathChoice
 from threadline.path import chord_path, on_chords, plan_path, programmed_path
 from threadline.path.types import PlannedPath, ProgrammedPath
 from threadline.plan import Following, Motion, Plan
@@ -79,7 +80,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     check_budget(job, machine, timing.feed)
     limited = derate(machine, timing.limit_share)
     path = _shape(programmed, limited, options.path)
-    timed = plan_trajectory(path, limited, timing.pace, motion_law)
+    timed = plan_trajectory(path, limited, timing.pace, motion_law, timing.contour_m)
     # A demand above its limit is no error: the verdict shows what comes of it.
     followed = (
         followed_by_motors(timed, machine, job, shaper)

@@ -28,7 +28,8 @@ CHORDS = "chords"
 """The programmed chords as they stand; no interpolation of its own."""
 BY_LAW = "law:"
 """Begins the name of the interpolations that follow each chord by a motion law."""
-KEEPING_TOLERANCE = ("auto", "optimal", "parabolic")
+OPTIMAL = "optimal"
+KEEPING_TOLERANCE = ("auto", OPTIMAL, "parabolic")
 """Interpolations that stay within the tolerance everywhere; the others report what they do."""
 
 
@@ -203,7 +204,7 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
     path = PlannedPath(
         axes=programmed.axes,
         radius_m=programmed.radius_m,
-        interpolation="optimal",
+        interpolation=OPTIMAL,
         timing=Timing.FASTEST,
         historical=False,
         blocks=Stream(auto_pieces, programmed, cut_m, near_m),
@@ -262,7 +263,7 @@ def _polynomial(name: str) -> Planner:
 
 _PLANNERS: dict[str, Planner] = {
     "auto": _auto,
-    "optimal": _optimal,
+    OPTIMAL: _optimal,
     "point-to-point": _point_to_point,
     "linear": _linear,
     "parabolic": _parabolic,

@@ -17,7 +17,7 @@ from threadline.signals import Stream
 from threadline.trajectory.as_programmed import as_programmed
 from threadline.trajectory.by_law import breaks_jerk, by_law
 from threadline.trajectory.follow import followed_blocks
-from threadline.trajectory.optimal.blocks import fastest_blocks
+from threadline.trajectory.optimal.blocks import MOST_PIECES, fastest_blocks
 from threadline.trajectory.timed import smoothed_blocks, timed_blocks
 from threadline.trajectory.types import Trajectory
 
@@ -31,7 +31,11 @@ class Pace(StrEnum):
 
 
 def plan_trajectory(
-    path: PlannedPath, machine: Machine, pace: Pace = Pace.LIMITED, law: Law | None = None
+    path: PlannedPath,
+    machine: Machine,
+    pace: Pace = Pace.LIMITED,
+    law: Law | None = None,
+    contour_m: float = np.inf,
 ) -> Trajectory:
     """Return the axis positions over time.
 
@@ -51,6 +55,9 @@ def plan_trajectory(
         to rest; it is historical where its jerk is infinite and an axis limits it.
     law
         What ``LAW`` follows.
+    contour_m
+        How far the loads may be from a path that is timed as the fastest, while their loops
+        follow it; infinite where that is no limit.
 
     Raises
     ------
@@ -59,6 +66,8 @@ def plan_trajectory(
     BudgetError
         While the trajectory is read: if the programmed feeds and dwells alone take more ticks
         than the machine file allows. It comes before any sample of the pieces that are too long.
+    PlanError
+        While the trajectory of ``contour_m`` is read: if loads stray farther however slow it is.
     """
     if pace is Pace.LAW:
         if not on_chords(path.interpolation) or law is None:
@@ -90,8 +99,22 @@ def plan_trajectory(
             blocks=Stream(timed_blocks, path),
         )
     if path.timing is Timing.FASTEST:
-        return Trajectory(axes=path.axes, blocks=Stream(fastest_blocks, path, machine))
+        blocks = Stream(fastest_blocks, path, machine, contour_m)
+        # It will be read many times: a short motion is worked out once and kept.
+        return Trajectory(
+            axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks
+        )
     return Trajectory(axes=path.axes, blocks=Stream(followed_blocks, path, machine))
+
+
+def _short(path: PlannedPath) -> bool:
+    """Say whether all pieces of a path may be kept."""
+    count = 0
+    for block in path:
+        count += len(block)
+        if count > MOST_PIECES:
+            return False
+    return True
 
 
 def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:

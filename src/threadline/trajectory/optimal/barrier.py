@@ -5,8 +5,8 @@ that the matrix of a step has two diagonals beside the main one. The duration of
 most the mean of 1 / sqrt(y) over its Bernstein coefficients, because 1 / sqrt is convex: that
 bound is what is made small, and no dip between nodes escapes it. The limit of the jerk,
 |l| <= 1 / sqrt(y), is not convex; its right side lies above each of its tangents
-``3/2 r - r^3 y / 2``, so that whatever keeps within a tangent keeps within the limit. The tangents
-follow the solution.
+``3/2 r - r^3 y / 2``, so that whatever keeps within a tangent keeps within the limit. What a drive
+gives is bounded in the same way. The tangents follow the solution.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -19,7 +19,7 @@ from threadline.trajectory.optimal.rows import WEIGHTS
 
 _LEAST_PIVOT = 1e-13  # of the diagonal of the matrix: below is rounding
 _HELD = 1e60
-_SLACK_KEPT = 0.3  # of a slack of the jerk when its tangent moves
+_SLACK_KEPT = 0.3  # of a slack when its tangent moves
 _NEAR = 0.9  # of the way to the nearest limit
 
 
@@ -58,9 +58,32 @@ def duration(b, length):
 
 
 @njit(cache=True)
+def room_of(row, y, tangent):
+    """Return what is left of 1 by a row of a drive."""
+    used = 0.5 / tangent * row[6]
+    for a in range(3):
+        used += (row[a] + 0.5 * tangent * row[3 + a]) * y[a]
+    return 1.0 - used
+
+
+@njit(cache=True)
+def _add_demands(drive, y, tangent, weight, row, gy, hy):
+    """Add what the rows of the drives give to the gradient and the upper half of the matrix."""
+    for k in range(len(drive)):
+        s = room_of(drive[k], y, tangent)
+        part = weight / s
+        for a in range(3):
+            row[a] = drive[k, a] + 0.5 * tangent * drive[k, 3 + a]
+        for a in range(3):
+            gy[a] += part * row[a]
+            for c in range(a, 3):
+                hy[a, c] += part / s * row[a] * row[c]
+
+
+@njit(cache=True)
 def newton(b, length, rows, tangent, weight):
     """Return the Newton step of duration - weight * sum(log(slack)), and its decrement."""
-    acc, jerk, points, count, top = rows
+    acc, jerk, points, count, top, drive, begin = rows
     n = len(length)
     size = n + 2
     g = np.zeros(size)
@@ -69,8 +92,7 @@ def newton(b, length, rows, tangent, weight):
     for i in range(n):
         m00, m01, m11, m21, m22 = maps(length, i)
         p[0, 0], p[0, 1], p[1, 1], p[2, 1], p[2, 2] = m00, m01, m11, m21, m22
-        y[0] = m00 * b[i] + m01 * b[i + 1]
-        y[1] = m11 * b[i + 1]
+        y[0], y[1] = m00 * b[i] + m01 * b[i + 1], m11 * b[i + 1]
         y[2] = m21 * b[i + 1] + m22 * b[i + 2]
         hy[:] = 0.0
         for a in range(3):
@@ -109,6 +131,7 @@ def newton(b, length, rows, tangent, weight):
                     gy[a] -= part * row[a]
                     for c in range(a, 3):
                         hy[a, c] += part / s * row[a] * row[c]
+        _add_demands(drive[begin[i] : begin[i + 1]], y, tangent[i], weight, row, gy, hy)
         for a in range(3):
             for c in range(a):
                 hy[a, c] = hy[c, a]
@@ -166,7 +189,7 @@ def _solve(matrix, g):
 
 
 @njit(cache=True)
-def _far(y, dy, acc, jerk, points, count, top, tangent):
+def _far(y, dy, acc, jerk, points, count, top, drive, tangent):
     """Return how far the y of one element may go along dy until a slack is used up."""
     best = 1e300
     for a in range(3):
@@ -194,19 +217,26 @@ def _far(y, dy, acc, jerk, points, count, top, tangent):
             best = min(best, (room - v) / (dv + less))
         if less - dv > 0.0:
             best = min(best, (room + v) / (less - dv))
+    for k in range(len(drive)):
+        dv = 0.0
+        for a in range(3):
+            dv += (drive[k, a] + 0.5 * tangent * drive[k, 3 + a]) * dy[a]
+        if dv > 0.0:
+            best = min(best, room_of(drive[k], y, tangent) / dv)
     return best
 
 
 @njit(cache=True)
 def advance(b, step, length, rows, tangent):
     """Go along the step as far as the slacks allow; change b, and return the share taken."""
-    acc, jerk, points, count, top = rows
+    acc, jerk, points, count, top, drive, begin = rows
     best = 1e300
     y, dy = np.zeros(3), np.zeros(3)
     for i in range(len(length)):
         y[0], y[1], y[2] = values(b, length, i)
         dy[0], dy[1], dy[2] = values(step, length, i)
-        far = _far(y, dy, acc[i], jerk[i], points[i], count[i], top[i], tangent[i])
+        own = drive[begin[i] : begin[i + 1]]
+        far = _far(y, dy, acc[i], jerk[i], points[i], count[i], top[i], own, tangent[i])
         best = min(best, far)
     share = min(1.0, _NEAR * best)
     for k in range(len(b)):
@@ -216,11 +246,11 @@ def advance(b, step, length, rows, tangent):
 
 @njit(cache=True)
 def follow(b, length, rows, tangent):
-    """Move each tangent towards the present y, as far as the slacks of the jerk allow."""
-    _, jerk, points, count, _ = rows
+    """Move each tangent towards the present y, as far as the slacks that hang on it allow."""
+    _, jerk, points, count, _, drive, begin = rows
     y = np.zeros(3)
     for i in range(len(length)):
-        if count[i, 1] == 0:
+        if count[i, 1] == 0 and begin[i] == begin[i + 1]:
             continue
         y[0], y[1], y[2] = values(b, length, i)
         old = tangent[i]
@@ -236,6 +266,11 @@ def follow(b, length, rows, tangent):
                 if 1.5 * new - 0.5 * new**3 * at - v < _SLACK_KEPT * before:
                     sound = False
                     break
+            if sound:
+                for k in range(begin[i], begin[i + 1]):
+                    if room_of(drive[k], y, new) < _SLACK_KEPT * room_of(drive[k], y, old):
+                        sound = False
+                        break
             if sound:
                 tangent[i] = new
                 break

@@ -35,15 +35,27 @@ class Elements:
         (n,) largest u'^2 that the feed allows, infinite where none is given.
     operation
         (n,) operation under way.
+    guard
+        (n, DEGREE + 1, k) further polynomials in u, whose second derivative by time may be 1 at
+        the most; k may be 0.
+    guard_cap
+        (n,) largest u'^2 beside that of the feed; infinite where there is none.
     """
 
     c: FloatArray
     length: FloatArray
     cap: FloatArray
     operation: IntArray
+    guard: FloatArray
+    guard_cap: FloatArray
 
     def __len__(self) -> int:
         return len(self.c)
+
+    @property
+    def top(self) -> FloatArray:
+        """(n,) largest u'^2 of feed and guards."""
+        return np.minimum(self.cap, self.guard_cap)
 
     def take(self, rows: slice) -> Elements:
         """Return the elements at ``rows``."""
@@ -52,6 +64,8 @@ class Elements:
             length=self.length[rows],
             cap=self.cap[rows],
             operation=self.operation[rows],
+            guard=self.guard[rows],
+            guard_cap=self.guard_cap[rows],
         )
 
     def split(self, parts: IntArray) -> Elements:
@@ -59,11 +73,14 @@ class Elements:
         which = np.repeat(np.arange(len(self)), parts)
         count = parts[which].astype(np.float64)
         first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+        begin, width = first / count, 1.0 / count
         return Elements(
-            c=restricted(self.c[which], first / count, 1.0 / count),
+            c=restricted(self.c[which], begin, width),
             length=self.length[which] / count,
             cap=self.cap[which] * count**2,
             operation=self.operation[which],
+            guard=restricted(self.guard[which], begin, width),
+            guard_cap=self.guard_cap[which] * count**2,
         )
 
 
@@ -74,6 +91,8 @@ def join(parts: list[Elements]) -> Elements:
         length=np.concatenate([part.length for part in parts]),
         cap=np.concatenate([part.cap for part in parts]),
         operation=np.concatenate([part.operation for part in parts]),
+        guard=np.concatenate([part.guard for part in parts]),
+        guard_cap=np.concatenate([part.guard_cap for part in parts]),
     )
 
 
@@ -132,6 +151,8 @@ def elements_of(
         length=length * np.concatenate([[1.0], np.cumprod(ratio)]),
         cap=cap,
         operation=operation,
+        guard=np.zeros((count, DEGREE + 1, 0)),
+        guard_cap=np.full(count, np.inf),
     )
     if from_rest:
         whole = _with_lead_in(whole)
@@ -155,6 +176,8 @@ def reverse(elements: Elements) -> Elements:
         length=elements.length[::-1],
         cap=elements.cap[::-1],
         operation=elements.operation[::-1],
+        guard=restricted(elements.guard[::-1], ones, -ones),
+        guard_cap=elements.guard_cap[::-1],
     )
 
 
@@ -172,6 +195,8 @@ def _with_lead_in(elements: Elements) -> Elements:
         length=first.length * (1.0 - share),
         cap=first.cap / (1.0 - share) ** 2,
         operation=first.operation,
+        guard=first.guard,
+        guard_cap=first.guard_cap,
     )
     # In u of the head, w runs twice as far: at w = 1 its slope is 1 and g = 1/2.
     powers = np.arange(DEGREE + 1.0)[:, None]
@@ -182,6 +207,8 @@ def _with_lead_in(elements: Elements) -> Elements:
         length=2.0 * first.length * share,
         cap=first.cap / (2.0 * share) ** 2,
         operation=first.operation,
+        guard=first.guard,
+        guard_cap=first.guard_cap,
     )
     return join([lead, rest, elements.take(slice(1, None))])
 

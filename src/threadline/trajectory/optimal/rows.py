@@ -4,6 +4,10 @@ On an element y is a quadratic with Bernstein coefficients y0, y1, y2. The accel
 ``q_uu y + q_u y' / 2``, is a polynomial whose Bernstein coefficients are linear in them, and so is
 ``l = q_uuu y + 3/2 q_uu y' + q_u y'' / 2``; the jerk is ``sqrt(y) l``. Bernstein coefficients bound
 a polynomial everywhere on the element: no sampling enters these bounds.
+
+What a drive must give, ``k_v v + k_a a``, has the velocity ``q_u sqrt(y)`` in it. Where it adds to
+the demand, sqrt(y) lies under each of its tangents ``1 / (2 r) + r y / 2``; where it takes from it,
+the demand is less than that of the acceleration alone, which the limit of the acceleration covers.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -102,7 +106,7 @@ def _jerk_rows(c, j, degree, limit, out, points):
 
 
 @njit(cache=True)
-def rows_of(c, limit_v, limit_a, limit_j, acc, jerk, points):
+def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
     """Write the rows of one element; return their numbers and the largest y.
 
     ``acc[i] . y`` and ``jerk[i] . y`` are shares of the limits; ``points[i]`` names the row of
@@ -123,6 +127,12 @@ def rows_of(c, limit_v, limit_a, limit_j, acc, jerk, points):
         n_acc += _acceleration_rows(c, j, degree, limit_a[j], acc[n_acc:])
         if limit_j[j] < np.inf:
             n_jerk += _jerk_rows(c, j, degree, limit_j[j], jerk[n_jerk:], points[n_jerk:])
+    for j in range(guard.shape[1]):
+        degree = _degree(guard, j)
+        if degree == 1:
+            line_a = max(line_a, abs(guard[1, j]))
+        elif degree > 1:
+            n_acc += _acceleration_rows(guard, j, degree, 1.0, acc[n_acc:])
     if line_a > 0.0:
         acc[n_acc, 0], acc[n_acc, 1], acc[n_acc, 2] = -line_a, line_a, 0.0
         acc[n_acc + 1, 0], acc[n_acc + 1, 1], acc[n_acc + 1, 2] = 0.0, -line_a, line_a
@@ -136,17 +146,109 @@ def rows_of(c, limit_v, limit_a, limit_j, acc, jerk, points):
 
 
 @njit(cache=True)
-def assemble(c, limit_v, limit_a, limit_j, cap):
+def _demand_rows(c, j, degree, share_v, share_a, out):
+    """Write the rows of what one drive must give for one axis; return how many.
+
+    A row is seven numbers: what multiplies y0, y1, y2 by itself, what multiplies them with the
+    tangent's slope, and what stands with its constant.
+    """
+    top = 2 if degree == 1 else degree + 1
+    power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
+    for k in range(1, degree + 1):
+        power[k - 1] = share_v * k * c[k, j]
+    _bernstein(power, top, one)
+    low, high = one[: top + 1].min(), one[: top + 1].max()
+    for i in range(top + 1):
+        out[i, 6] = one[i]
+    for m in range(3):
+        power[:] = 0.0
+        for k in range(1, degree + 1):
+            first = k * c[k, j]
+            second = k * (k - 1) * c[k, j]
+            for s in range(3):
+                if k >= 2:
+                    power[k - 2 + s] += share_a * second * BASE[m, s]
+                if s >= 1:
+                    power[k - 1 + s - 1] += share_a * 0.5 * first * s * BASE[m, s]
+        _bernstein(power, top, one)
+        for i in range(top + 1):
+            out[i, m] = one[i]
+        power[:] = 0.0
+        for k in range(1, degree + 1):
+            for s in range(3):
+                power[k - 1 + s] += share_v * k * c[k, j] * BASE[m, s]
+        _bernstein(power, top, one)
+        for i in range(top + 1):
+            out[i, 3 + m] = one[i]
+    rows = top + 1
+    if high <= 0.0:
+        for i in range(rows):
+            for a in range(7):
+                out[i, a] = -out[i, a]
+        return rows
+    if low >= 0.0:
+        return rows
+    for i in range(rows):
+        for a in range(7):
+            out[rows + i, a] = -out[i, a]
+    return 2 * rows
+
+
+@njit(cache=True)
+def demand_rows(c, demand, limit_a, top):
+    """Return the rows of all drives, and where those of each element begin.
+
+    Parameters
+    ----------
+    demand
+        (m, axes, 2) share of what a drive has to give that 1 m/s, and 1 m/s^2, of an axis needs.
+    limit_a
+        (axes,) with which a demand without velocity is within its limit.
+    top
+        (n,) largest y.
+    """
+    n, axes = len(c), c.shape[2]
+    first = np.zeros(n + 1, dtype=np.int64)
+    out = np.zeros((64, 7))
+    own = np.zeros((2 * (ORDER + 2), 7))
+    used = 0
+    for i in range(n):
+        for j in range(axes):
+            degree = _degree(c[i], j)
+            if degree == 0:
+                continue
+            for m in range(len(demand)):
+                share_v, share_a = demand[m, j, 0], demand[m, j, 1]
+                if share_v <= 0.0:
+                    continue
+                fastest = _fastest(c[i], j, degree) * np.sqrt(top[i])
+                if share_v * fastest + share_a * limit_a[j] <= 1.0:
+                    continue
+                rows = _demand_rows(c[i], j, degree, share_v, share_a, own)
+                if used + rows > len(out):
+                    grown = np.zeros((2 * len(out) + rows, 7))
+                    grown[:used] = out[:used]
+                    out = grown
+                out[used : used + rows] = own[:rows]
+                used += rows
+        first[i + 1] = used
+    return out[:used].copy(), first
+
+
+@njit(cache=True)
+def assemble(c, guard, limit_v, limit_a, limit_j, cap):
     """Return the rows of all elements, their numbers, and the largest y of each."""
     n, axes = len(c), c.shape[2]
     most = ORDER * axes + 2
-    acc = np.zeros((n, most, 3))
+    acc = np.zeros((n, most + ORDER * guard.shape[2], 3))
     jerk = np.zeros((n, most + 1, 3))
     points = np.zeros((n, most + 1), dtype=np.int64)
     count = np.zeros((n, 2), dtype=np.int64)
     top = np.empty(n)
     for i in range(n):
-        a, b, highest = rows_of(c[i], limit_v, limit_a, limit_j, acc[i], jerk[i], points[i])
+        a, b, highest = rows_of(
+            c[i], guard[i], limit_v, limit_a, limit_j, acc[i], jerk[i], points[i]
+        )
         count[i, 0], count[i, 1] = a, b
         top[i] = min(highest, cap[i])
     return acc, jerk, points, count, top

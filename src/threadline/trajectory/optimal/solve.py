@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
 from threadline.trajectory.optimal.elements import Elements
-from threadline.trajectory.optimal.rows import assemble
-from threadline.trajectory.optimal.start import even, feasible
+from threadline.trajectory.optimal.rows import assemble, demand_rows
+from threadline.trajectory.optimal.start import even, feasible, used
 from threadline.trajectory.optimal.usage import shares
 
 _COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are made finer
@@ -22,16 +22,28 @@ _FIRST_WEIGHT = 0.1  # of the duration, over all slacks
 _FALL = 0.35  # of the weight of the barrier from round to round
 _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
 _STEPS = 60  # at one weight
+_KEPT = 0.9  # of the tightest limit, where other guards are taken
 _PLACES = np.array([0.0, 0.5, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """(axes,) limits of velocity, acceleration and jerk; a jerk may be infinite."""
+    """What the axes may do.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk
+        (axes,); a jerk may be infinite.
+    demand
+        (m, axes, 2) share of what the drive of an axis has to give (volts, current) that 1 m/s,
+        and 1 m/s^2, of it needs; 0 for none. At an acceleration of its limit and no velocity, no
+        demand may be above 1.
+    """
 
     velocity: FloatArray
     acceleration: FloatArray
     jerk: FloatArray
+    demand: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
 
     @property
     def ramp_s(self) -> float:
@@ -87,65 +99,104 @@ def bernstein(b: FloatArray, length: FloatArray) -> FloatArray:
 def fastest(elements: Elements, limits: Limits, gap: float = 1e-3) -> Solution:
     """Return the fastest motion along ``elements`` from their first to their last place.
 
-    Elements are halved where y changes much within them.
+    Elements are halved where y changes much within them, and where no limit is reached.
 
     Parameters
     ----------
     gap
         Share of the duration within which the least is to be reached.
     """
-    problem = _Problem(elements, limits)
-    problem.begin()
-    problem.descend(_COARSE)
-    for _ in range(_ROUNDS):
-        if not problem.refine(problem.varied()):
-            break
-        problem.descend(_COARSE)
-    for _ in range(_IDLE_ROUNDS):
-        problem.descend(max(_FINE, gap))
-        if not problem.refine(np.maximum(problem.idle(), problem.varied())):
-            break
-    problem.descend(gap)
-    return Solution(elements=problem.elements, b=problem.b, steps=problem.steps, gap=problem.gap())
+    problem = Problem(elements, limits)
+    problem.solve(gap)
+    return problem.solution()
 
 
-class _Problem:
-    """The rows of the elements, and where the solution is."""
+class Problem:
+    """The rows of the elements, and where the solution is.
+
+    Guards may change after it was solved (``regard``), and it is solved again from there.
+    """
 
     def __init__(self, elements: Elements, limits: Limits) -> None:
         self.elements, self.limits = elements, limits
         self.steps = 0
         self.weight = np.inf
+        self.b: FloatArray
+        self.tangent: FloatArray
         self._assemble()
+        self._begin()
+
+    def solve(self, gap: float, *, cuts: int = _ROUNDS, idle: bool = True) -> None:
+        """Find the fastest motion, within a share ``gap`` of the least duration.
+
+        Parameters
+        ----------
+        cuts
+            How often elements are cut where y changes much.
+        idle
+            Whether elements are cut where no limit is reached, too.
+        """
+        self._descend(max(_COARSE, gap))
+        for _ in range(cuts):
+            if not self._refine(self._varied()):
+                break
+            self._descend(max(_COARSE, gap))
+        for _ in range(_IDLE_ROUNDS if idle else 0):
+            self._descend(max(_FINE, gap))
+            if not self._refine(np.maximum(self._idle(), self._varied())):
+                break
+        self._descend(gap)
+
+    def regard(self, elements: Elements) -> None:
+        """Take other guards on the same elements.
+
+        All limits but the tangents' are in proportion to x, and these become wider as it falls:
+        what is left of the motion as it was, made slower evenly, is within the new ones.
+        """
+        self.elements = elements
+        self.weight = np.inf
+        self._assemble()
+        share = np.empty(len(elements))
+        most = used(self.b, elements.length, self.rows, self.tangent, share)
+        self.b = self.b * min(1.0, _KEPT / most)
+        if used(self.b, elements.length, self.rows, self.tangent, share) >= 1.0:
+            self._begin()  # rounding left it on a limit
+
+    def solution(self) -> Solution:
+        """Return the motion as it was found."""
+        return Solution(elements=self.elements, b=self.b, steps=self.steps, gap=self.gap())
 
     def _assemble(self) -> None:
         at, of = self.elements, self.limits
-        self.acc, self.jerk, self.points, self.count, self.top = assemble(
-            at.c, of.velocity, of.acceleration, of.jerk, at.cap
+        acc, jerk, points, count, top = assemble(
+            at.c, at.guard, of.velocity, of.acceleration, of.jerk, at.top
         )
-        self.slacks = int(2 * self.count.sum() + len(at) + 3 * np.isfinite(self.top).sum())
+        drive, first = demand_rows(at.c, of.demand, of.acceleration, top)
+        self.rows = acc, jerk, points, count, top, drive, first
+        self.slacks = int(2 * count.sum() + len(at) + 3 * np.isfinite(top).sum() + len(drive))
 
-    def begin(self) -> None:
+    def _begin(self) -> None:
         """Start from a slow motion."""
         at, of = self.elements, self.limits
-        most = even(at.length, at.c, of.velocity, of.acceleration, of.jerk, at.cap)
-        self.b, self.tangent = feasible(
-            at.length, self.acc, self.jerk, self.points, self.count, self.top, most
+        most = even(
+            at.length, at.c, at.guard, of.velocity, of.acceleration, of.jerk, of.demand, at.top
         )
+        self.b, self.tangent = feasible(at.length, self.rows, most)
 
-    def descend(self, gap: float) -> None:
+    def _descend(self, gap: float) -> None:
         """Lower the weight of the barrier until the duration is within ``gap`` of the least."""
         length = self.elements.length
-        rows = self.acc, self.jerk, self.points, self.count, self.top
         unit = float(barrier.duration(self.b, length)) / self.slacks
         self.weight = min(self.weight, _FIRST_WEIGHT * unit)
         while True:
             for _ in range(_STEPS):
-                step, decrement = barrier.newton(self.b, length, rows, self.tangent, self.weight)
+                step, decrement = barrier.newton(
+                    self.b, length, self.rows, self.tangent, self.weight
+                )
                 if not np.isfinite(step).all():
                     return  # rounding ends it here: b keeps within all limits
-                barrier.advance(self.b, step, length, rows, self.tangent)
-                barrier.follow(self.b, length, rows, self.tangent)
+                barrier.advance(self.b, step, length, self.rows, self.tangent)
+                barrier.follow(self.b, length, self.rows, self.tangent)
                 self.steps += 1
                 if decrement < _CENTRED * self.weight * np.sqrt(self.slacks):
                     break
@@ -158,22 +209,33 @@ class _Problem:
         """Return the share of the duration that the barrier still costs."""
         return self.weight * self.slacks / float(barrier.duration(self.b, self.elements.length))
 
-    def varied(self) -> IntArray:
+    def _varied(self) -> IntArray:
         """Return into how many parts each element is to be cut because y changes much in it."""
         y = bernstein(self.b, self.elements.length)
         ratio = y.max(axis=1) / y.min(axis=1)
         return np.where(ratio > _VARIED**4, 3, np.where(ratio > _VARIED, 2, 1))
 
-    def idle(self) -> IntArray:
-        """Return the same, because no limit is reached at some place in it."""
+    def guards_used(self) -> FloatArray:
+        """Return the (n,) largest shares of a guard within each element."""
+        guards = self.elements.guard.shape[2]
+        return np.asarray(self._shares()[:, :, -guards:].max(axis=(1, 2)))
+
+    def _shares(self) -> FloatArray:
         at, of = self.elements, self.limits
         y = bernstein(self.b, at.length)
-        used = shares(at.c, y, of.velocity, of.acceleration, of.jerk, at.cap, _PLACES)
-        time_s = (y**-0.5).mean(axis=1)
-        lost_s = time_s * (1.0 - used.max(axis=2).min(axis=1))
-        return np.where(lost_s > _LOSS * of.ramp_s, 2, 1)
+        return np.asarray(
+            shares(
+                at.c, at.guard, y, of.velocity, of.acceleration, of.jerk, of.demand, at.top, _PLACES
+            )
+        )
 
-    def refine(self, parts: IntArray) -> bool:
+    def _idle(self) -> IntArray:
+        """Return the same, because no limit is reached at some place in it."""
+        time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
+        lost_s = time_s * (1.0 - self._shares().max(axis=2).min(axis=1))
+        return np.where(lost_s > _LOSS * self.limits.ramp_s, 2, 1)
+
+    def _refine(self, parts: IntArray) -> bool:
         """Cut elements into ``parts``; return whether there is anything to cut."""
         if (parts == 1).all():
             return False

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from threadline.trajectory.optimal.barrier import values
+from threadline.trajectory.optimal.barrier import room_of, values
 from threadline.trajectory.optimal.rows import WEIGHTS
 
 _SHARE = 0.25  # of the accelerations, on the way
@@ -16,7 +16,7 @@ _GROWTH = 3.0  # of x from element to element
 
 
 @njit(cache=True)
-def even(length, c, limit_v, limit_a, limit_j, cap):
+def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
     """Return the (n,) largest even x, in units of the common parameter, that each element allows.
 
     At an even rate of the parameter the motion keeps within every limit.
@@ -34,17 +34,29 @@ def even(length, c, limit_v, limit_a, limit_j, cap):
                 q += k * (k - 1) * (k - 2) * size
             if v > 0.0:
                 y = min(y, (limit_v[j] / v) ** 2)
+            for m in range(len(demand)):
+                if demand[m, j, 0] * v > 0.0:
+                    y = min(y, (0.5 / (demand[m, j, 0] * v)) ** 2)
+                if demand[m, j, 1] * a > 0.0:
+                    y = min(y, 0.5 / (demand[m, j, 1] * a))
             if a > 0.0:
                 y = min(y, limit_a[j] / a)
             if q > 0.0 and limit_j[j] < np.inf:
                 y = min(y, (limit_j[j] / q) ** (2.0 / 3.0))
+        for j in range(guard.shape[2]):
+            a = 0.0
+            for k in range(2, order):
+                a += k * (k - 1) * abs(guard[i, k, j])
+            if a > 0.0:
+                y = min(y, 1.0 / a)
         out[i] = y * length[i] ** 2
     return out
 
 
 @njit(cache=True)
-def used(b, length, acc, jerk, points, count, top, tangent, out):
+def used(b, length, rows, tangent, out):
     """Write the (n,) largest shares of a limit into ``out``, with each tangent at its best."""
+    acc, jerk, points, count, top, drive, begin = rows
     y = np.zeros(3)
     worst = 0.0
     for i in range(len(length)):
@@ -63,13 +75,15 @@ def used(b, length, acc, jerk, points, count, top, tangent, out):
             room = t0 - t1 * (w[0] * y[0] + w[1] * y[1] + w[2] * y[2])
             v = abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2])
             share = max(share, v / room if room > 0.0 else np.inf)
+        for k in range(begin[i], begin[i + 1]):
+            share = max(share, 1.0 - room_of(drive[k], y, tangent[i]))
         out[i] = share
         worst = max(worst, share)
     return worst
 
 
 @njit(cache=True)
-def feasible(length, acc, jerk, points, count, top, most):
+def feasible(length, rows, most):
     """Return coefficients b and tangents within all limits.
 
     Parameters
@@ -77,6 +91,7 @@ def feasible(length, acc, jerk, points, count, top, most):
     most
         (n,) as of ``even``.
     """
+    acc, count = rows[0], rows[3]
     n = len(length)
     tangent, share = np.empty(n), np.empty(n)
     node = np.empty(n + 1)
@@ -99,7 +114,7 @@ def feasible(length, acc, jerk, points, count, top, most):
             node[i] = min(node[i], node[i + 1] + gain[i], _GROWTH * node[i + 1])
         for i in range(n + 2):
             b[i] = 0.5 * (node[max(i - 1, 0)] + node[min(i, n)])
-        if used(b, length, acc, jerk, points, count, top, tangent, share) < _USED:
+        if used(b, length, rows, tangent, share) < _USED:
             return b, tangent
         for i in range(n):
             if share[i] >= _USED:
@@ -110,5 +125,5 @@ def feasible(length, acc, jerk, points, count, top, most):
     for i in range(n):
         lowest = min(lowest, most[i])
     b[:] = 0.4 * lowest
-    used(b, length, acc, jerk, points, count, top, tangent, share)
+    used(b, length, rows, tangent, share)
     return b, tangent

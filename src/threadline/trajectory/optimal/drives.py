@@ -1,0 +1,75 @@
+"""What the drives of a machine can give, as limits of the timing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import PlanError
+from threadline.machine import Machine
+from threadline.plant.rigid import current_needed, drive_rate, rigid_motion
+from threadline.trajectory.optimal.solve import Limits
+
+RESERVE = 0.1
+"""Of volts and current, for the loop, where the machine file says nothing else."""
+_UNITS = ("V at the controller", "V", "A")
+_CREEP = 1e-12  # m/s: sliding friction has a sign and no size
+
+
+def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
+    """Return what the axes may do: their own limits, and what their drives can give.
+
+    A drive gives the current that its bodies need, with all links rigid, and the voltage for it;
+    sliding friction is taken from both beforehand, and so is the reserve for the loop.
+
+    Raises
+    ------
+    PlanError
+        If friction and reserve leave a drive nothing to move with.
+    """
+    column = [machine.axis_names.index(axis) for axis in axes]
+    acceleration = machine.acceleration_limit[column].copy()
+    demand = np.zeros((len(_UNITS), len(axes), 2))
+    for k, axis in enumerate(axes):
+        if machine.source_of(axis) is not None:
+            continue
+        for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis)):
+            left = (1.0 - RESERVE) * limit - still
+            if not left > 0.0:
+                raise PlanError(
+                    f"axis {axis}: friction takes {still:.3g} of the {limit:.3g} {_UNITS[m]} of "
+                    f"drives.{machine.controller_of(axis).drive}, and {RESERVE:.0%} are kept for "
+                    "its loop: nothing is left to move with",
+                    place=machine.place,
+                    remedy="Lower the friction, or give the drive more.",
+                )
+            demand[m, k] = speed / left, push / left
+            acceleration[k] = min(acceleration[k], left / push) if push > 0.0 else acceleration[k]
+    return Limits(
+        velocity=machine.velocity_limit[column],
+        acceleration=acceleration,
+        jerk=machine.jerk_limit[column],
+        demand=demand[demand[:, :, 0].any(axis=1)],
+    )
+
+
+def _needs(machine: Machine, axis: str) -> list[tuple[float, FloatArray]]:
+    """Return limit and need, at rest, per m/s and per m/s^2, in the order of ``_UNITS``."""
+    drive = machine.drive_of(axis)
+    turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    still, moving = (abs(current_needed(machine, axis, speed, 0.0)) for speed in (_CREEP, 1.0))
+    push = abs(current_needed(machine, axis, 0.0, 1.0))
+    current = np.array([still, moving - still, push])
+    winding = drive.resistance.si * current
+    winding[1] += drive.back_emf.si * turning
+    amplifier = drive.amplifier
+    told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
+    most_v, most_a = (
+        np.inf if limit is None else limit.si
+        for limit in (amplifier.voltage_limit, amplifier.current_limit)
+    )
+    return [
+        (machine.controller_of(axis).dac.range.si, told),
+        (most_v, winding),
+        (most_a, current),
+    ]

@@ -1,0 +1,158 @@
+"""A solution as polynomials in time, every one of them within all limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.trajectory.optimal.elements import restricted
+from threadline.trajectory.optimal.solve import Limits, Solution
+from threadline.trajectory.types import TrajectoryBlock
+
+_ORDER = 6
+_WITHIN = 1.0  # of a limit: a polynomial in time that has more is cut in two
+_CUTS = 6
+# Nodes and weights of Gauss and Legendre on [0, 1]: y changes little within an element.
+_NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(6)[0]),
+                    0.5 * np.polynomial.legendre.leggauss(6)[1])  # fmt: skip
+
+
+def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> TrajectoryBlock:
+    """Return the motion as polynomials of fifth degree in time, from ``begin_s`` on.
+
+    Each has the position, velocity and acceleration of the motion at both ends; where one of them
+    would leave a limit in between, it is cut in two. What still would after some cuts slows the
+    whole motion down: the motion runs from rest to rest, so that it may be stretched evenly.
+    """
+    elements, y = solution.elements, solution.y
+    c, power, operation = elements.c, _powers(y), elements.operation
+    done: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    source = np.arange(len(c), dtype=np.float64)
+    for cut in range(_CUTS + 1):
+        coefficients, duration_s = _hermite(c, power)
+        beyond = _beyond(coefficients, duration_s, limits)
+        if cut == _CUTS:
+            beyond[:] = False
+        kept = ~beyond
+        done.append((source[kept], coefficients[kept], duration_s[kept]))
+        if not beyond.any():
+            break
+        c, power, source = _halved(c[beyond], power[beyond], source[beyond], 0.5 ** (cut + 1))
+    places = np.concatenate([part[0] for part in done])
+    order = np.argsort(places, kind="stable")
+    coefficients = np.concatenate([part[1] for part in done])[order]
+    duration_s = np.concatenate([part[2] for part in done])[order]
+    duration_s = duration_s * _stretch(coefficients, duration_s, limits)
+    return TrajectoryBlock(
+        start_s=begin_s + np.concatenate([[0.0], np.cumsum(duration_s)[:-1]]),
+        duration_s=duration_s,
+        coefficients=coefficients,
+        operation=operation[np.floor(places[order]).astype(np.int64)],
+    )
+
+
+def _powers(y: FloatArray) -> FloatArray:
+    """Return (n, 3) powers of quadratics from their Bernstein coefficients."""
+    first, middle, last = y.T
+    return np.asarray(np.stack([first, 2.0 * (middle - first), first - 2.0 * middle + last], 1))
+
+
+def _halved(
+    c: FloatArray, power: FloatArray, source: FloatArray, place: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    n = len(c)
+    begin = np.tile([0.0, 0.5], n)
+    half = np.full(2 * n, 0.5)
+    twice = np.repeat(np.arange(n), 2)
+    # In the parameter of a half, u' is twice as large.
+    y = 4.0 * restricted(power[twice][:, :, None], begin, half)[:, :, 0]
+    return restricted(c[twice], begin, half), y, source[twice] + np.tile([0.0, place], n)
+
+
+def _hermite(c: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (n, 6, axes) polynomials over [0, 1] of time, and (n,) durations."""
+    y = power[:, :1] + (power[:, 1:2] + power[:, 2:] * _NODES) * _NODES
+    duration_s = (y**-0.5) @ _WEIGHTS
+    number = np.arange(_ORDER)[:, None]
+    ends = []
+    for u in (0.0, 1.0):
+        now = power[:, 0] + u * (power[:, 1] + u * power[:, 2])
+        rate = power[:, 1] + 2.0 * u * power[:, 2]
+        first = c[:, 1] if u == 0.0 else (number * c).sum(axis=1)
+        second = 2.0 * c[:, 2] if u == 0.0 else (number * (number - 1) * c).sum(axis=1)
+        ends.append(
+            (
+                first * (np.sqrt(now) * duration_s)[:, None],
+                second * (now * duration_s**2)[:, None]
+                + first * (0.5 * rate * duration_s**2)[:, None],
+            )
+        )
+    (v0, a0), (v1, a1) = ends
+    q0 = c[:, 0]
+    # Without the position itself: its rounding, over the cube of a short time, would be a jerk.
+    gone = c[:, 1:].sum(axis=1) - v0 - 0.5 * a0
+    slope, bend = v1 - v0 - a0, a1 - a0
+    return np.stack(
+        [
+            q0,
+            v0,
+            0.5 * a0,
+            10.0 * gone - 4.0 * slope + 0.5 * bend,
+            -15.0 * gone + 7.0 * slope - bend,
+            6.0 * gone - 3.0 * slope + 0.5 * bend,
+        ],
+        axis=1,
+    ), duration_s
+
+
+def _beyond(
+    coefficients: FloatArray, duration_s: FloatArray, limits: Limits
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return which polynomials may leave a limit, by their Bernstein coefficients."""
+    out = np.zeros(len(duration_s), dtype=bool)
+    for _, share in _shares(coefficients, duration_s, limits):
+        out |= share > _WITHIN
+    return out
+
+
+def _stretch(coefficients: FloatArray, duration_s: FloatArray, limits: Limits) -> float:
+    """Return by how much the time is to be stretched so that no limit is left."""
+    return max(
+        1.0,
+        *(
+            float(np.power(share.max(), 1.0 / order))
+            for order, share in _shares(coefficients, duration_s, limits)
+        ),
+    )
+
+
+def _shares(
+    coefficients: FloatArray, duration_s: FloatArray, limits: Limits
+) -> Iterator[tuple[int, FloatArray]]:
+    """Yield orders of derivatives and (n,) bounds of the shares of their limits."""
+    rates = [coefficients]
+    for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
+        power = rates[-1]
+        rates.append(power[:, 1:] * np.arange(1, power.shape[1])[None, :, None])
+        yield order, (_hull(rates[-1]) / (limit * duration_s[:, None] ** order)).max(axis=1)
+    _, velocity, acceleration, _ = rates
+    time_s = duration_s[:, None, None]
+    for demand in limits.demand:
+        asked = velocity * (demand[:, 0] / time_s)
+        asked[:, :-1] += acceleration * (demand[:, 1] / time_s**2)
+        # Slower by some factor, a demand falls by that factor at least.
+        yield 1, _hull(asked).max(axis=1)
+
+
+def _hull(power: FloatArray) -> FloatArray:
+    """Return (n, axes): the largest of the absolute Bernstein coefficients."""
+    degree = power.shape[1] - 1
+    matrix = np.zeros((degree + 1, degree + 1))
+    for i in range(degree + 1):
+        share = 1.0
+        for k in range(i + 1):
+            matrix[i, k] = share
+            share *= (i - k) / (degree - k) if degree > k else 0.0
+    return np.asarray(np.abs(np.einsum("ik,nka->nia", matrix, power)).max(axis=1))

@@ -1,0 +1,159 @@
+"""Timing that loops and drives can follow: against closed forms, and against the twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.path.builders import job_of
+from tests.trajectory.builders import without_drives
+from threadline.errors import PlanError
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.path import plan_path, programmed_path
+from threadline.pipeline import plan_job, prove_plan
+from threadline.plant.answers import answers_of
+from threadline.signals import tick_table
+from threadline.trajectory import limit_peaks, plan_trajectory
+from threadline.trajectory.optimal import following
+from threadline.trajectory.optimal.drives import limits_of
+from threadline.trajectory.optimal.following import Follower, Past
+from threadline.trajectory.types import TrajectoryBlock
+from threadline.twin import simulate
+from threadline.verdict import load_spec
+
+WINDER = load_machine("lathe-winder")
+SPEC = load_spec(None, WINDER)
+FAST = Feed(FeedMode.FASTEST_AXIS, 10.0)
+CORNERS = [[0.0, 0.0], [0.1, 0.03], [0.06, 0.1], [0.13, 0.12], [0.15, 0.02]]
+# Of X: what its motor takes at 4 A and 10 V, by hand from the printed numbers.
+RAD_PER_M = 55358.0 * 2.0 * np.pi / 4000.0
+VOLTS_PER_M_S = 8.6 / (1000.0 * 2.0 * np.pi / 60.0) * RAD_PER_M / 0.45
+AMPERES_PER_M_S2 = 3.606e-4 * RAD_PER_M / 0.082
+VOLTS_PER_M_S2 = 0.4 * AMPERES_PER_M_S2 / 0.45
+
+
+def proved(points, **words):
+    job = job_of(points, ("X", "Y"), None, extra=words.pop("extra", {}))
+    plan = plan_job(job, WINDER, Options(interpolation="optimal", feed=FAST, **words))
+    verdict = prove_plan(plan, SPEC).verdict
+    return plan, {(r.name, r.axis): r.measured for r in verdict.results}
+
+
+def values(recording, name):
+    """Return all samples of a channel."""
+    return np.concatenate([block.samples[name] for block in recording])
+
+
+def worst(found, name):
+    return max(value for (what, _), value in found.items() if what == name)
+
+
+def test_a_steady_motion_lags_by_the_voltage_that_it_needs():
+    """At constant speed the difference per tick is nothing: 2 levels a count make the volts."""
+    lag_s = VOLTS_PER_M_S / (2.0 * 20.0 / 4096.0 * 55358.0)
+    answer = answers_of(WINDER)["X"]
+    assert answer.taps.sum() == pytest.approx(1.0, abs=1e-12)
+    assert answer.moments[0] == pytest.approx(lag_s, rel=1e-5)
+    ramp = 0.1 * np.arange(400) * answer.period_s
+    assert ramp[-1] - answer.load(ramp)[-1] == pytest.approx(0.1 * lag_s, rel=1e-5)
+
+
+def test_the_answer_is_what_the_twin_does():
+    """Within two counts of X, 36 um: the twin rounds what it is told and what it reads."""
+    plan, _ = proved(CORNERS)
+    recording = simulate(tick_table(plan.commands), WINDER)
+    commanded = values(recording, "X.commanded")
+    load = values(recording, "X.load")
+    answer = answers_of(WINDER)["X"]
+    assert np.abs(commanded - load).max() > 1e-3
+    assert np.abs(answer.load(commanded) - load).max() < 4e-5
+
+
+def test_the_loads_keep_the_contour_that_was_asked_for():
+    """0.1 mm of the path and 0.3 mm of the loops, and what the twin's counts and levels add.
+
+    On the limits of axes and drives alone the same path is out of specification.
+    """
+    plan, found = proved(CORNERS)
+    assert 0.25e-3 < worst(found, "contour_error") <= 0.43e-3
+    assert worst(found, "dac_saturation") == 0.0
+    hasty, lost = proved(CORNERS, contour_m=np.inf)
+    assert worst(lost, "contour_error") > 1e-3
+    assert hasty.duration_s < plan.duration_s
+    finer, _ = proved(CORNERS, contour_m=1e-4)
+    assert finer.duration_s > plan.duration_s
+
+
+def test_the_contour_is_kept_where_the_program_rests():
+    """What the loops still make of the move before a rest counts against the one after it."""
+    extra = {k: Dwell(0.001, Source("job.prg", k)) for k in (1, 2, 3)}
+    plan, found = proved(CORNERS, extra=extra)
+    assert worst(found, "contour_error") <= 0.43e-3
+    _, lost = proved(CORNERS, extra=extra, contour_m=np.inf)
+    assert worst(lost, "contour_error") > 1e-3
+    assert max(peak.ratio for peak in limit_peaks(plan.motion.trajectory, WINDER)) <= 1.001
+
+
+def test_no_slowness_helps_where_the_loads_never_come_near():
+    """A stop without warning from 1 m/s: the load is on its way past it, whatever comes next."""
+    follower = Follower(answers=(answers_of(WINDER)["X"],), radius_m=np.ones(1), tolerance_m=1e-4)
+    past = Past(follower.memory_s)
+    past.add(straight(0.0, 0.0, 1.0))
+    assert following._slower(straight(1.0, 1.0, 1.1), follower, past).end_s > 1.1 + 1.0
+    with pytest.raises(PlanError, match=r"stray .* mm from the path however slowly"):
+        following._slower(straight(1.0, 1.0, 1.001, back=True), follower, past)
+
+
+def straight(begin_s, start, end, back=False):
+    """Return an even motion of X over a second, or a tenth of a millimetre back."""
+    way = -1e-4 if back else end - start
+    return TrajectoryBlock(
+        start_s=np.array([begin_s]),
+        duration_s=np.array([1e-3 if back else 1.0]),
+        coefficients=np.array([[[start], [way]]]),
+        operation=np.array([0]),
+    )
+
+
+def timed(machine, contour_m=np.inf, axes=("X", "Y"), points=CORNERS):
+    programmed = programmed_path(job_of(points, axes, Feed(FeedMode.RAPID, 0.0)), machine)
+    path = plan_path(programmed, machine, "optimal", 1e-4)
+    return plan_trajectory(path, machine, contour_m=contour_m)
+
+
+def test_no_drive_is_asked_for_more_than_it_can_give():
+    """Volts and amperes of the printed motor, at 20 000 instants, against 90 % of 10 V and 4 A."""
+    free = timed(without_drives(WINDER))
+    bound = timed(WINDER)
+    assert bound.duration_s > 1.05 * free.duration_s
+    for trajectory, reached in ((bound, False), (free, True)):
+        times = np.linspace(0.0, trajectory.duration_s, 20_001)
+        v, a = (trajectory(times, order)[:, 0] for order in (1, 2))
+        volts = np.abs(VOLTS_PER_M_S * v + VOLTS_PER_M_S2 * a).max()
+        amperes = np.abs(AMPERES_PER_M_S2 * a).max()
+        assert (volts > 9.0 * 1.0001) == reached
+        assert (amperes > 3.6 * 1.0001) == reached
+    assert volts > 10.0  # without the limit the DAC would have been at its clamp
+
+
+def test_a_long_move_uses_all_the_volts_that_are_left_to_it():
+    """Against the closed form: at the top speed the volts of the velocity are all there is."""
+    trajectory = timed(WINDER, axes=("X",), points=[[0.0], [0.4]])
+    times = np.linspace(0.0, trajectory.duration_s, 20_001)
+    speed = np.abs(trajectory(times, 1)).max()
+    assert speed == pytest.approx(9.0 / VOLTS_PER_M_S, rel=2e-3)
+    assert speed <= 9.0 / VOLTS_PER_M_S * (1.0 + 1e-9)
+    limits = limits_of(WINDER, ("X",))
+    assert limits.acceleration[0] == pytest.approx(3.6 / AMPERES_PER_M_S2, rel=1e-6)
+
+
+def test_friction_that_takes_all_that_a_drive_has_is_refused():
+    body = WINDER.bodies["x"]
+    friction = replace(body.inertia, si=0.4, unit="N*m")
+    stuck = replace(WINDER, bodies={**WINDER.bodies, "x": replace(body, friction=friction)})
+    with pytest.raises(PlanError, match=r"axis X: friction takes .* drives\.x"):
+        limits_of(stuck, ("X",))
