@@ -20,7 +20,7 @@ from threadline.cli.main import main
 from threadline.errors import ProofError
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
-from threadline.pipeline import open_job, plan_job, prove
+from threadline.pipeline import REPEATED, Trials, open_job, plan_job, prove
 from threadline.proof_file import check_proof, read_proof, spec_sha256, verify_proof, write_proof
 from threadline.verdict import load_spec
 
@@ -68,7 +68,8 @@ def test_the_file_says_all_that_the_proof_is_made_from(shop: Path) -> None:
     content = json.loads(file.read_text())
     machine = load_machine("mine.toml+slow")
     assert content["format"] == "threadline proof 1"
-    assert content["level"] == "nominal"
+    assert content["level"] == "repeated"
+    assert (content["runs"], content["machines"]) == (20, 0)
     assert content["job"]["sha256"] == hashlib.sha256(Path("x-180.prg").read_bytes()).hexdigest()
     assert content["machine"]["sha256"] == machine.sha256
     assert content["machine"]["reference"] == "mine.toml+slow"
@@ -196,11 +197,17 @@ def test_levels(shop: Path) -> None:
     machine = load_machine("mine.toml")
     options = Options(interpolation="linear", feed=parse_feed("40 count/tick"))
     spec = load_spec(None, machine)
-    proof = prove(Path("x-180.prg"), machine, spec, options, repeats=2)
-    write_proof(proof, "two.json")
-    assert read_proof("two.json").level == "2 runs"
-    write_proof(replace(proof, runs=20), "twenty.json")
-    assert read_proof("twenty.json").level == "repeated"
+    for trials, level in (
+        (Trials(repeats=2), "nominal"),
+        (REPEATED, "repeated"),
+        (Trials(repeats=2, machines=3), "over tolerances"),
+    ):
+        proof = prove(Path("x-180.prg"), machine, spec, options, trials=trials)
+        write_proof(proof, "level.json")
+        known = read_proof("level.json")
+        assert known.level == level
+        assert known.content["runs"] == trials.repeats
+        assert known.content["machines"] == trials.machines
 
 
 BAD = {

@@ -31,6 +31,7 @@ from threadline.trajectory import retime
 from threadline.verdict import Spec, load_spec
 
 if TYPE_CHECKING:
+    from threadline.pipeline import Trials
     from threadline.search import Comparison
     from threadline.shaping import Shaper
     from threadline.signals.files import Written
@@ -67,7 +68,8 @@ def prove(
     spec: PathLike | Spec | None = None,
     par: PathLike | None = None,
     actual: PathLike | Machine | None = None,
-    repeats: int = 1,
+    level: str = "repeated",
+    repeats: int | None = None,
     **words: Any,
 ) -> Proved:
     """Plan a job, simulate it on the machine, and judge it.
@@ -82,8 +84,11 @@ def prove(
         A file or a specification; None is the machine's own.
     actual
         The machine that runs the plan, where it isn't the one that it was made for.
+    level
+        How far the verdict reaches: ``"nominal"`` is one run, ``"repeated"`` 20 with other encoder
+        phases, friction and supply, ``"over tolerances"`` other machines as well.
     repeats
-        Runs in all.
+        Runs in all, where they are not those of the level.
     **words
         ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``radius``, ``tolerance``,
         ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``law``,
@@ -97,12 +102,11 @@ def prove(
     from threadline.pipeline import prove as prove_job
     from threadline.pipeline import with_shaping
 
-    if repeats < 1:
-        raise OptionError(f"repeats must be at least 1, got {repeats}")
+    trials = _trials(level, repeats)
     chosen, options = load_machine(machine, par), _options(words)
     asked = with_shaping(_spec(spec, chosen), chosen, options)
     other = None if actual is None else load_machine(actual, par)
-    return Proved(prove_job(Path(job), chosen, asked, options, None, repeats, other))
+    return Proved(prove_job(Path(job), chosen, asked, options, None, trials, other))
 
 
 def fastest(
@@ -113,6 +117,7 @@ def fastest(
     par: PathLike | None = None,
     actual: PathLike | Machine | None = None,
     margin: str = "0 %",
+    level: str = "repeated",
     **words: Any,
 ) -> Found:
     """Find the fastest way to do a job in spec.
@@ -126,6 +131,8 @@ def fastest(
         As ``prove`` takes them.
     margin
         Share of every limit to keep free.
+    level
+        At which every try is proved, as ``prove`` takes it.
     **words
         ``interpolation``, ``tolerance``, ``feed_forward``, ``smoothing``: as on the command line.
 
@@ -140,6 +147,7 @@ def fastest(
     from threadline.search.cycle import fastest_cycle
     from threadline.search.shaft import fastest_shaft
 
+    trials = _trials(level, None)
     chosen, options = load_machine(machine, par), _options(words)
     asked = _spec(spec, chosen).with_margin(parse_margin(margin))
     other = None if actual is None else load_machine(actual, par)
@@ -148,15 +156,15 @@ def fastest(
     if read.paced_by == "switchings":
         if other is not None:
             raise OptionError(f"actual is of feeds, which {chosen.name} does not have")
-        cycle = fastest_cycle(read, chosen, asked)
+        cycle = fastest_cycle(read, chosen, asked, trials=trials)
         return Found(cycle.cycle_s, "s", cycle.limited_by, cycle)
     if read.paced_by == "shaft":
-        sewn = fastest_shaft(read, chosen, asked, options, actual=other)
+        sewn = fastest_shaft(read, chosen, asked, options, actual=other, trials=trials)
         return Found(sewn.duration_s, "s", sewn.limited_by, sewn)
     if read.paced_by == "needle":
-        seam = fastest_needle(Path(job), chosen, asked, options, actual=other)
+        seam = fastest_needle(Path(job), chosen, asked, options, actual=other, trials=trials)
         return Found(seam.best, "stitch/s", seam.limited_by, seam)
-    result = fastest_job(read, chosen, asked, options, actual=other)
+    result = fastest_job(read, chosen, asked, options, actual=other, trials=trials)
     found = result.best.found
     return Found(found.best, "m/s", found.limited_by, result)
 
@@ -171,6 +179,7 @@ def compare(
     spec: PathLike | Spec | None = None,
     par: PathLike | None = None,
     with_fastest: bool = False,
+    level: str = "repeated",
     **words: Any,
 ) -> Comparison:
     """Prove a job with several interpolations, feeds and shapers.
@@ -185,6 +194,8 @@ def compare(
         Every one of them with each of those; ``"none"`` shapes nothing.
     with_fastest
         Find the fastest of each interpolation, too.
+    level
+        At which each is proved, as ``prove`` takes it.
     **words
         ``tolerance``: as on the command line.
 
@@ -196,6 +207,7 @@ def compare(
     from threadline.jobs import read_job
     from threadline.search import compare as compare_job
 
+    trials = _trials(level, None)
     chosen = load_machine(machine, par)
     if not interpolations:
         raise OptionError("there is no interpolation to compare", remedy="Name one at least.")
@@ -208,6 +220,7 @@ def compare(
         _options({"interpolation": interpolations[0], **words}),
         shapers=[None if text == "none" else text for text in shapers] or [None],
         with_fastest=with_fastest,
+        trials=trials,
     )
 
 
@@ -319,6 +332,23 @@ def shaper(text: str) -> Shaper | dict[str, Shaper]:
 _OF_A_PLAN = (
     "interpolation", "feed", "dialect", "feed_mode", "radius", "tolerance", "limits", "shaper",
 )  # fmt: skip
+
+
+def _trials(level: str, repeats: int | None) -> Trials:
+    """Return the runs of a level, or so many of the machine alone."""
+    from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials
+    from threadline.wording import nearest
+
+    levels = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
+    if level not in levels:
+        raise OptionError(f"unknown level {level!r}", remedy=nearest(level, tuple(levels)))
+    if repeats is None:
+        return levels[level]
+    if repeats < 1:
+        raise OptionError(f"repeats must be at least 1, got {repeats}")
+    return Trials(repeats=repeats, machines=levels[level].machines)
+
+
 _WORDS = {
     "interpolation": DEFAULT_INTERPOLATION,
     "feed": None,

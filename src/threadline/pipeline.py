@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.jobs.gcode.f_words import parse_feed_mode
@@ -15,18 +16,24 @@ from threadline.jobs.operations import Job
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.machine import Machine
 from threadline.machine.radii import with_radii
+from threadline.machine.variants import drawn, one_at_a_time, uncertain
 from threadline.options import Options
 from threadline.plan import Plan
 from threadline.signals import Commands, Recording, RecordingBlock
 from threadline.signals.files.common import Written
 from threadline.targets.write import Target
-from threadline.verdict import Spec, Verdict, judge
+from threadline.verdict import Judge, Spec, Status, Verdict
+from threadline.verdict.types import REPEATED_RUNS
 from threadline.wording import nearest
 from threadline.writing import together
 
 __all__ = [
+    "NOMINAL",
+    "REPEATED",
+    "TOLERANCES",
     "Progress",
     "Proof",
+    "Trials",
     "check_loops",
     "check_machine",
     "open_job",
@@ -36,11 +43,38 @@ __all__ = [
     "simulate",
     "target_names",
     "target_of",
+    "try_plan",
     "with_shaping",
     "write",
 ]
 
 REPEAT_SEED = 1994
+VARIANT_SEED = 1994
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trials:
+    """Which runs a verdict is made of: its level.
+
+    Parameters
+    ----------
+    repeats
+        Runs of the machine in all. Beyond the first, which is the machine as its file says,
+        friction is drawn within +-30 % and supply within +-5 %, and what stands anywhere at the
+        start (encoders, the scan) anew, from a fixed seed: the spread of these runs is the
+        repeatability.
+    machines
+        Other machines within the tolerances of the file: each number at either end of its
+        tolerance alone, and the rest drawn over all of them from a fixed seed.
+    """
+
+    repeats: int = 1
+    machines: int = 0
+
+
+NOMINAL = Trials()
+REPEATED = Trials(repeats=REPEATED_RUNS)
+TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
@@ -198,45 +232,79 @@ def prove(
     spec: Spec,
     options: Options,
     progress: Progress | None = None,
-    repeats: int = 1,
+    trials: Trials = NOMINAL,
     actual: Machine | None = None,
 ) -> Proof:
     """Plan, simulate and judge a job: the whole question, answered once."""
     check_machine(machine)
     plan = plan_job(open_job(job_file, machine, options), machine, options)
-    return prove_plan(plan, spec, progress, repeats, actual)
+    return prove_plan(plan, spec, progress, trials, actual)
 
 
 def prove_plan(
     plan: Plan,
     spec: Spec,
     progress: Progress | None = None,
-    repeats: int = 1,
+    trials: Trials = NOMINAL,
     actual: Machine | None = None,
 ) -> Proof:
     """Simulate and judge a plan.
 
     Parameters
     ----------
+    trials
+        Which runs the verdict is made of.
     actual
         The machine that runs it, where it isn't the one that the plan was made for: with other
         masses or stiffnesses than feed-forward believes in, for instance.
-    repeats
-        Runs in all. Beyond the first, which is the machine as its file says, friction is drawn
-        within +-30 % and supply within +-5 %, and what stands anywhere at the start (encoders,
-        the scan) anew, from a fixed seed: the spread of these runs is the repeatability.
+
+    Raises
+    ------
+    OptionError
+        If other machines are asked for and no number has a tolerance.
     """
     kind = kind_of_commands(plan.commands)
     random = np.random.default_rng(REPEAT_SEED)
     machine = plan.machine if actual is None else actual
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
-    first = replace(kind.simulate(plan.commands, machine), origin=origin)
-    recordings = [first if progress is None else _watched(first, plan, progress)]
-    recordings += [kind.another_day(plan.commands, machine, random) for _ in range(repeats - 1)]
-    verdict = judge(recordings, plan, spec)
+    recordings = kind.days(plan.commands, machine, trials.repeats, random)
+    others: Sequence[Recording] = ()
+    if trials.machines:
+        others = kind.others(plan.commands, machine, _parts(machine, trials.machines), random)
+    if progress is not None:
+        recordings = [_watched(one, plan, progress) for one in recordings]
+        others = [_watched(one, plan, progress) for one in others]
     return Proof(
-        plan=plan, recording=first, verdict=verdict, spec=spec, runs=repeats, actual=actual
+        plan=plan,
+        recording=replace(kind.simulate(plan.commands, machine), origin=origin),
+        verdict=Judge(plan, spec).verdict(recordings, others),
+        spec=spec,
+        runs=trials.repeats,
+        actual=actual,
     )
+
+
+def try_plan(
+    plan: Plan, spec: Spec, trials: Trials = NOMINAL, actual: Machine | None = None
+) -> Proof:
+    """Prove a plan for a search; where one run is out of spec already, that is proof enough."""
+    nominal = prove_plan(plan, spec, None, NOMINAL, actual)
+    failed = any(result.status is Status.FAILED for result in nominal.verdict.results)
+    if trials == NOMINAL or failed:
+        return nominal
+    return prove_plan(plan, spec, None, trials, actual)
+
+
+def _parts(machine: Machine, count: int) -> FloatArray:
+    """Return (count, n) parts of the tolerances: either end of each number alone, then drawn."""
+    if not uncertain(machine):
+        raise OptionError(
+            f"no number of {machine.name} has a tolerance that may vary",
+            place=machine.place,
+            remedy='Write them in the machine file: "111 kg +- 10 %".',
+        )
+    ends = one_at_a_time(machine)[:count]
+    return np.concatenate([ends, drawn(machine, VARIANT_SEED, np.arange(count - len(ends)))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

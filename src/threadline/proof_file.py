@@ -29,7 +29,6 @@ from threadline.verdict.present import criteria_json
 
 FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20
-_REPEATED = 20
 _NAMES = ("job", "machine", "par")
 """What the options say of files: the proof has their hashes instead."""
 _PARTS = ("job", "machine", "actual", "options", "spec", "commands")
@@ -86,7 +85,7 @@ class ProofFile:
 
     @property
     def level(self) -> str:
-        """How far the verdict reaches: ``"nominal"``, ``"repeated"``, or a number of runs."""
+        """How far the verdict reaches: ``"nominal"``, ``"repeated"``, ``"over tolerances"``."""
         return str(self.content["level"])
 
     def sha256(self, what: str) -> str:
@@ -107,8 +106,9 @@ def proof_content(proof: Proof, folder: Path) -> dict[str, Any]:
     content = {
         "format": FORMAT,
         "threadline": __version__,
-        "level": _level(proof.runs),
+        "level": proof.verdict.level.value,
         "runs": proof.runs,
+        "machines": proof.verdict.machines,
         "job": {
             "name": plan.job.name,
             "file": _beside(plan.job.file, folder),
@@ -283,12 +283,6 @@ def _early(
         for what, sha256 in found.items()
         if known.sha256(what) != sha256
     )
-
-
-def _level(runs: int) -> str:
-    if runs == 1:
-        return "nominal"
-    return "repeated" if runs >= _REPEATED else f"{runs} runs"
 
 
 def _machine(machine: Machine, folder: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.found import limit_words
+from threadline.cli.level import NominalOption, TolerancesOption, trials_of
 from threadline.cli.options import (
     DEFAULT_TOLERANCE_TEXT,
     JobArgument,
@@ -80,6 +81,8 @@ def compare(
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     par: ParOption = None,
     fastest: Annotated[bool, typer.Option(help="Also find the fastest of each.")] = True,
+    nominal: NominalOption = False,
+    tolerances: TolerancesOption = False,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -96,6 +99,7 @@ def compare(
     Of an on/off machine: threadline compare examples/letter-cycle.toml -m letter-placer
     --shaper none,zv,um-zv
     """
+    trials = trials_of(nominal, None, tolerances)
     check_outputs(folder=report)
     chosen = machine_from(machine, par)
     defaults = kind_of(chosen).compared
@@ -118,6 +122,7 @@ def compare(
             shapers=[None if text == UNSHAPED_WORD else text for text in shapers],
             with_fastest=fastest,
             progress=progress,
+            trials=trials,
         )
         tables = comparison_tables(found, shown)
         written = None if report is None else write_comparison(found, report, tables)
@@ -165,7 +170,8 @@ def comparison_tables(
         blank = [""] * (len(header) - len(shown) - 1)
         for shaper, _ in found.refused:
             rows.append([*(shaper if k == "shaper" else "" for k in shown), *blank, "refused"])
-    tables = [(f"{first.job.name} on {first.machine.name}", header, rows)]
+    level = found.proofs[0].verdict.level
+    tables = [(f"{first.job.name} on {first.machine.name}, {level}", header, rows)]
     if found.fastest:
         reference = next(iter(found.fastest))
         slowest = found.fastest[reference].best.found.best

@@ -8,17 +8,19 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.found import command_line, margin_words
+from threadline.cli.level import level_words
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.jobs import Job
 from threadline.machine import Machine
+from threadline.pipeline import Trials
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_forecast import MoveChoice
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import move_list
 from threadline.targets.schedule_options import UNSHAPED_WORD
-from threadline.verdict import Spec, criteria_json, verdict_rows
+from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 from threadline.writing import together
 
 
@@ -30,6 +32,7 @@ def fastest_moves(
     margin: float,
     out: Path | None,
     asked: dict[str, str | Path | None],
+    trials: Trials,
     json: bool,
 ) -> NoReturn:
     """Search the commands and waits of a move list, say what was found, and leave.
@@ -41,10 +44,11 @@ def fastest_moves(
     asked
         Options that name the machine and what is asked of it, for the command that proves it.
     """
+    asked = {**asked, level_words(trials): "" if level_words(trials) else None}
     check_outputs(file=out)
     warn(machine, read)
     with progress_bar(not json) as progress:
-        found = fastest_cycle(read, machine, spec, progress=progress)
+        found = fastest_cycle(read, machine, spec, progress=progress, trials=trials)
     written = None
     if out is not None and found.job is not None:
         with together(out):
@@ -93,6 +97,7 @@ def _content(found: FastestCycle) -> dict[str, Any]:
         "tried": found.tried,
         "verdict": {
             "passed": found.proof.verdict.passed,
+            "level": found.proof.verdict.level.value,
             "criteria": criteria_json(found.proof.verdict),
         },
         "unshaped_s": cycle_s(found.unshaped),
@@ -147,6 +152,7 @@ def _show(found: FastestCycle, title: str) -> None:
         f"twin; {unshaped}"
     )
     print_table("verdict at the fastest", *verdict_rows(found.proof.verdict))
+    say(closing(found.proof.verdict))
 
 
 def _row(move: MoveChoice) -> list[str]:

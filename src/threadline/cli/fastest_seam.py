@@ -7,7 +7,8 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.found import limit_words, margin_words, resolution_words
+from threadline.cli.found import limit_words, margin_words, resolution_words, typed
+from threadline.cli.level import level_words
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import tell, warn
@@ -17,11 +18,11 @@ from threadline.jobs import Job, read_job
 from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.pipeline import Trials, plan_job
 from threadline.report.mismatch import write_mismatch
 from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
 from threadline.units import parse_quantity
-from threadline.verdict import Spec, criteria_json, verdict_rows
+from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 
 
 def fastest_seam(
@@ -35,6 +36,7 @@ def fastest_seam(
     span: tuple[float | None, float | None],
     mismatch: bool,
     report: Path | None,
+    trials: Trials,
     json: bool,
 ) -> NoReturn:
     """Search the needle speed of a seam, say what was found, and leave."""
@@ -44,7 +46,15 @@ def fastest_seam(
     cells: list[Mismatch] = []
     with progress_bar(not json) as progress:
         found = fastest_needle(
-            job, machine, spec, options, low=low, high=high, progress=progress, actual=actual
+            job,
+            machine,
+            spec,
+            options,
+            low=low,
+            high=high,
+            progress=progress,
+            actual=actual,
+            trials=trials,
         )
         if mismatch:
             end = found.best * ABOVE if high is None and found.best else (high or _UNKNOWN_HZ)
@@ -66,7 +76,7 @@ def fastest_seam(
         if found.best is not None:
             say(
                 f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {job.name}, then '
-                "threadline prove with the same options"
+                f"threadline prove with the same options {level_words(trials)}".rstrip()
             )
         if cells:
             show_mismatch(cells, title)
@@ -120,6 +130,7 @@ def _content(found: Fastest) -> dict[str, Any]:
         "tried": found.tried,
         "verdict": {
             "passed": found.verdict.passed,
+            "level": found.verdict.level.value,
             "criteria": criteria_json(found.verdict),
         },
     }
@@ -130,14 +141,15 @@ def _show(found: Fastest, title: str) -> None:
         say(f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all")
         print_table("verdict where the search came closest", *verdict_rows(found.verdict))
         return
-    rows = [[f"{i.low:.2f}", f"{i.high:.2f}"] for i in found.intervals]
+    rows = [[typed(i.low), typed(i.high)] for i in found.intervals]
     print_table(f"{title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows)
     say(
-        f"fastest: {found.best:.2f} stitch/s, limited by {limit_words(found.limited_by)}; "
+        f"fastest: {typed(found.best)} stitch/s, limited by {limit_words(found.limited_by)}; "
         f"{found.tried} plans tried"
     )
     say(f"needle speeds {resolution_words(found)}")
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
+    say(closing(found.verdict))
 
 
 def show_mismatch(

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.found import command_line, limit_words, margin_words, resolution_words
+from threadline.cli.level import level_words
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
@@ -15,8 +16,9 @@ from threadline.jobs import Job
 from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine
 from threadline.options import Options, parse_feed
+from threadline.pipeline import Trials
 from threadline.search.shaft import FastestShaft, fastest_shaft
-from threadline.verdict import Spec, criteria_json, verdict_rows
+from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 
 _MINUTE = 60.0
 
@@ -31,6 +33,7 @@ def fastest_design(
     actual: Machine | None,
     span: tuple[str | None, str | None],
     asked: dict[str, str | Path | None],
+    trials: Trials,
     json: bool,
 ) -> NoReturn:
     """Search the speed of the shaft, say what was found, and leave.
@@ -46,9 +49,18 @@ def fastest_design(
     warn(machine, read)
     with progress_bar(not json) as progress:
         found = fastest_shaft(
-            read, machine, spec, options, low=low, high=high, progress=progress, actual=actual
+            read,
+            machine,
+            spec,
+            options,
+            low=low,
+            high=high,
+            progress=progress,
+            actual=actual,
+            trials=trials,
         )
-    again = _command(found, job, asked)
+    level = level_words(trials)
+    again = _command(found, job, {**asked, level: "" if level else None})
     if json:
         print_json(_content(found) | {"margin": margin, "command": again})
     else:
@@ -97,6 +109,7 @@ def _content(found: FastestShaft) -> dict[str, Any]:
         "step_at_edges": found.constant.near_step,
         "verdict": {
             "passed": found.verdict.passed,
+            "level": found.verdict.level.value,
             "criteria": criteria_json(found.verdict),
         },
     }
@@ -119,3 +132,4 @@ def _show(found: FastestShaft, title: str) -> None:
             f"planned for a swing of {found.tolerance_m * 1e3:.4g} mm"
         )
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
+    say(closing(found.verdict))

@@ -22,6 +22,15 @@ def resolution_words(found: Fastest) -> str:
     )
 
 
+def typed(value: float) -> str:
+    """Return a number as it was tried: typed back it means the same.
+
+    >>> typed(32.4437), typed(0.0395 * 1e3)
+    ('32.4437', '39.5')
+    """
+    return f"{value:.12g}"
+
+
 def margin_words(margin: float) -> str:
     """Return what follows a title when part of every limit was kept free.
 

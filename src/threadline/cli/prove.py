@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
 from threadline.cli.options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
@@ -84,15 +85,15 @@ def prove(
             "the verdict; threadline verify reads it.",
         ),
     ] = None,
-    repeats: Annotated[
-        int,
-        typer.Option(
-            min=1, max=1000, help="Runs with other encoder phase, friction, supply: repeatability."
-        ),
-    ] = 1,
+    nominal: NominalOption = False,
+    repeats: RepeatsOption = None,
+    tolerances: TolerancesOption = False,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
+
+    Twenty runs are judged, with other encoder phases, friction and supply each, and the worst
+    counts; --nominal judges one, --tolerances other machines as well.
 
     Exit status: 0 in spec, 1 out of spec, 2 wrong input.
 
@@ -104,6 +105,7 @@ def prove(
     On an on/off machine: threadline prove examples/letter-cycle.toml
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
+    trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
     for output in (recording, proof_file):
         keep_inputs(output, job, chosen.file, par, spec)
@@ -125,7 +127,7 @@ def prove(
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     with progress_bar(not json) as progress:
         other = None if actual is None else machine_from(actual, par)
-        proof = prove_job(job, chosen, asked, options, progress, repeats, other)
+        proof = prove_job(job, chosen, asked, options, progress, trials, other)
         with together(recording, proof_file):
             if recording is not None:
                 write_recording(proof.recording, recording, plot_every=_plot_every(chosen))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.options import Options
@@ -36,9 +37,12 @@ class Kind:
         Job, machine and options to a plan.
     simulate
         What happens when the machine plays the commands once.
-    another_day
-        The same on a machine with other friction, supply and phases, drawn from the generator:
-        one more run for the repeatability.
+    days
+        Runs of the machine on so many days: first as its file says, then with other friction,
+        supply and phases, drawn from the generator.
+    others
+        Runs of other machines of the same file, each number at some (k, n) parts of its tolerance
+        (``machine/variants.py``), with phases drawn from the generator.
     asked
         A specification and options to the specification with what the options ask to be reported.
     release
@@ -56,7 +60,8 @@ class Kind:
     check_options: Callable[[Machine, Options], None]
     plan: Callable[[Job, Machine, Options], Plan]
     simulate: Callable[[Commands, Machine], Recording]
-    another_day: Callable[[Commands, Machine, np.random.Generator], Recording]
+    days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
+    others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
     asked: Callable[[Spec, Options], Spec]
     release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]

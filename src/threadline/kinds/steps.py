@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.described import describe
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.laws import law
 from threadline.machine import Machine
+from threadline.machine.variants import variant
 from threadline.machine.vary import vary
 from threadline.options import Options
 from threadline.path.plan import BY_LAW
@@ -74,13 +77,25 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
     return simulate_stitching(played(commands), machine)
 
 
-def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+def _days(
+    commands: Commands, machine: Machine, count: int, random: np.random.Generator
+) -> Sequence[Recording]:
     """Simulate with damping of bodies and links within +-30 %: nothing else varies from day to day.
 
     The steps of a servo are exact, whatever its supply.
     """
-    other = vary(machine, damping=random.uniform(0.7, 1.3))
-    return simulate_stitching(played(commands), other)
+    machines = [machine]
+    machines += [vary(machine, damping=random.uniform(0.7, 1.3)) for _ in range(count - 1)]
+    return [_simulate(commands, one) for one in machines]
+
+
+def _others(
+    commands: Commands,
+    machine: Machine,
+    parts: FloatArray,
+    random: np.random.Generator,  # noqa: ARG001
+) -> Sequence[Recording]:
+    return [_simulate(commands, variant(machine, row)) for row in parts]
 
 
 def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
@@ -100,7 +115,8 @@ STEPS = Kind(
     check_options=_check_options,
     plan=_plan,
     simulate=_simulate,
-    another_day=_another_day,
+    days=_days,
+    others=_others,
     asked=_asked,
     release=_release,
     compared={

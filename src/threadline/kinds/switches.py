@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.described import describe
 from threadline.jobs.operations import Job
 from threadline.kinds.kind import Kind
 from threadline.machine import Machine
+from threadline.machine.variants import variant
 from threadline.machine.vary import vary
 from threadline.options import Options, refuse_axis_options
 from threadline.plan import Plan, Scheduled
@@ -54,14 +58,28 @@ def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
     return spec
 
 
-def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+def _days(
+    commands: Commands, machine: Machine, count: int, random: np.random.Generator
+) -> Sequence[Recording]:
     """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
 
     The phase of the scan is not varied: every move begins at a scan, and an input that no cylinder
     closes comes when it is waited for.
     """
-    other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
-    return simulate_switching(switch_schedule(commands), other)
+    machines = [machine]
+    for _ in range(count - 1):
+        friction, supply = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
+        machines.append(vary(machine, friction=friction, supply=supply))
+    return [_simulate(commands, one) for one in machines]
+
+
+def _others(
+    commands: Commands,
+    machine: Machine,
+    parts: FloatArray,
+    random: np.random.Generator,  # noqa: ARG001
+) -> Sequence[Recording]:
+    return [_simulate(commands, variant(machine, row)) for row in parts]
 
 
 def _release(plan: Plan) -> None:
@@ -76,7 +94,8 @@ SWITCHES = Kind(
     check_options=refuse_axis_options,
     plan=_plan,
     simulate=_simulate,
-    another_day=_another_day,
+    days=_days,
+    others=_others,
     asked=_asked,
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},

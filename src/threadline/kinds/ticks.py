@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.described import describe
 from threadline.errors import OptionError, PlanError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.laws import law
 from threadline.machine import Machine
-from threadline.machine.vary import derate, vary
+from threadline.machine.variants import numbers_at, variant
+from threadline.machine.vary import derate, varied_numbers, vary
 from threadline.options import Options, PathChoice
 from threadline.path import chord_path, on_chords, plan_path, programmed_path
 from threadline.path.types import PlannedPath, ProgrammedPath
 from threadline.plan import Following, Motion, Plan
 from threadline.plant.analysis import unstable_loops
+from threadline.plant.values import Values
 from threadline.shaping import parse_shaper
-from threadline.signals import Commands, Recording, TickTable, tick_table
+from threadline.signals import ChannelKind, Commands, Recording, TickTable, tick_table
 from threadline.targets import followed_by_loads, followed_by_motors
 from threadline.targets.write import TICK_TARGETS
 from threadline.trajectory import check_budget, check_limits, plan_trajectory
-from threadline.twin import simulate
+from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Spec
 
 
@@ -115,12 +119,54 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
     return simulate(tick_table(commands), machine)
 
 
-def _another_day(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+_RECORDED = (
+    ChannelKind.COMMANDED,
+    ChannelKind.LOAD,
+    ChannelKind.VOLTAGE,
+    ChannelKind.CURRENT,
+    ChannelKind.OPERATION,
+)
+"""What the judge reads of a simulated machine: where the load is known, encoders tell no more."""
+
+
+def _days(
+    commands: Commands, machine: Machine, count: int, random: np.random.Generator
+) -> Sequence[Recording]:
     """Simulate with friction within +-30 %, supply within +-5 %, and encoders at any phase."""
-    other = vary(machine, friction=random.uniform(0.7, 1.3), supply=random.uniform(0.95, 1.05))
     table = tick_table(commands)
-    phase = random.uniform(0.0, 1.0, len(table.axes))
-    return simulate(table, other, encoder_phase=phase)
+    if count == 1:
+        return [simulate(table, machine)]
+    friction, supply = np.ones(count), np.ones(count)
+    phases = np.full((count, len(table.axes)), 0.5)
+    for day in range(1, count):
+        friction[day], supply[day] = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
+        phases[day] = random.uniform(0.0, 1.0, len(table.axes))
+    if machine.position_sources:
+        return [
+            simulate(table, vary(machine, friction=f, supply=s), encoder_phase=phase)
+            for f, s, phase in zip(friction.tolist(), supply.tolist(), phases, strict=True)
+        ]
+    numbers = Values.of(machine, varied_numbers(machine, friction, supply)).replaced
+    values = Values(machine, numbers, count)
+    return [simulate_runs(table, values, encoder_phase=phases, kinds=_RECORDED)]
+
+
+def _others(
+    commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
+) -> Sequence[Recording]:
+    """Simulate machines within the tolerances, with encoders at any phase."""
+    table = tick_table(commands)
+    phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
+    if machine.position_sources:
+        return [
+            simulate(table, variant(machine, row), encoder_phase=phase)
+            for row, phase in zip(parts, phases, strict=True)
+        ]
+    values = Values.of(machine, numbers_at(machine, parts))
+    return [
+        simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED)
+        for sharing, places in values.by_delay()
+    ]
 
 
 def _asked(spec: Spec, options: Options) -> Spec:
@@ -148,7 +194,8 @@ TICKS = Kind(
     check_options=_check_options,
     plan=_plan,
     simulate=_simulate,
-    another_day=_another_day,
+    days=_days,
+    others=_others,
     asked=_asked,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from threadline.arrays import FloatArray
 from threadline.machine.model import Drive, Machine
 from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
@@ -72,6 +73,32 @@ def vary(
         for name, cylinder in machine.cylinders.items()
     }
     return replace(machine, bodies=bodies, links=links, drives=drives, cylinders=cylinders)
+
+
+def varied_numbers(
+    machine: Machine, friction: FloatArray, supply: FloatArray
+) -> dict[str, FloatArray]:
+    """Return what ``vary`` changes of a machine with loops, for many days: names to SI values.
+
+    Parameters
+    ----------
+    friction, supply
+        (days,) factors.
+    """
+    found: dict[str, FloatArray] = {}
+    for name, body in machine.bodies.items():
+        for key, quantity in (("friction", body.friction), ("stiction", body.stiction)):
+            if quantity is not None:
+                found[f"bodies.{name}.{key}"] = quantity.si * friction
+    for name, drive in machine.motors.items():
+        limits = drive.amplifier
+        for key, quantity in (
+            ("voltage_limit", limits.voltage_limit),
+            ("current_limit", limits.current_limit),
+        ):
+            if quantity is not None:
+                found[f"drives.{name}.amplifier.{key}"] = quantity.si * supply
+    return found
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:

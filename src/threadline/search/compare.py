@@ -9,7 +9,15 @@ from threadline.errors import PlanError
 from threadline.jobs.operations import Feed, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, Proof, check_machine, plan_job, prove_plan
+from threadline.pipeline import (
+    NOMINAL,
+    Progress,
+    Proof,
+    Trials,
+    check_machine,
+    plan_job,
+    prove_plan,
+)
 from threadline.search.gentle import FastestJob, fastest_job
 from threadline.verdict import Spec
 
@@ -56,10 +64,16 @@ def compare(
     shapers: Sequence[str | None] = (None,),
     with_fastest: bool = True,
     progress: Progress | None = None,
+    trials: Trials = NOMINAL,
 ) -> Comparison:
     """Prove ``job`` with every interpolation, feed and shaper; find the fastest feed of each.
 
     A job that is paced by switchings or by a shaft has no feed to search.
+
+    Parameters
+    ----------
+    trials
+        Which runs each is judged by.
 
     Raises
     ------
@@ -93,7 +107,7 @@ def compare(
                     refused.append((shaper, error.message))
                     why = error
                     continue
-                proofs.append(prove_plan(plan, spec))
+                proofs.append(prove_plan(plan, spec, trials=trials))
     if not proofs and why is not None:
         raise why
     fastest = {}
@@ -101,5 +115,7 @@ def compare(
         for interpolation in interpolations:
             stepped(f"fastest {interpolation}")
             chosen = replace(options, interpolation=interpolation)
-            fastest[interpolation] = fastest_job(job, machine, placement_spec(spec), chosen)
+            fastest[interpolation] = fastest_job(
+                job, machine, placement_spec(spec), chosen, trials=trials
+            )
     return Comparison(proofs=tuple(proofs), fastest=fastest, refused=tuple(refused))

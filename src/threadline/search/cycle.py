@@ -15,7 +15,7 @@ from threadline.errors import OptionError, PlanError, RecordingError
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, Proof, plan_job, prove_plan
+from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_plan
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import with_choices
@@ -64,7 +64,12 @@ def cycle_s(proof: Proof) -> float:
 
 
 def fastest_cycle(
-    job: Job, machine: Machine, spec: Spec, *, progress: Progress | None = None
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    *,
+    progress: Progress | None = None,
+    trials: Trials = NOMINAL,
 ) -> FastestCycle:
     """Search commands and waits of every move together; the shortest cycle in spec wins.
 
@@ -74,6 +79,8 @@ def fastest_cycle(
         A move list; what it says itself of its moves is not kept.
     spec
         Its limits of the residual vibration lead the search; the twin is judged by all of it.
+    trials
+        Which runs a cycle is judged by.
 
     Raises
     ------
@@ -84,7 +91,7 @@ def fastest_cycle(
     """
     _check_one_by_one(job)
     plain = with_choices(job, {}, {})
-    unshaped = prove_plan(plan_job(plain, machine, Options()), spec)
+    unshaped = try_plan(plan_job(plain, machine, Options()), spec, trials)
     forecast = CycleForecast(job, machine, spec, unshaped.plan.scheduled)
     best: tuple[Job, Proof, Cycle] | None = None
     closest: tuple[float, Proof, Cycle | None] = (_excess(unshaped), unshaped, None)
@@ -108,7 +115,7 @@ def fastest_cycle(
         chosen = forecast.job_of(cycle)
         tried += 1
         try:
-            proof = prove_plan(plan_job(chosen, machine, Options()), spec)
+            proof = try_plan(plan_job(chosen, machine, Options()), spec, trials)
         except (PlanError, RecordingError):
             continue  # its valves cannot, or an input that it waits for never comes
         if proof.verdict.passed:

@@ -9,7 +9,7 @@ interval that passes are refined.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,13 +22,19 @@ Judged = Callable[[float], Verdict]
 SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
 NEAR_POINTS = 16
+_INSIDE = 16
+"""Feeds that are tried inside an interval before it is believed."""
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 RANGE = "range"
 """What limits a search that ended before anything failed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """A range of feeds that pass, both ends tried; SI or counts per tick, as searched."""
+    """A range of feeds that pass; SI or counts per tick, as searched.
+
+    Both ends were tried, and, where the search looks near its edges, feeds all over it.
+    """
 
     low: float
     high: float
@@ -113,17 +119,17 @@ def find_fastest(
     expected = points + 2.0 * np.log2(np.log(high / low) / points / edge_relative + 1.0)
 
     def verdict_at(feed: float) -> Verdict:
-        # No feed comes twice: those of a scan differ, and an edge lies between two of them.
-        seen[feed] = judged(feed)
-        if progress is not None:
-            progress("searching", min(len(seen) / float(expected), 1.0))
+        if feed not in seen:
+            seen[feed] = judged(feed)
+            if progress is not None:
+                progress("searching", min(len(seen) / float(expected), 1.0))
         return seen[feed]
 
     feeds = _spaced(low, high, points)
     passes = [verdict_at(feed).passed for feed in feeds]
     if near:
         feeds = _finer(feeds, passes, near)
-        passes = [(seen.get(feed) or verdict_at(feed)).passed for feed in feeds]
+        passes = [verdict_at(feed).passed for feed in feeds]
     step = (high / low) ** (1.0 / (points - 1))
     steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0}
     intervals: list[Interval] = []
@@ -137,6 +143,12 @@ def find_fastest(
             stop = feed if last else _edge(verdict_at, feed, feeds[index + 1], edge_relative)
             intervals.append(Interval(low=start, high=stop))
             start = None
+    if near:
+        intervals = [
+            part
+            for interval in intervals
+            for part in _held(verdict_at, seen, interval, edge_relative)
+        ]
     intervals.reverse()
     if not intervals:
         closest = min(seen.values(), key=lambda verdict: _worst(verdict)[1])
@@ -198,6 +210,38 @@ def _edge(verdict_at: Judged, passing: float, failing: float, edge_relative: flo
         else:
             failing = middle
     return passing
+
+
+def _held(
+    verdict_at: Judged, seen: Mapping[float, Verdict], interval: Interval, edge_relative: float
+) -> list[Interval]:
+    """Return the parts of an interval in which every feed that was looked at passes.
+
+    Between two feeds that pass, one may fail: where a margin is thin, the rounding of times to
+    whole ticks decides. So an interval is looked into at feeds spread evenly, by the golden ratio,
+    and cut about each that fails; of a part narrower than an edge its highest feed is left.
+    """
+    parts, found = [interval], []
+    while parts:
+        part = parts.pop()
+        width = part.high - part.low
+        if width <= edge_relative * part.low:
+            found.append(Interval(low=part.high, high=part.high))
+            continue
+        inside = [
+            _typed(part.low + (_GOLDEN * k % 1.0) * width, width / _INSIDE)
+            for k in range(1, _INSIDE + 1)
+        ]
+        failing = next((f for f in inside if not verdict_at(f).passed), None)
+        if failing is None:
+            found.append(part)
+            continue
+        known = [f for f in seen if part.low <= f <= part.high and seen[f].passed]
+        below = max(f for f in known if f < failing)
+        above = min(f for f in known if f > failing)
+        parts.append(Interval(low=part.low, high=_edge(verdict_at, below, failing, edge_relative)))
+        parts.append(Interval(low=_edge(verdict_at, above, failing, edge_relative), high=part.high))
+    return sorted(found, key=lambda part: part.low)
 
 
 def _worst(verdict: Verdict) -> tuple[str, float]:

@@ -8,7 +8,7 @@ from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, plan_job, prove_plan
+from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
 from threadline.plan import Following
 from threadline.search.fastest import (
     EDGE_RELATIVE,
@@ -51,6 +51,7 @@ def fastest_feed(
     progress: Progress | None = None,
     actual: Machine | None = None,
     edge_relative: float = EDGE_RELATIVE,
+    trials: Trials = NOMINAL,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
 
@@ -63,6 +64,8 @@ def fastest_feed(
         As ``find_fastest`` takes them; their steps are the resolution.
     actual
         The machine that does the job, where it isn't the one that plans are made for.
+    trials
+        Which runs a feed is judged by.
     """
     lowest, highest = feed_range_m_s(machine)
 
@@ -75,7 +78,7 @@ def fastest_feed(
             if options.following is Following.MOTOR or error.quantity == "travel":
                 raise
             return beyond(error, machine)
-        return prove_plan(plan, spec, actual=actual).verdict
+        return try_plan(plan, spec, trials, actual).verdict
 
     return find_fastest(
         judged,

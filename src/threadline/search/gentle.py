@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, check_loops, plan_job
+from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job
 from threadline.search.fastest import NEAR_POINTS, Fastest
 from threadline.search.feed import fastest_feed
 from threadline.trajectory import Pace
@@ -50,6 +50,7 @@ def fastest_job(
     high: float | None = None,
     progress: Progress | None = None,
     actual: Machine | None = None,
+    trials: Trials = NOMINAL,
 ) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 
@@ -62,6 +63,8 @@ def fastest_job(
         Feeds to search between, m/s of the fastest axis.
     actual
         The machine that does the job, where it isn't the one that plans are made for.
+    trials
+        Which runs a feed is judged by.
     """
     check_loops(machine)
     by_feed = ignores_limits(job, machine, options)
@@ -83,6 +86,7 @@ def fastest_job(
                 points=points,
                 near=near,
                 actual=actual,
+                trials=trials,
             )
             rungs[share] = Rung(
                 share=share, found=found, duration_s=_duration_s(job, machine, chosen, found)

@@ -9,7 +9,7 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, plan_job, prove_plan
+from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
 from threadline.search.fastest import (
     EDGE_RELATIVE,
     NEAR_POINTS,
@@ -55,6 +55,7 @@ def fastest_needle(
     progress: Progress | None = None,
     actual: Machine | None = None,
     edge_relative: float = EDGE_RELATIVE,
+    trials: Trials = NOMINAL,
 ) -> Fastest:
     """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
 
@@ -67,6 +68,8 @@ def fastest_needle(
         As ``find_fastest`` takes them; their steps are the resolution.
     actual
         The machine that sews, where it isn't the one that plans are made for.
+    trials
+        Which runs a speed is judged by.
 
     Raises
     ------
@@ -84,7 +87,7 @@ def fastest_needle(
             plan = plan_job(job, machine, options)
         except LimitError as error:
             return _beyond(error, machine)
-        return prove_plan(plan, spec, actual=actual).verdict
+        return try_plan(plan, spec, trials, actual).verdict
 
     return find_fastest(
         judged,

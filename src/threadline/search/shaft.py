@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress, Proof, check_machine, plan_job, prove_plan
+from threadline.pipeline import NOMINAL, Progress, Proof, Trials, check_machine, plan_job, try_plan
 from threadline.search.fastest import Fastest, find_fastest
 from threadline.verdict import Spec, Verdict
 
@@ -67,6 +67,7 @@ def fastest_shaft(
     high: float | None = None,
     progress: Progress | None = None,
     actual: Machine | None = None,
+    trials: Trials = NOMINAL,
 ) -> FastestShaft:
     """Search the speeds of the shaft, and the schedule of speeds.
 
@@ -76,6 +77,8 @@ def fastest_shaft(
         Constant speeds to search between, stitches a second; those of the machine unless given.
     actual
         The machine that sews, where it isn't the one that plans are made for.
+    trials
+        Which runs a speed is judged by.
     """
     check_machine(machine)
     assert machine.shaft is not None
@@ -84,7 +87,8 @@ def fastest_shaft(
         return replace(options, feed=Feed(FeedMode.SHAFT, speed_hz))
 
     def judged(speed_hz: float) -> Verdict:
-        return prove_plan(plan_job(job, machine, at_speed(speed_hz)), spec, actual=actual).verdict
+        plan = plan_job(job, machine, at_speed(speed_hz))
+        return try_plan(plan, spec, trials, actual).verdict
 
     constant = find_fastest(
         judged,
@@ -100,7 +104,7 @@ def fastest_shaft(
         constant_s = plan_job(job, machine, at_speed(constant.best)).duration_s
     schedule = None
     if machine.shaft.acceleration is not None:
-        schedule = _schedule(job, machine, spec, options, actual)
+        schedule = _schedule(job, machine, spec, options, actual, trials)
     times = [constant_s, None if schedule is None else schedule.plan.duration_s]
     best = min((t for t in times if t is not None), default=None)
     by_schedule = schedule is not None and best == schedule.plan.duration_s
@@ -117,7 +121,12 @@ def fastest_shaft(
 
 
 def _schedule(
-    job: Job, machine: Machine, spec: Spec, options: Options, actual: Machine | None
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    actual: Machine | None,
+    trials: Trials,
 ) -> Proof | None:
     """Return the fastest schedule in spec, by the tolerance that it is planned with."""
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
@@ -125,7 +134,7 @@ def _schedule(
 
     def proof_at(share: float) -> Proof:
         chosen = replace(options, tolerance_m=float(f"{share * limit:.4g}"))
-        return prove_plan(plan_job(job, machine, chosen), spec, actual=actual)
+        return try_plan(plan_job(job, machine, chosen), spec, trials, actual)
 
     low, high = _RANGE
     best = proof_at(low)

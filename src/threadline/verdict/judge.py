@@ -55,7 +55,7 @@ class Judge:
     def _of_plan(self) -> Findings:
         return _of_plan(self.plan, self._keys)
 
-    def verdict(self, recordings: Sequence[Recording]) -> Verdict:
+    def verdict(self, recordings: Sequence[Recording], others: Sequence[Recording] = ()) -> Verdict:
         """Measure every criterion and say what came of it.
 
         Each recording is read once, in bounded memory, all runs that it holds at once; of several,
@@ -67,6 +67,9 @@ class Judge:
         ----------
         recordings
             Of one and the same job; at least one.
+        others
+            Of other machines within the tolerances: the worst of them counts too, but what runs
+            are asked together (how well they repeat) is asked of one machine.
 
         Raises
         ------
@@ -76,6 +79,12 @@ class Judge:
         """
         plan, spec = self.plan, self.spec
         findings, runs, outcomes = self._measured(recordings)
+        for other in others:
+            measured, _, ended = self._measured([other], together=False)
+            outcomes = [*outcomes, *ended]
+            for key, found in measured.items():
+                if key not in self._of_plan:
+                    findings[key] = joined(findings.get(key, []), found)
         why = next(filter(None, map(told_end, outcomes)), "")
         told = [
             result
@@ -87,8 +96,9 @@ class Judge:
         ]
         return Verdict(
             results=tuple(with_passes(tuple(_with_lines(told, plan)), plan.job)),
-            simulated=all(recording.simulated for recording in recordings),
+            simulated=all(recording.simulated for recording in (*recordings, *others)),
             runs=sum(recording.runs for recording in recordings),
+            machines=sum(recording.runs for recording in others),
             incomplete=why,
             late_ticks=sum(outcome.late_ticks for outcome in outcomes),
         )

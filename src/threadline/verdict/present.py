@@ -42,6 +42,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "simulated": verdict.simulated,
         "level": verdict.level.value,
         "runs": verdict.runs,
+        "machines": verdict.machines,
         "tightest": _tightest_json(verdict.tightest),
         "incomplete": verdict.incomplete,
         "late_ticks": verdict.late_ticks,
@@ -119,7 +120,10 @@ def closing_of_all(verdicts: Sequence[Verdict]) -> str:
 
 
 def _level(verdict: Verdict) -> str:
-    return f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
+    told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
+    if verdict.machines:
+        told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
+    return told
 
 
 def _used(result: Result) -> str:

@@ -29,6 +29,7 @@ class Level(StrEnum):
 
     NOMINAL = "nominal"  # few runs of one machine: nothing is said of others
     REPEATED = "repeated"  # so many runs that what varies from run to run is in them
+    TOLERANCES = "over tolerances"  # of other machines within the tolerances of the file as well
 
 
 REPEATED_RUNS = 20
@@ -188,7 +189,9 @@ class Verdict:
     simulated
         Whether every run was simulated.
     runs
-        How many runs were judged.
+        How many runs of the machine were judged.
+    machines
+        How many other machines within its tolerances were, too.
     incomplete
         How a run ended before its last row; empty where none did.
     late_ticks
@@ -198,12 +201,15 @@ class Verdict:
     results: tuple[Result, ...]
     simulated: bool
     runs: int = 1
+    machines: int = 0
     incomplete: str = ""
     late_ticks: int = 0
 
     @property
     def level(self) -> Level:
         """How far it reaches."""
+        if self.machines:
+            return Level.TOLERANCES
         return Level.REPEATED if self.runs >= REPEATED_RUNS else Level.NOMINAL
 
     @property

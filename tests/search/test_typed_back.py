@@ -1,0 +1,79 @@
+"""What a search prints can be typed back: every end and every place inside passes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.cli.found import typed
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options, options_of, parse_feed
+from threadline.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove_plan
+from threadline.search import fastest_needle
+from threadline.search.fastest import find_fastest
+from threadline.search.feed import fastest_feed
+from threadline.verdict import Result, Status, Verdict, load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def drawn(low: float, high: float) -> list[float]:
+    """Return both ends and ten places inside, from a fixed seed."""
+    return [low, high, *np.random.default_rng(7).uniform(low, high, 10).tolist()]
+
+
+def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed() -> None:
+    """As built, with gaps where whole ticks do not suit; lists had them in."""
+    seam, machine = EXAMPLES / "stitcher-test-path.seam.toml", load_machine("stitcher")
+    spec = load_spec(None, machine)
+    found = fastest_needle(seam, machine, spec, Options(), low=29.0, high=33.0, points=12, near=4)
+    assert found.intervals
+    for interval in found.intervals:
+        for speed in drawn(interval.low, interval.high):
+            job = read_job(seam, machine, needle_speed=f"{typed(speed)} stitch/s")
+            assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed, speed
+
+
+@pytest.mark.parametrize("trials", [NOMINAL, REPEATED])
+def test_feeds_of_the_winder_pass_as_they_are_printed(trials: Trials) -> None:
+    machine = load_machine("lathe-winder")
+    spec = load_spec(None, machine)
+    options = options_of("linear", None, "0.1 mm")
+    job = read_job(EXAMPLES / "x-180.prg", machine)
+    found = fastest_feed(
+        job, machine, spec, options, low=0.030, high=0.045, points=10, near=6, trials=trials
+    )
+    assert found.intervals
+    for interval in found.intervals:
+        for feed in drawn(interval.low * 1e3, interval.high * 1e3):
+            told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
+            proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
+            assert proof.verdict.passed, feed
+
+
+def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
+    """Stretches that fail between the points of the scan, a ninth of the interval wide and more.
+
+    Sixteen places spread by the golden ratio leave no gap above a tenth of it.
+    """
+    holes = ((2.05, 2.45), (3.05, 3.45))
+
+    def judged(feed: float) -> Verdict:
+        good = feed < 4.0 and not any(low < feed < high for low, high in holes)
+        status = Status.PASSED if good else Status.FAILED
+        result = Result(
+            name="a", axis="", measured=0.5 if good else 2.0, limit=1.0, unit="m", status=status
+        )
+        return Verdict(results=(result,), simulated=True)
+
+    found = find_fastest(judged, 1.0, 8.0, points=7, near=2)
+    assert 3.99 < found.intervals[0].high < 4.0
+    for interval in found.intervals:
+        assert interval.low <= interval.high
+        assert all(judged(feed).passed for feed in (interval.low, interval.high))
+        assert not any(interval.low < low and high < interval.high for low, high in holes)
+    assert len(found.intervals) == 3
