@@ -37,6 +37,7 @@ COMMANDS = {
     "verify": LazyCommand("verify", "Say whether a proof is one of what its files say now."),
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
+    "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),

@@ -203,13 +203,13 @@ def _row(result: Result) -> list[str]:
     if result.name == "travel" and measured is not None and measured < 0.0:
         # To people a travel that is kept is told as 0 beyond it, and the room that is left as a
         # note.
-        room = _shown(without_noise(-measured), result.unit)
+        room = shown(without_noise(-measured), result.unit)
         measured, note = 0.0, f"{room} of room left"
     return [
         result.name,
         result.axis,
         "-" if measured is None else _figure(replace(result, measured=measured)),
-        "-" if result.limit is None else _shown(result.limit, result.unit),
+        "-" if result.limit is None else shown(result.limit, result.unit),
         result.status.value + (" (required)" if _lacking(result) else ""),
         "-" if result.time_s is None else f"{result.time_s:.3f} s",
         _line(result),
@@ -257,10 +257,11 @@ def _figure(result: Result) -> str:
     value = result.measured
     if result.status is not Status.FAILED:
         value = without_noise(value, result.limit)
-    return _shown(value, result.unit)
+    return shown(value, result.unit)
 
 
-def _shown(value: float, unit: str) -> str:
+def shown(value: float, unit: str) -> str:
+    """Return a value in SI for people: in mm, degrees, ms, per cent."""
     if math.isinf(value):
         return "never" if unit == "s" else "unbounded"
     if not unit:

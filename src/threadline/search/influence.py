@@ -1,0 +1,72 @@
+"""Which numbers a result hangs on: Sobol indices over the tolerances of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import sobol_indices, truncnorm, uniform
+
+from threadline.arrays import FloatArray
+from threadline.machine.variants import FARTHEST
+
+_PER_PART = 2.0  # standard deviations in a tolerance
+_RESAMPLES = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Influence:
+    """Shares of the variance of a result; n numbers.
+
+    Parameters
+    ----------
+    first, total
+        (n,) of each number alone, and with all that it does together with others.
+    first_interval, total_interval
+        (2, n) between which they lie, at 95 % confidence, by bootstrap.
+    """
+
+    first: FloatArray
+    total: FloatArray
+    first_interval: FloatArray
+    total_interval: FloatArray
+
+
+def influence(
+    result: Callable[[FloatArray], FloatArray], normal: list[bool], samples: int, seed: int
+) -> Influence:
+    """Return the Sobol indices of a result, Saltelli's way (``scipy.stats.sobol_indices``).
+
+    Parameters
+    ----------
+    result
+        (k, n) parts of the tolerances to (k,) values.
+    normal
+        (n,) whether a number is distributed normally, cut off at 3 standard deviations; else alike
+        over its tolerance.
+    samples
+        A power of 2; (n + 2) times as many results are asked for.
+    """
+    cut = truncnorm(-FARTHEST, FARTHEST, scale=1.0 / _PER_PART)
+    alike = uniform(-1.0, 2.0)
+    dists: list[Any] = [cut if one else alike for one in normal]
+    found = sobol_indices(
+        func=lambda x: result(np.ascontiguousarray(x.T))[None],
+        n=samples,
+        dists=dists,
+        rng=np.random.default_rng(seed),
+    )
+    spread = found.bootstrap(n_resamples=_RESAMPLES)
+    return Influence(
+        first=np.atleast_2d(found.first_order)[0],
+        total=np.atleast_2d(found.total_order)[0],
+        first_interval=_interval(spread.first_order),
+        total_interval=_interval(spread.total_order),
+    )
+
+
+def _interval(spread: Any) -> FloatArray:
+    ends = spread.confidence_interval
+    return np.stack([np.atleast_2d(ends.low)[0], np.atleast_2d(ends.high)[0]])

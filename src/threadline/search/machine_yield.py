@@ -1,0 +1,256 @@
+"""How many machines within the tolerances are in specification, and which is the worst of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from scipy.stats import beta
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.machine.variants import MOST_CORNERS, Uncertain, drawn, numbers_at, uncertain
+from threadline.plan import Plan
+from threadline.search.judge_runs import RunsJudge
+from threadline.verdict import CriterionRow, EachRun, Spec
+
+CONFIDENCE = 0.95
+AT_ONCE = 4096
+"""Machines from one word of progress to the next; what comes of them does not depend on it."""
+_STARTS = 4  # samples from which the worst case is looked for
+_ROUNDS = 8
+_COUNTS = "axes.*.counts"
+
+Done = Callable[[int], None]
+"""Told how many machines are through."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Worst:
+    """The worst machine that was found.
+
+    Parameters
+    ----------
+    parts
+        (n,) where each of the numbers lies in its tolerance, -1 to 1.
+    numbers
+        Names in the file and their SI values, of those that are not as the file says.
+    share
+        Of the limit that it uses most of.
+    binding
+        That criterion.
+    of_corners
+        Whether every corner of the tolerances was tried.
+    """
+
+    parts: FloatArray
+    numbers: dict[str, float]
+    share: float
+    binding: str
+    of_corners: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Yield:
+    """What came of machines drawn over the tolerances.
+
+    Parameters
+    ----------
+    numbers
+        What varied.
+    found
+        Every criterion in every machine.
+    seed
+        Of the sequence of machines.
+    """
+
+    numbers: tuple[Uncertain, ...]
+    found: EachRun
+    seed: int
+
+    @property
+    def passed(self) -> int:
+        """How many machines are in specification."""
+        return int(self.found.passed.sum())
+
+    @property
+    def share(self) -> float:
+        """The yield of those that were drawn."""
+        return self.passed / self.found.runs
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Between which shares the yield of all machines lies, at 95 % confidence."""
+        return clopper_pearson(self.passed, self.found.runs)
+
+
+def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the exact interval of a share of which ``passed`` of ``tried`` were counted.
+
+    Clopper and Pearson (1934), "The use of confidence or fiducial limits illustrated in the case
+    of the binomial".
+
+    >>> low, high = clopper_pearson(10_000, 10_000)
+    >>> f"{low:.5f} {high}"
+    '0.99963 1.0'
+    """
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if not passed else float(beta.ppf(tail, passed, tried - passed + 1))
+    high = 1.0 if passed == tried else float(beta.ppf(1.0 - tail, passed + 1, tried - passed))
+    return low, high
+
+
+class MachineYield:
+    """Judges machines within the tolerances of a plan's, all under its commands.
+
+    Encoders stand as in a nominal run, so that ``prove --nominal`` of a machine says the same.
+
+    Raises
+    ------
+    OptionError
+        If no number of the machine varies.
+    """
+
+    def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
+        self.plan = plan
+        self.numbers = uncertain(plan.machine)
+        if not self.numbers:
+            raise OptionError(
+                f"no number of {plan.machine.name} has a tolerance that may vary",
+                place=plan.machine.place,
+                remedy='Write them in the machine file: "111 kg +- 10 %".',
+            )
+        self._judge = RunsJudge(plan, spec, threads=threads)
+
+    def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
+        """Return what comes of machines at (k, n) parts of their tolerances."""
+        return self._judge.judged(numbers_at(self.plan.machine, parts), done=done)
+
+    def drawn(self, variants: int, seed: int, done: Done | None = None) -> Yield:
+        """Return what comes of the first machines of the sequence of a seed.
+
+        Raises
+        ------
+        OptionError
+            If there are none, or the seed is out of range.
+        """
+        if variants < 1:
+            raise OptionError(f"variants must be at least 1, got {variants}")
+        found: list[EachRun] = []
+        for at in range(0, variants, AT_ONCE):
+            index: IntArray = np.arange(at, min(at + AT_ONCE, variants))
+            found.append(self.judged(drawn(self.plan.machine, seed, index), done))
+        return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
+
+    def worst(self, known: Yield | None = None) -> Worst:
+        """Return the worst machine within the tolerances that is found.
+
+        Of up to 12 numbers every corner is tried. Of more the worst of the machines that are known
+        already are the beginning: of each number either end is tried, the best step is taken, and
+        so on until none makes it worse. Counts per unit stay what they are: commands are written in
+        them.
+        """
+        free = [k for k, number in enumerate(self.numbers) if not _counted(number)]
+        if len(free) <= MOST_CORNERS:
+            ends = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(free), indexing="ij"))
+            parts = np.zeros((2 ** len(free), len(self.numbers)))
+            parts[:, free] = ends.reshape(len(free), -1).T
+            shares, binding = shares_of(self.judged(parts))
+            at = int(np.argmax(shares))
+            return self._worst(parts[at], float(shares[at]), binding[at], of_corners=True)
+        starts = np.zeros((1, len(self.numbers)))
+        if known is not None:
+            order = np.argsort(-shares_of(known.found)[0], kind="stable")[:_STARTS]
+            starts = drawn(self.plan.machine, known.seed, order)
+            starts = np.where(starts < 0.0, -1.0, 1.0)
+        held = [k for k in range(len(self.numbers)) if k not in free]
+        starts[:, held] = 0.0
+        return max((self._climbed(start, free) for start in starts), key=lambda w: w.share)
+
+    def _climbed(self, start: FloatArray, free: list[int]) -> Worst:
+        """Step from one machine to worse ones, a number to an end at a time."""
+        shares, binding = shares_of(self.judged(start[None]))
+        best, share, bound = start, float(shares[0]), binding[0]
+        for _ in range(_ROUNDS):
+            tried = np.repeat(best[None], 2 * len(free), axis=0)
+            for row, k in enumerate(free):
+                tried[2 * row, k], tried[2 * row + 1, k] = -1.0, 1.0
+            shares, binding = shares_of(self.judged(tried))
+            at = int(np.argmax(shares))
+            if shares[at] <= share:
+                break
+            best, share, bound = tried[at], float(shares[at]), binding[at]
+        return self._worst(best, share, bound, of_corners=False)
+
+    def _worst(self, parts: FloatArray, share: float, binding: str, *, of_corners: bool) -> Worst:
+        moved = numbers_at(self.plan.machine, parts)
+        own = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
+        numbers = {k: float(v[0]) for k, v in moved.items() if v[0] != own[k][0]}
+        return Worst(
+            parts=parts, numbers=numbers, share=share, binding=binding, of_corners=of_corners
+        )
+
+    def halved(self, variants: int, seed: int) -> FloatArray:
+        """Return (n,) the yield if the tolerance of one number were half of what it is.
+
+        The same machines are drawn, but for that number, so that differences are its own.
+        """
+        parts = drawn(self.plan.machine, seed, np.arange(variants))
+        found = np.empty(len(self.numbers))
+        for k in range(len(self.numbers)):
+            fewer = parts.copy()
+            fewer[:, k] *= 0.5
+            found[k] = self.judged(fewer).passed.mean()
+        return found
+
+
+def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
+    """Return (runs,) how much of the limit is used that is used most, and of which criterion.
+
+    Limits of the machine itself and what is of the plan alone do not count: they are the same for
+    every machine.
+    """
+    rows = [row for row in found.rows if row.limit is not None and not row.hard and not row.of_plan]
+    if not rows:
+        return np.zeros(found.runs), [""] * found.runs
+    table = np.stack([_share(row) for row in rows])
+    at = np.argmax(table, axis=0)
+    return table[at, np.arange(found.runs)], [rows[k].text for k in at.tolist()]
+
+
+def _share(row: CriterionRow) -> FloatArray:
+    assert row.limit is not None
+    known = np.nan_to_num(row.values, nan=np.inf if row.required else 0.0, posinf=np.inf)
+    if row.limit <= 0.0:
+        return np.where(known > row.limit, np.inf, 0.0)
+    return np.asarray(known / row.limit)
+
+
+def _counted(number: Uncertain) -> bool:
+    return any(fnmatchcase(path, _COUNTS) for path in number.numbers)
+
+
+def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
+    """Return the machine file of the worst machine: the numbers that differ, over its base."""
+    from threadline.escaping import toml_string
+    from threadline.machine.numbers import number_at
+
+    tables: dict[str, list[str]] = {}
+    for path, value in worst.numbers.items():
+        table, _, key = path.rpartition(".")
+        quantity = number_at(machine, path)
+        text = f"{value!r} {quantity.unit}".strip() + " exact, assumed: worst of the tolerances"
+        tables.setdefault(table, []).append(f"{key} = {toml_string(text)}")
+    lines = [
+        f"# The worst machine found within the tolerances: {100.0 * worst.share:.4g} % of",
+        f"# {worst.binding}, by threadline yield.",
+        f"base = {toml_string(base)}",
+        f"name = {toml_string(machine.name.split('+')[0] + '-worst')}",
+        f"title = {toml_string(machine.title + ', worst of its tolerances')}",
+    ]
+    for table, rows in sorted(tables.items()):
+        lines += ["", f"[{table}]", *rows]
+    return "\n".join(lines) + "\n"
