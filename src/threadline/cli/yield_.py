@@ -32,9 +32,7 @@ from threadline.cli.options import (
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
-from threadline.errors import OptionError
 from threadline.pipeline import check_machine, open_job, plan_job
-from threadline.plan import Motion
 from threadline.report.machine_yield import limited_rows, write_yield
 from threadline.search.influence import Influence, influence
 from threadline.search.machine_yield import MachineYield, Worst, Yield, shares_of, worst_toml
@@ -94,12 +92,7 @@ def yield_(
     )
     check_machine(chosen)
     plan = plan_job(open_job(job, chosen, options), chosen, options)
-    if not isinstance(plan.intent, Motion):
-        raise OptionError(
-            f"yield is of machines with axes and a path, and {chosen.name} is commanded by "
-            f"{chosen.commanded_by}",
-            remedy="threadline prove --tolerances judges 200 machines within its tolerances.",
-        )
+    judged = MachineYield(plan, load_spec(spec, chosen))
     warn(chosen, plan.job)
     through = 0
     with progress_bar(not json) as progress:
@@ -110,7 +103,6 @@ def yield_(
             if progress is not None:
                 progress("simulating and judging machines", min(through / variants, 1.0))
 
-        judged = MachineYield(plan, load_spec(spec, chosen))
         found = judged.drawn(variants, seed, done)
         bad = judged.worst(found)
         hangs = _why(judged, seed) if why else None

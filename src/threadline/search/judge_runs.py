@@ -20,7 +20,7 @@ from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.plant.values import Values
 from threadline.signals import ChannelKind, tick_table
-from threadline.twin import simulate_runs
+from threadline.twin import fastest_rates, simulate_runs
 from threadline.twin.simulate import DEFAULT_SETTLE_S
 from threadline.verdict import EachRun, Judge, Spec, needed_channels
 
@@ -43,6 +43,9 @@ class RunsJudge:
         How long to go on after the last row.
     threads
         Parts that are under way at once; as many as there are cores when None.
+    extremes
+        Numbers of machines of which none that is judged is faster than all: then a machine has the
+        same bits in whatever company. None leaves rounding to the company.
 
     Raises
     ------
@@ -58,6 +61,7 @@ class RunsJudge:
         *,
         settle_s: float = DEFAULT_SETTLE_S,
         threads: int | None = None,
+        extremes: Mapping[str, FloatArray] | None = None,
     ) -> None:
         self.plan = plan
         self._judge = Judge(plan, spec)
@@ -65,6 +69,10 @@ class RunsJudge:
         self._machine = plan.machine if machine is None else machine
         self._settle_s = settle_s
         self._threads = threads or cpu_count() or 1
+        self._rates: tuple[float, ...] = ()
+        if extremes is not None:
+            rates = fastest_rates(self._table, _without_delays(self._machine, extremes))
+            self._rates = tuple(float(rate.max()) for rate in rates)
         self._kinds = (ChannelKind.COMMANDED, ChannelKind.OPERATION, *needed_channels(spec))
 
     def judged(
@@ -124,6 +132,7 @@ class RunsJudge:
                 encoder_phase=phases,
                 settle_s=self._settle_s,
                 kinds=self._kinds,
+                least_rates=self._rates,
             )
             return self._judge.each(recording)
         except MachineError:
@@ -134,3 +143,8 @@ class RunsJudge:
             cut = [None, None] if phases is None else [phases[:half], phases[half:]]
             low = self._part(values.slice(0, half), cut[0])
             return EachRun.joined([low, self._part(values.slice(half, values.count), cut[1])])
+
+
+def _without_delays(machine: Machine, numbers: Mapping[str, FloatArray]) -> Values:
+    """Return numbers but for dead times, which make nothing faster."""
+    return Values.of(machine, {k: v for k, v in numbers.items() if not k.endswith(".delay")})

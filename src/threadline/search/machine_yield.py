@@ -10,12 +10,23 @@ import numpy as np
 from scipy.stats import beta
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.errors import OptionError
+from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
-from threadline.machine.variants import MOST_CORNERS, Uncertain, drawn, numbers_at, uncertain
+from threadline.machine.variants import (
+    MOST_CORNERS,
+    Uncertain,
+    drawn,
+    numbers_at,
+    one_at_a_time,
+    uncertain,
+    variant,
+)
 from threadline.plan import Plan
+from threadline.plant.values import Values
 from threadline.search.judge_runs import RunsJudge
-from threadline.verdict import CriterionRow, EachRun, Spec
+from threadline.signals import tick_table
+from threadline.twin import fastest_rates, simulate
+from threadline.verdict import CriterionRow, EachRun, Judge, Spec
 
 CONFIDENCE = 0.95
 AT_ONCE = 4096
@@ -111,11 +122,20 @@ class MachineYield:
     Raises
     ------
     OptionError
-        If no number of the machine varies.
+        If no number of the machine varies, or its drives are told positions.
+    PlanError
+        If the plan has no path.
     """
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
-        self.plan = plan
+        self.plan, axes = plan, plan.motion.axes
+        told = [axis for axis in axes if plan.machine.source_of(axis) is not None]
+        if told:
+            raise OptionError(
+                f"the drive of axis {told[0]} is told positions: such machines are not simulated "
+                "many at once",
+                remedy="threadline prove --tolerances judges 200 of them.",
+            )
         self.numbers = uncertain(plan.machine)
         if not self.numbers:
             raise OptionError(
@@ -123,7 +143,26 @@ class MachineYield:
                 place=plan.machine.place,
                 remedy='Write them in the machine file: "111 kg +- 10 %".',
             )
-        self._judge = RunsJudge(plan, spec, threads=threads)
+        extremes = numbers_at(plan.machine, self._fastest_corner())
+        self._judge = RunsJudge(plan, spec, threads=threads, extremes=extremes)
+        self._alone = Judge(plan, spec)
+
+    def _fastest_corner(self) -> FloatArray:
+        """Return parts of the machine with every number at the end where it is faster.
+
+        Of each connected piece one, and the ends alone.
+        """
+        machine = self.plan.machine
+        ends = one_at_a_time(machine)
+        numbers = {
+            path: values
+            for path, values in numbers_at(machine, ends).items()
+            if not path.endswith(".delay")
+        }
+        rates = fastest_rates(tick_table(self.plan.commands), Values.of(machine, numbers))
+        corners = [np.where(rate[0::2] > rate[1::2], -1.0, 1.0) for rate in rates]
+        normal = np.array([1.5 if number.normal else 1.0 for number in self.numbers])
+        return np.asarray(np.concatenate([ends, np.stack(corners)]) * normal)
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return what comes of machines at (k, n) parts of their tolerances."""
@@ -186,12 +225,23 @@ class MachineYield:
         return self._worst(best, share, bound, of_corners=False)
 
     def _worst(self, parts: FloatArray, share: float, binding: str, *, of_corners: bool) -> Worst:
+        share, binding = self._told_alone(parts, share, binding)
         moved = numbers_at(self.plan.machine, parts)
         own = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
         numbers = {k: float(v[0]) for k, v in moved.items() if v[0] != own[k][0]}
         return Worst(
             parts=parts, numbers=numbers, share=share, binding=binding, of_corners=of_corners
         )
+
+    def _told_alone(self, parts: FloatArray, share: float, binding: str) -> tuple[float, str]:
+        """Return what a machine uses when it is proved by itself; as it was where it cannot be."""
+        try:
+            machine = variant(self.plan.machine, parts)
+            own = self._alone.each(simulate(tick_table(self.plan.commands), machine))
+        except MachineError:
+            return share, binding
+        shares, names = shares_of(own)
+        return float(shares[0]), names[0]
 
     def halved(self, variants: int, seed: int) -> FloatArray:
         """Return (n,) the yield if the tolerance of one number were half of what it is.

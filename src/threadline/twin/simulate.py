@@ -112,6 +112,7 @@ def simulate_runs(
     encoder_phase: FloatArray | None = None,
     settle_s: float = DEFAULT_SETTLE_S,
     kinds: Collection[ChannelKind] = tuple(ChannelKind),
+    least_rates: tuple[float, ...] = (),
 ) -> Recording:
     """Simulate runs of a machine side by side, each with numbers of its own, as one recording.
 
@@ -126,6 +127,8 @@ def simulate_runs(
         (runs, axes) of each run, or (axes,); 0.5 when None.
     kinds
         Of the channels to record.
+    least_rates
+        See ``fastest_rates``: with them a run has the same bits in whatever company.
 
     Raises
     ------
@@ -142,12 +145,31 @@ def simulate_runs(
         answers=None,
         kinds=tuple(kinds),
     )
-    return _recording(commands, values, options)
+    return _recording(commands, values, options, least_rates)
 
 
-def _recording(commands: TickTable, values: Values, options: _Options) -> Recording:
-    machine = values.machine
-    engine = Engine(machine, values, commands.start_counts / commands.counts_per_unit)
+def fastest_rates(commands: TickTable, values: Values) -> tuple[FloatArray, ...]:
+    """Return, for each connected piece of a machine, the (runs,) fastest rate of each run, 1/s.
+
+    The fastest of those that go side by side sets the time steps of all.
+
+    Raises
+    ------
+    MachineError
+        If one of the runs cannot be simulated.
+    """
+    start = commands.start_counts / commands.counts_per_unit
+    return Engine(values.machine, values, start).rates
+
+
+def _recording(
+    commands: TickTable,
+    values: Values,
+    options: _Options,
+    least_rates: tuple[float, ...] = (),
+) -> Recording:
+    machine, start = values.machine, commands.start_counts / commands.counts_per_unit
+    engine = Engine(machine, values, start, least_rates)
     return Recording(
         channels=tick_channels(machine, options.record_every, options.kinds),
         blocks=Stream(_blocks, engine, values, commands, options),

@@ -84,6 +84,9 @@ class Engine:
         The numbers of the variants.
     start_si
         (axes,) where the machine stands before the first tick, m or rad.
+    least_rates
+        Of each connected piece, 1/s: time steps are at least as fine as for that, in whatever
+        company a variant is; those of the variants alone when empty.
 
     Raises
     ------
@@ -91,16 +94,30 @@ class Engine:
         If its clocks or parts cannot be simulated.
     """
 
-    def __init__(self, machine: Machine, values: Values, start_si: FloatArray) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        values: Values,
+        start_si: FloatArray,
+        least_rates: tuple[float, ...] = (),
+    ) -> None:
         self.machine, self.variants = machine, values.count
-        self._made_of = machine, values, start_si
+        self._made_of = machine, values, start_si, least_rates
+        pieces = piecewise_linear(machine, values, start_si)
         self._pieces = tuple(
-            prepared(machine, equations, values)
-            for equations in piecewise_linear(machine, values, start_si)
+            prepared(machine, equations, values, rate)
+            for equations, rate in zip(pieces, least_rates or (0.0,) * len(pieces), strict=True)
         )
         self._wired = tuple(_Wiring(machine, piece) for piece in self._pieces)
 
-    def __reduce__(self) -> tuple[type[Engine], tuple[Machine, Values, FloatArray]]:
+    @property
+    def rates(self) -> tuple[FloatArray, ...]:
+        """(variants,) the fastest rate of each variant in each connected piece, 1/s."""
+        return tuple(piece.rates for piece in self._pieces)
+
+    def __reduce__(
+        self,
+    ) -> tuple[type[Engine], tuple[Machine, Values, FloatArray, tuple[float, ...]]]:
         # Another process makes its own: code, tables and workspaces cannot be sent.
         return Engine, self._made_of
 

@@ -70,7 +70,9 @@ class Piece:
     shared
         Whether at every tick each controller, one for each axis in order, reads its axis' load.
     rate
-        The fastest rate, 1/s.
+        The fastest rate, 1/s, that its tables are made for.
+    rates
+        (V,) the fastest rate of each variant.
     """
 
     equations: PiecewiseLinear
@@ -81,6 +83,7 @@ class Piece:
     axis_controller: IntArray
     shared: bool
     rate: float
+    rates: FloatArray
 
     @property
     def sample(self) -> SampleLayout:
@@ -121,8 +124,16 @@ class Piece:
         )
 
 
-def prepared(machine: Machine, piece: PiecewiseLinear, values: Values) -> Piece:
+def prepared(
+    machine: Machine, piece: PiecewiseLinear, values: Values, least_rate: float = 0.0
+) -> Piece:
     """Return ``piece`` with its schedule and tables.
+
+    Parameters
+    ----------
+    least_rate
+        1/s: time steps are at least as fine as for that rate. Variants in whatever company have
+        the same bits as long as none of them is faster.
 
     Raises
     ------
@@ -131,7 +142,8 @@ def prepared(machine: Machine, piece: PiecewiseLinear, values: Values) -> Piece:
     """
     schedule = make_schedule(machine, piece.group)
     longest_s = float(schedule.grid_s * int(schedule.lengths.max()))
-    rate = _fastest_rate(piece)
+    rates = _fastest_rates(piece)
+    rate = max(float(rates.max()), least_rate)
     plant = plant_tables(piece)
     guarded = bool(plant.guards.sum())
     if rate * longest_s > (_MOST_PIECES if guarded else _MOST_RATE):
@@ -159,6 +171,7 @@ def prepared(machine: Machine, piece: PiecewiseLinear, values: Values) -> Piece:
         ),
         shared=_shared(machine, piece, values),
         rate=rate,
+        rates=rates,
     )
 
 
@@ -199,8 +212,11 @@ def _shared(machine: Machine, piece: PiecewiseLinear, values: Values) -> bool:
     )
 
 
-def _fastest_rate(piece: PiecewiseLinear) -> float:
-    """Return the largest spectral radius over the modes of every element, one at a time, in 1/s."""
+def _fastest_rates(piece: PiecewiseLinear) -> FloatArray:
+    """Return the (V,) largest spectral radius over the modes of every element, in 1/s.
+
+    The modes of one element at a time, the others in their first.
+    """
     n = len(piece.states)
     start = piece.base.copy()
     for element in piece.elements:
@@ -213,8 +229,8 @@ def _fastest_rate(piece: PiecewiseLinear) -> float:
             if not any(np.array_equal(mode.law[:, :n], law) for law in known):
                 known.append(mode.law[:, :n])
                 laws.append((element.direction, mode.law - element.modes[0].law))
-    fastest = 1e-3
+    fastest = np.full(piece.variants, 1e-3)
     for direction, law in laws:
         generator = (start + direction[:, :, None] * law[:, None, :])[:, :, :n]
-        fastest = max(fastest, float(np.abs(np.linalg.eigvals(generator)).max()))
+        fastest = np.maximum(fastest, np.abs(np.linalg.eigvals(generator)).max(axis=1))
     return fastest
