@@ -75,7 +75,10 @@ wait = "z_is_down"
 [[operation]]
 dwell = "100 ms"
 """
-JOBS = {"lathe-winder": "short.prg", "stitcher": "short.seam.toml", "letter-placer": "short.toml"}
+JOBS = {
+    "lathe-winder": "short.prg", "stitcher": "short.seam.toml", "letter-placer": "short.toml",
+    "stepper-winder": "short.prg",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -102,39 +105,101 @@ def lay_out(folder: Path) -> None:
 # --- numbers of machine files, one by one ---
 
 
-def _numbers(table: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+@dataclass(frozen=True)
+class Number:
+    """A number of a machine file of the library.
+
+    Attributes
+    ----------
+    machine, keys
+        The file, and where the number stands in it: keys of tables, and places in a list.
+    value
+        As it stands there: text with a unit, or a bare number.
+    whole
+        The list that it is in, or itself.
+    """
+
+    machine: str
+    keys: tuple[str, ...]
+    place: int | None
+    value: Any
+    whole: Any
+
+
+def _numbers(table: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     for key, value in table.items():
         if isinstance(value, dict):
             yield from _numbers(value, (*at, key))
-        elif isinstance(value, str) and re.match(r"-?[\d.]+(e-?\d+)?( |$)", value):
+        else:
             yield (*at, key), value
 
 
-NUMBERS = [
-    (path.stem, keys, value)
-    for path in sorted(LIBRARY.glob("*.toml"))
-    if ".spec." not in path.name and path.stem in JOBS
-    for keys, value in _numbers(tomllib.loads(path.read_text(encoding="utf-8")))
-]
+def _is_number(value: Any) -> bool:
+    if isinstance(value, str):
+        return re.match(r"-?[\d.]+(e-?\d+)?( |$)", value) is not None
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _overlaid(machine: str, keys: tuple[str, ...], value: str, extreme: str) -> str:
-    _, _, rest = value.partition(" ")
+def _all_numbers() -> Iterator[Number]:
+    for path in sorted(LIBRARY.glob("*.toml")):
+        if ".spec." in path.name:
+            continue
+        for keys, value in _numbers(tomllib.loads(path.read_text(encoding="utf-8"))):
+            if isinstance(value, list):
+                for place, one in enumerate(value):
+                    if _is_number(one):
+                        yield Number(path.stem, keys, place, one, value)
+            elif _is_number(value):
+                yield Number(path.stem, keys, None, value, value)
+
+
+NUMBERS = list(_all_numbers())
+_TIMES = {"times 1000": 1e3, "times 1/1000": 1e-3, "times 10": 10.0, "negative": -1.0}
+CHANGES = (*EXTREMES, *_TIMES, "another unit")
+
+
+def _changed_text(value: Any, change: str) -> str:
+    """Return the TOML of a number that was changed."""
+    if not isinstance(value, str):
+        number = str(_TIMES[change] * value) if change in _TIMES else change
+        return '"1 kg"' if change == "another unit" else number
+    number, _, rest = value.partition(" ")
     unit = re.split(r" exact| \+-|, |: ", rest)[0].strip()
     unit = "" if re.match(r"(exact|\+-)", rest) else unit
-    name = ".".join(f'"{key}"' for key in keys)
-    return f'base = "{machine}"\n{name} = "{extreme} {unit} exact, assumed"\n'
+    if change == "another unit":
+        unit = "s" if unit == "kg" else "kg"
+    elif change in _TIMES:
+        number = f"{_TIMES[change] * float(number):.17g}"
+    else:
+        number = change
+    return json.dumps(f"{number} {unit} exact, assumed")
+
+
+def _overlaid(number: Number, change: str) -> tuple[str, str]:
+    """Return a machine file with one number changed, and how it is called."""
+    keys, overlay = number.keys, ""
+    text = _changed_text(number.value, change)
+    if number.place is not None:
+        rows = [json.dumps(one) for one in number.whole]
+        rows[number.place] = text
+        text = f"[{', '.join(rows)}]"
+    if keys[0] == "overlays":
+        overlay = f"+{keys[1]}"
+    name = ".".join(json.dumps(key) for key in keys)
+    return f'base = "{number.machine}"\n{name} = {text}\n', f"m.toml{overlay}"
 
 
 def machine_number(rng: random.Random, index: int) -> Case:
-    """Go through every number and every extreme in turn, so that none is left out."""
-    sweep = len(NUMBERS) * len(EXTREMES)
-    at = index % sweep
-    machine, keys, value = NUMBERS[at % len(NUMBERS)]
-    text = _overlaid(machine, keys, value, EXTREMES[at // len(NUMBERS)])
-    job = JOBS[machine]
-    verb = rng.choice(("prove", "prove", "prove", "analyse", "compile", "judge-free"))
-    return Case(_command(rng, verb, job, machine, "m.toml"), {"m.toml": text})
+    """Go through every number and every change in turn, so that none is left out.
+
+    Neighbouring cases are of numbers far apart: a few are a fair share of all.
+    """
+    at = 7919 * index % (len(NUMBERS) * len(CHANGES))  # a prime, and no divisor of that
+    number, change = NUMBERS[at % len(NUMBERS)], CHANGES[at // len(NUMBERS)]
+    text, reference = _overlaid(number, change)
+    kind = "stitcher" if number.machine.startswith("stitcher") else number.machine
+    verb = rng.choice(("prove", "prove", "prove", "analyse", "compile"))
+    return Case(_command(rng, verb, JOBS[kind], kind, reference), {"m.toml": text})
 
 
 def _command(rng: random.Random, verb: str, job: str, machine: str, reference: str) -> list[str]:

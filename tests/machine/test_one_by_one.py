@@ -1,0 +1,63 @@
+"""Every number of every machine file of the library, one by one, at all kinds of odd values.
+
+A file with one such number is proved, analysed or compiled, or refused in one line.
+``tools/fuzz_commands.py --kind machine-number`` goes through all of them.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import sys
+import tomllib
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+LIBRARY = TOOLS.parent / "src" / "threadline" / "machine" / "library"
+CASES = 14
+
+
+@pytest.fixture(scope="module")
+def commands() -> Iterator[ModuleType]:
+    before = signal.getsignal(signal.SIGALRM)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(TOOLS)
+        import fuzz_commands
+
+        signal.signal(signal.SIGALRM, fuzz_commands._on_alarm)
+        yield fuzz_commands
+        sys.modules.pop("fuzz_commands")
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("index", range(CASES))
+def test_a_number_out_of_range_is_refused_in_one_line(
+    commands: ModuleType, index: int, tmp_path: Path
+) -> None:
+    case = commands.machine_number(random.Random(f"5/{index}"), index)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = commands.run_case(case, tmp_path)
+    assert not found.problem, (case.words, case.files["m.toml"])
+
+
+def test_no_number_is_left_out(commands: ModuleType) -> None:
+    """As many as the lines of the files that give one, and each case changes one of them."""
+    machines = [p for p in LIBRARY.glob("*.toml") if ".spec." not in p.name]
+    assert {n.machine for n in commands.NUMBERS} >= {"lathe-winder", "stepper-winder", "stitcher"}
+    lines = [line for p in machines for line in p.read_text().splitlines()]
+    written = sum(line.count(" exact") + line.count(" +- ") for line in lines if line[:1] != "#")
+    assert len(commands.NUMBERS) >= 0.9 * written
+    total = len(commands.NUMBERS) * len(commands.CHANGES)
+    found = {
+        json.dumps(tomllib.loads(text)) + text
+        for k in range(total)
+        for text in commands.machine_number(random.Random(0), k).files.values()
+    }
+    assert len(found) > 0.99 * total  # -1 is the negative of the numbers that are 1
