@@ -26,11 +26,13 @@ import time
 import tomllib
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
+
+from fuzz_odd import odd_file, study
 
 from threadline.cli.main import main as run_program
 from threadline.machine import overlay_names
@@ -38,7 +40,8 @@ from threadline.machine import overlay_names
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
 LIBRARY = ROOT / "src" / "threadline" / "machine" / "library"
-HANG_S = 60
+HANG_S = 60  # of the processor: the machine may be busy with something else
+_WAITING = 15  # times as long by the clock, for what waits without working
 _SHOWN = 40
 
 EXTREMES = """
@@ -86,7 +89,7 @@ class Case:
     """A command line, and files that are written before it."""
 
     words: list[str]
-    files: dict[str, str]
+    files: Mapping[str, str | bytes]
     reads: frozenset[str] | None = None
     """Files that must stay as they were; None for all."""
 
@@ -363,12 +366,24 @@ def _links(folder: Path, machine_files: list[str]) -> None:
     os.mkfifo(folder / "fifo.csv")
 
 
+def odd_files(rng: random.Random, _index: int) -> Case:
+    """Put a file that is none, or of another kind, where one is read."""
+    return Case(*odd_file(rng))
+
+
+def studies(rng: random.Random, _index: int) -> Case:
+    """Ask the commands that study something with numbers of all sizes."""
+    return Case(*study(rng, number))
+
+
 KINDS_OF_CASES: dict[str, Callable[[random.Random, int], Case]] = {
     "machine-number": machine_number,
     "shaper": shaper_numbers,
     "options": option_pairs,
     "names": names,
     "outputs": outputs,
+    "odd-files": odd_files,
+    "studies": studies,
 }
 
 
@@ -381,6 +396,18 @@ class HangError(BaseException):
 
 def _on_alarm(_signal: int, _frame: FrameType | None) -> None:
     raise HangError
+
+
+def watch(seconds: float) -> None:
+    """Stop the case after so long; 0 for no longer watching it."""
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.alarm(int(_WAITING * seconds))
+
+
+def answer_alarms() -> None:
+    """Let both watches end a case."""
+    for name in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(name, _on_alarm)
 
 
 @dataclass(frozen=True)
@@ -396,13 +423,13 @@ def run_case(case: Case, folder: Path) -> Outcome:
     """Run a case in a folder of its own."""
     lay_out(folder)
     for name, text in case.files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     _links(folder, ["short.prg", "lathe-winder-base.toml"])
     before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file() and p.name != "fifo.csv"}
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
     status, hung = 0, False
-    began = time.perf_counter()
-    signal.alarm(HANG_S)
+    began = time.process_time()
+    watch(HANG_S)
     try:
         with (
             contextlib.chdir(folder),
@@ -415,8 +442,8 @@ def run_case(case: Case, folder: Path) -> Outcome:
     except HangError:
         hung = True
     finally:
-        signal.alarm(0)
-    took_s = time.perf_counter() - began
+        watch(0)
+    took_s = time.process_time() - began
     out.flush()
     told = out.buffer.getvalue().decode("utf-8", "replace")  # type: ignore[attr-defined]
     problem = f"more than {HANG_S} s" if hung else _problem(case, status, told, err.getvalue())
@@ -470,7 +497,7 @@ def main() -> int:
     parser.add_argument("--kind", choices=sorted(KINDS_OF_CASES), help="only this class")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     given = parser.parse_args()
-    signal.signal(signal.SIGALRM, _on_alarm)
+    answer_alarms()
     warnings.simplefilter("error")
     end = time.monotonic() + 60.0 * given.minutes
     tally: Counter[tuple[str, int]] = Counter()

@@ -25,15 +25,18 @@ CASES = 14
 
 @pytest.fixture(scope="module")
 def commands() -> Iterator[ModuleType]:
-    before = signal.getsignal(signal.SIGALRM)
+    watches = (signal.SIGALRM, signal.SIGPROF)
+    before = [signal.getsignal(watch) for watch in watches]
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(TOOLS)
         import fuzz_commands
 
-        signal.signal(signal.SIGALRM, fuzz_commands._on_alarm)
+        fuzz_commands.answer_alarms()
         yield fuzz_commands
-        sys.modules.pop("fuzz_commands")
-    signal.signal(signal.SIGALRM, before)
+        for name in ("fuzz_commands", "fuzz_odd"):
+            sys.modules.pop(name)
+    for watch, answer in zip(watches, before, strict=True):
+        signal.signal(watch, answer)
 
 
 @pytest.mark.parametrize("index", range(CASES))

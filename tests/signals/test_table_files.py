@@ -441,6 +441,8 @@ BAD_ARRAYS = {
     "word": ("four,1,0,0,0,\n", "'four' is not a whole number"),
     "wrong end": ("3,1,0,0,0,\n" + END, "has 3 ticks, its end says 2"),
     "no end": ("2,1,0,0,0,\n", "cut off"),
+    "beyond the end": (f"1,1,0,0,0,\n{2**31},1,0,0,0,\n" + END, "until tick 2147483649, and"),
+    "long without end": (f"{2**31},1,0,0,0,\n", "cut off"),
 }
 
 

@@ -39,6 +39,7 @@ from threadline.signals.files.table_text import (
     check_columns,
     check_end,
     read_head,
+    told_end,
     whole_number,
 )
 
@@ -200,6 +201,8 @@ def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
                 continue
             if not 0 < span <= MAX_TICKS:
                 raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
+            if span > READ_ROWS:
+                _check_within(first + ready + span, path, place)
             for part in _rows(cells[1:-2], span, path, place):
                 if ready >= READ_ROWS:
                     yield block()
@@ -214,6 +217,17 @@ def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
             yield block()
         elif events:
             yield empty_block(axes, tuple(events))
+
+
+def _check_within(end: int, path: Path, place: Place) -> None:
+    """Refuse a long line beyond the end that the table tells, before its rows are made."""
+    told = told_end(path)
+    if end > told:
+        raise RecordingError(
+            f"the line goes on until tick {end}, and the table ends after {told}",
+            place=place,
+            remedy="Write or fetch it again.",
+        )
 
 
 def _rows(cells: list[str], span: int, path: Path, place: Place) -> Iterator[IntArray]:

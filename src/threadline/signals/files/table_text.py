@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import takewhile
+from os import SEEK_END
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ from threadline.signals.files.table import (
     table_from,
 )
 from threadline.wording import nearest
+
+_LAST = 200  # bytes that the last line is within
 
 
 def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
@@ -159,11 +162,32 @@ def body_lines(path: Path, head: int) -> Iterator[tuple[int, str]]:
         ended = line.startswith(END)
         yield number, line
     if not ended:
-        raise RecordingError(
-            f"the table is cut off: no line {END.strip()!r} at the end",
-            place=Place(str(path), number),
-            remedy="Write or fetch it again.",
-        )
+        raise _cut_off(Place(str(path), number))
+
+
+def _cut_off(place: Place) -> RecordingError:
+    return RecordingError(
+        f"the table is cut off: no line {END.strip()!r} at the end",
+        place=place,
+        remedy="Write or fetch it again.",
+    )
+
+
+def told_end(path: Path) -> int:
+    """Return how many ticks the last line of a table tells, before any of them is read.
+
+    Raises
+    ------
+    RecordingError
+        If it is another line.
+    """
+    place = Place(str(path))
+    with path.open("rb") as file:
+        file.seek(max(file.seek(0, SEEK_END) - _LAST, 0))
+        _, found, told = file.read().decode("utf-8", "replace").rpartition(END)
+    if not found:
+        raise _cut_off(place)
+    return whole_number(told.strip(), place)
 
 
 def check_end(line: str, ticks: int, place: Place) -> None:
