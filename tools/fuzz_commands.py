@@ -78,10 +78,17 @@ wait = "z_is_down"
 [[operation]]
 dwell = "100 ms"
 """
+# Tajima's records of three bytes: 0.9 mm along X, X, Y, back along X, and the end.
+SHORT_DESIGN = b"LA:short           \rST:      5\rCO:  0\r".ljust(512) + bytes.fromhex(
+    "040003 040003 200003 080003 080003 0000f3"
+)
 JOBS = {
     "lathe-winder": "short.prg", "stitcher": "short.seam.toml", "letter-placer": "short.toml",
-    "stepper-winder": "short.prg",
+    "stepper-winder": "short.prg", "schiffli-frame": "short.dst", "table-embroiderer": "short.dst",
 }  # fmt: skip
+
+PLAIN = frozenset({"letter-placer", "schiffli-frame", "table-embroiderer"})
+"""Machines that take no interpolation."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,7 @@ def lay_out(folder: Path) -> None:
     """Write what every case may read."""
     (folder / "short.prg").write_text(SHORT_PROGRAM)
     (folder / "short.seam.toml").write_text(SHORT_SEAM)
+    (folder / "short.dst").write_bytes(SHORT_DESIGN)
     (folder / "line.csv").write_text("x [mm],y [mm]\n10,10\n30,10\n30,20\n")
     (folder / "short.toml").write_text(SHORT_MOVES)
     for name in JOBS:
@@ -207,14 +215,18 @@ def machine_number(rng: random.Random, index: int) -> Case:
 
 def _command(rng: random.Random, verb: str, job: str, machine: str, reference: str) -> list[str]:
     switched = machine == "letter-placer"
+    stitched = JOBS[machine] == "short.dst"
     if verb == "analyse" and not switched:
         return ["analyse", reference, *rng.choice(([], ["--json"]))]
     if verb == "compile":
-        target = rng.choice(("st", "plcopen") if switched else ("csv", "npz", "nc", "ticks"))
+        tables = ("csv", "npz", "nc", "ticks")
+        target = rng.choice(("st", "plcopen") if switched else ("steps",) if stitched else tables)
         return ["compile", job, "-m", reference, "--target", target, "-o", "out.x"]
     words = ["prove", job, "-m", reference, *rng.choice(([], ["--json"]))]
     if switched:
         return [*words, *rng.choice(([], ["--shaper", "um-zv"], ["--shaper", "zv"]))]
+    if stitched:
+        return words
     names = ("linear", "auto", "auto", "cubic", "quintic", "b-spline", "parabolic")
     return [*words, "--interpolation", rng.choice(names)]
 
@@ -314,17 +326,20 @@ def names(rng: random.Random, _index: int) -> Case:
     name, other = rng.choice(NAMES), rng.choice(NAMES)
     machine = rng.choice(sorted(JOBS))
     quoted, title = json.dumps(name), json.dumps(other)
-    files = {"m.toml": f'base = "{machine}"\nname = {quoted}\ntitle = {title}\n'}
+    files: dict[str, str | bytes] = {
+        "m.toml": f'base = "{machine}"\nname = {quoted}\ntitle = {title}\n'
+    }
     job = JOBS[machine]
     if machine == "letter-placer":
         files["moves.toml"] = SHORT_MOVES.replace('"short"', json.dumps(name))
         job = "moves.toml"
     elif rng.random() < 0.5 and len(name) < 200 and "/" not in name:
-        job = f"./{name}.prg" if machine == "lathe-winder" else f"./{name}.seam.toml"
-        files[job] = SHORT_PROGRAM if machine == "lathe-winder" else SHORT_SEAM
+        ending = JOBS[machine].removeprefix("short")
+        job = f"./{name}{ending}"
+        files[job] = {".prg": SHORT_PROGRAM, ".dst": SHORT_DESIGN}.get(ending, SHORT_SEAM)
     verb = rng.choice(("prove", "compile", "compile", "report"))
     if verb == "report":
-        fast = [] if machine == "letter-placer" else ["--interpolation", "linear"]
+        fast = [] if machine in PLAIN else ["--interpolation", "linear"]
         return Case(["prove", job, "-m", "m.toml", "--report", "rep", *fast], files)
     return Case(_command(rng, verb, job, machine, "m.toml"), files)
 
@@ -339,12 +354,15 @@ def outputs(rng: random.Random, _index: int) -> Case:
          "loop.csv", "folder.csv", "kept.csv", "fifo.csv", "dangling.csv", "new.csv", "no/new.csv",
          "short.prg/x.csv", "/dev/full", "/dev/null", "/proc/x.csv")
     )  # fmt: skip
-    fast = [] if machine == "letter-placer" else ["--interpolation", "linear"]
+    fast = [] if machine in PLAIN else ["--interpolation", "linear"]
     reads = frozenset({JOBS[machine], base, "m.toml", f"{machine}.spec.toml", "kept.csv"})
     reads |= {"line.csv"} if machine == "stitcher" else set()
     reads |= {"soft.csv", "hard.csv"} if machine == "lathe-winder" else set()
     if rng.random() < 0.5:
-        target = rng.choice(("st", "plcopen") if machine == "letter-placer" else ("csv", "npz"))
+        target = rng.choice(
+            ("st", "plcopen") if machine == "letter-placer"
+            else ("steps",) if machine in PLAIN else ("csv", "npz")
+        )  # fmt: skip
         return Case(
             ["compile", JOBS[machine], "-m", "m.toml", "--target", target, "-o", out, *fast],
             files,

@@ -392,7 +392,7 @@ def check(kind: str, path: Path) -> None:
 
 def fuzz_recordings() -> dict[str, tuple[str, Callable[..., bytes], Callable[[Path], None], int]]:
     """Return the readers of this module for the table of ``fuzz.py``."""
-    return {kind: ("case.seed", case, partial(check, kind), 1) for kind in CLASSES}
+    return {kind: ("case.seed", case, partial(check, kind), 7) for kind in CLASSES}
 
 
 def case(rng: random.Random) -> bytes:

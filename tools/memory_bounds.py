@@ -26,7 +26,6 @@ MOST_MB = 1000
 MOST_SILENCE_S = 60.0
 MOST_S = 900.0  # a case is ended then: how long it would go on is not known
 PLACER = "letter-placer"
-SEWING = ["-m", "stitcher", "--stitch-length", "2.5 mm", "--needle-speed", "20 stitch/s"]
 SHORT = "%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 20 M30;\n%\n"
 Case = Callable[[Path], list[str]]
 
@@ -103,6 +102,15 @@ def _delay(folder: Path, delay: str) -> list[str]:
     return ["prove", str(EXAMPLES / "letter-cycle.toml"), "-m", str(path)]
 
 
+def _sewn(drawing: Path) -> list[str]:
+    seam = drawing.with_suffix(".seam.toml")
+    seam.write_text(
+        f'[drawing]\nfile = "{drawing.name}"\n\n[stitching]\nstitch_length = "2.5 mm"\n'
+        'needle_speed = "20 stitch/s"\n'
+    )
+    return ["prove", str(seam), "-m", "stitcher"]
+
+
 def short_lines(folder: Path) -> list[str]:
     """A drawing of 64 000 lines of 0.1 mm."""
     path = folder / "short.dxf"
@@ -112,7 +120,7 @@ def short_lines(folder: Path) -> list[str]:
         x, y = 0.1 * (k % 800), 1.0 * (k // 800)
         rows.append(f"0\nLINE\n8\nA\n10\n{x:.3f}\n20\n{y:.3f}\n11\n{x + 0.1:.3f}\n21\n{y:.3f}\n")
     path.write_text("".join(rows) + "0\nENDSEC\n0\nEOF\n")
-    return ["prove", str(path), *SEWING]
+    return _sewn(path)
 
 
 def long_text(folder: Path) -> list[str]:
@@ -125,7 +133,7 @@ def long_text(folder: Path) -> list[str]:
         "0\nLINE\n8\nA\n10\n10\n20\n10\n11\n30\n21\n10\n"
         f"0\nTEXT\n8\nA\n10\n0\n20\n0\n40\n5\n1\n{text}\n0\nENDSEC\n0\nEOF\n"
     )
-    return ["prove", str(path), *SEWING]
+    return _sewn(path)
 
 
 def blocks_in_blocks(folder: Path) -> list[str]:
@@ -142,7 +150,7 @@ def blocks_in_blocks(folder: Path) -> list[str]:
         rows.append("0\nENDBLK\n8\n0\n")
     rows.append("0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\nINSERT\n8\nA\n2\nB9\n10\n0\n20\n0\n")
     path.write_text("".join(rows) + "0\nENDSEC\n0\nEOF\n")
-    return ["prove", str(path), *SEWING]
+    return _sewn(path)
 
 
 def crawling(folder: Path) -> list[str]:

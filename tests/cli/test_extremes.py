@@ -89,3 +89,15 @@ def test_a_move_much_shorter_than_the_period_is_its_own_robust_optimum(
     code, out, err = run(words, capsys)
     assert (code, err) == (0, "")
     assert '"robust_optimum_s": 0.2' in out
+
+
+def test_a_move_that_rings_modes_far_apart_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A grid of 160 intervals over half a period of 0.003 Hz has none for each period of 2 Hz."""
+    words = ["shaper", "--mode", "0.003Hz", "--mode", "2Hz", "--kind", "zv", *MOVE]
+    began = time.process_time()
+    code, out, err = run(words, capsys)
+    assert time.process_time() - began < 30.0
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "modes at 0.003 Hz and 2 Hz" in err and "more than 80 times as fast" in err

@@ -33,6 +33,8 @@ from threadline.shaping.types import Shaper, ShaperError
 _ACCURACY = 1e-4
 _SWEEP = 201
 _ROUNDING = 1e-9
+_APART = 80.0
+"""160 intervals of half a period of the slowest mode: four in a period of one 80 times as fast."""
 
 
 class _Band:
@@ -132,6 +134,8 @@ def robust_optimum(
 
     Raises
     ------
+    OptionError
+        If a tolerance is not positive, or modes that both ring are too far apart for the grid.
     ShaperError
         If a linear program fails.
     """
@@ -152,6 +156,13 @@ def robust_optimum(
     at_once, command = farthest(move, low, most, band, intervals)
     if at_once >= move.distance_m * (1.0 - _ROUNDING):
         return command  # a mode so slow that the rigid move hardly rings it
+    frequencies = [mode.frequency_hz for mode in move.modes]
+    if max(frequencies) > _APART * min(frequencies):
+        raise OptionError(
+            f"robust move: modes at {min(frequencies):g} Hz and {max(frequencies):g} Hz, and a "
+            f"grid for the slower follows no mode more than {_APART:g} times as fast",
+            remedy="Leave out --move, or the slower mode, or the faster.",
+        )
     # Nothing beats the rigid body; from there on, half a period of the slowest mode at a time.
     stride = max(0.5 * m.damped_period_s for m in move.modes)
     high = low + stride
