@@ -101,7 +101,7 @@ def test_a_full_disk_names_what_was_asked_for(
 def test_a_new_project_on_a_full_disk_names_its_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(SystemExit) as caught:
         main(["new", "winder", str(tmp_path / "mine")])
     assert caught.value.code == 2
