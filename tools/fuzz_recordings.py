@@ -44,7 +44,6 @@ from threadline.signals import Recording, RecordingBlock, Stream  # noqa: E402
 from threadline.signals.files import read_recording, write_recording  # noqa: E402
 from threadline.signals.files.channel_units import in_si  # noqa: E402
 from threadline.verdict import judge, load_spec, verdict_json  # noqa: E402
-from threadline.verdict.coverage import motion_s  # noqa: E402
 from threadline.verdict.demands import measure_demands  # noqa: E402
 from threadline.verdict.registry import MEASURES  # noqa: E402
 
@@ -180,7 +179,7 @@ def _facts(proof: Proof) -> Facts:
     if machine.cylinders:
         own = {("travel", axis): 0.0 for axis in axes}
         return Facts(axes, set(), True, 0.0, 0.0, own=own)
-    begin_s, end_s = motion_s(plan)
+    begin_s, end_s = plan.motion.trajectory.moves_s
     programmed = plan.motion.programmed
     own, planned = {}, {}
     for name, rows in measure_demands(plan).items():
