@@ -16,7 +16,7 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	@touch $@
 
 demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
-	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --report reports/demo
+	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --interpolation optimal --report reports/demo
 
 test: $(STAMP)  ## Run the tests
 	$(BIN)/python -m pytest
