@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.plc.reading import Code, Unit, code_of
 
-DEFAULTS = {"BOOL": False, "INT": 0, "TIME": 0}
+DEFAULTS = {"BOOL": False, "INT": 0, "DINT": 0, "TIME": 0, "STRING": ""}
 
 
 class Ton:
@@ -68,10 +68,13 @@ class Plc:
         self.instance = Instance(self.program, self.units, codes)
         located = self.program.declared.values()
         self.inputs = [d.name for d in located if d.address.upper().startswith("%I")]
+        self.panel = {d.name: d for d in located if not d.address}
         self.outputs = [d.name for d in located if d.address.upper().startswith("%Q")]
 
     def scan(self, inputs: dict[str, bool], now: int) -> dict[str, bool]:
         for name in self.inputs:
+            self.instance.v[name] = inputs[name]
+        for name in self.panel.keys() & inputs.keys():
             self.instance.v[name] = inputs[name]
         self.instance.code.run(self.instance.v, now)
         return {name: self.instance.v[name] for name in self.outputs}

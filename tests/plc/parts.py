@@ -1,8 +1,8 @@
 """Structured text read by blark in parts: each shape of statement once, whatever its numbers.
 
-blark takes ten seconds for a whole sequence. Two statements that differ in whole numbers and
-durations alone have the same tree but for these, so each shape is parsed once and its numbers are
-put in. ``test_text`` holds this reading against blark's own of a whole text.
+blark takes ten seconds for a whole sequence. Two statements that differ in names, texts, whole
+numbers and durations alone have the same tree but for these, so each shape is parsed once and
+they are put in. ``test_text`` holds this reading against blark's own of a whole text.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from tests.plc.reading import Unit, unit_of
 
 COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 UNIT = re.compile(r"\b(FUNCTION_BLOCK|PROGRAM)\b(.*?)\bEND_\1\b", re.DOTALL)
+TEXT = re.compile(r"'[^']*'")
 NUMBER = re.compile(r"(?<![\w.%])(T#)?(\d+)(?=(?:ms|s|m|h|d)?(?![\w.]))")
 FIRST = 900_001
 """Stands for the first number of a shape; the others follow. No text has such a number."""
@@ -27,11 +28,11 @@ FIRST = 900_001
 
 def read_in_parts(text: str) -> dict[str, Unit]:
     """Return the units of ``text`` by lower-case name, as ``reading.read`` does."""
-    assert "'" not in text, "a string could hold what looks like a comment"
+    assert not any("(*" in literal for literal in TEXT.findall(COMMENT.sub(" ", text)))
     units = {}
     for kind, inside in UNIT.findall(COMMENT.sub(" ", text)):
         head, end, body = inside.rpartition("END_VAR")
-        unit = unit_of(_declarations(f"{kind}{head}{end}\nEND_{kind}\n"))
+        unit = _declared(kind, f"{head}{end}")
         assert unit.body is None
         children = [child for part in statements_of(body) for child in _tree(part).children]
         unit.body = Tree("statement_list", children)
@@ -39,12 +40,33 @@ def read_in_parts(text: str) -> dict[str, Unit]:
     return units
 
 
+def _declared(kind: str, head: str) -> Unit:
+    """Return the unit that a head declares, one declaration read after the other."""
+    unit = Unit(kind, head.split(None, 1)[0].lower())
+    for section, inside in re.findall(r"(VAR\w*(?: CONSTANT)?)\b(.*?)END_VAR", head, re.DOTALL):
+        declarations = [one.strip() for one in inside.split(";") if one.strip()]
+        located = [" AT " in one for one in declarations]
+        unit.mixed_blocks += any(located) and not all(located)
+        for one in declarations:
+            before, _, after = one.partition(" : ")
+            name, _, address = before.partition(" AT ")
+            shape = f"zz{' AT %QX0.0' if address else ''} : {after}"
+            found = _one_declaration(kind, section, shape)
+            read = copy.deepcopy(found.declared["zz"])
+            read.name, read.address = name.strip().lower(), address.strip().upper()
+            if read.name in unit.declared:
+                unit.twice.append(read.name)
+            unit.declared[read.name] = read
+    return unit
+
+
 @cache
-def _declarations(text: str) -> Tree[Any]:
+def _one_declaration(kind: str, section: str, declaration: str) -> Unit:
+    text = f"{kind} yy\n{section}\n{declaration};\nEND_VAR\nEND_{kind}\n"
     result = parse_source_code(text)
-    assert result.exception is None, result.exception
+    assert result.exception is None, (text, result.exception)
     (tree,) = result.tree.children
-    return tree
+    return unit_of(tree)
 
 
 def statements_of(body: str) -> list[str]:
@@ -62,10 +84,24 @@ def statements_of(body: str) -> list[str]:
 
 
 def _tree(statement: str) -> Tree[Any]:
+    named: dict[str, str] = {}
+
+    def masked(match: re.Match[str]) -> str:
+        key = f"w{len(named)}w"
+        key = f"'{key}'" if match[0][0] == "'" else key
+        named[key] = match[0]
+        return key
+
+    # What is written small is a name of ours; words of the language are written large.
+    statement = re.sub(r"'[^']*'|(?<![#%\w.'])[a-z]\w*", masked, statement)
     numbers = [number for _, number in NUMBER.findall(statement)]
     counter = itertools.count(FIRST)
     shape = NUMBER.sub(lambda match: f"{match[1] or ''}{next(counter)}", statement)
     tree = copy.deepcopy(_parsed(shape))
+    for branch in tree.iter_subtrees():
+        for index, child in enumerate(branch.children):
+            if isinstance(child, Token) and str(child) in named:
+                branch.children[index] = Token(child.type, named[str(child)])
     put = 0
     for branch in tree.iter_subtrees():
         for index, child in enumerate(branch.children):

@@ -127,6 +127,8 @@ def constant(node: Tree[Any]) -> str:
         return "True"
     if inner.data == "false":
         return "False"
+    if inner.data == "string_literal":
+        return repr(str(inner.children[0])[1:-1])
     if inner.data == "duration":
         total = 0
         for part in inner.children:

@@ -3,43 +3,28 @@
 from __future__ import annotations
 
 import itertools
-import random
 
 import pytest
 
+from tests.plc.driving import Bench, homed
 from tests.plc.machine import Plc
+from tests.plc.pistons import Cell
 from tests.plc.texts import controller as plc
 
-READY = {
-    "light_grid": True, "enable": True, "x_is_left": True, "x_is_right": True, "z_is_up": True,
-    "z_is_down": True, "letter_held": True,
-}  # fmt: skip
 SCAN_OF = {"letter-placer": 10_000, "letter-placer+quick": 5_000, "letter-placer+timed": 1_000}
-
-
-def on(outputs: dict[str, bool]) -> set[str]:
-    return {name for name, value in outputs.items() if value}
-
-
-def pressed(controller: Plc, period: int, now: int = 0) -> int:
-    """Let go of the button for a scan, press it, and return the time of that scan."""
-    controller.scan(READY | {"start_button": False}, now)
-    controller.scan(READY | {"start_button": True}, now + period)
-    return now + period
 
 
 def run(controller: Plc, period: int, jitter: float, seed: int = 1) -> list[tuple[int, set[str]]]:
     """Return times, us, and what is on from then on, through one cycle."""
-    generator = random.Random(seed)
-    start = pressed(controller, period)
+    bench = homed(controller, period, jitter, seed)
+    bench.press("start_button")
     trace: list[tuple[int, set[str]]] = []
-    for k in itertools.count(1):
-        late = generator.uniform(-jitter, jitter) * period
-        now = start + k * period + round(late)
-        state = on(controller.scan(READY | {"start_button": False}, now))
+    for _ in itertools.count():
+        state = bench.scan()
         if not trace or trace[-1][1] != state:
-            trace.append((now, state))
-        if not controller.instance.v["sequence"].v["busy"]:
+            trace.append((bench.now, state))
+        if not bench.block["busy"]:
+            assert bench.block["finished"], bench.block["fault_text"]
             return trace
     raise AssertionError
 
@@ -89,41 +74,63 @@ def test_opposite_valves_are_never_open_together(shaper: str) -> None:
 
 @pytest.mark.parametrize("broken", ["light_grid", "enable"])
 @pytest.mark.parametrize(("machine", "period"), SCAN_OF.items())
-def test_a_break_at_every_millisecond_switches_all_off_within_one_scan(
+def test_a_break_at_every_scan_switches_all_off_and_start_alone_begins_nothing(
     machine: str, period: int, broken: str
 ) -> None:
-    """Off in the first scan after the break; off while start is held; on only by a new press."""
-    controller = plc(machine)
-    now = pressed(controller, period)
-    ready = READY | {"start_button": True}
-    checked, busy = 0, 0
-    while controller.instance.v["sequence"].v["busy"]:
-        # Breaks at any ms since the last scan are all seen by this one: once is every ms of it.
-        trial = controller.fork()
-        after = now + period
-        assert on(trial.scan(ready | {broken: False}, after)) == set()
-        assert on(trial.scan(ready, after + period)) == set(), "held start began again"
-        assert on(trial.scan(READY | {"start_button": False}, after + 2 * period)) == set()
-        assert "main_air" in on(trial.scan(ready, after + 3 * period)), "a fresh press is ignored"
-        busy += bool(on(controller.scan(ready, after)))
-        now, checked = after, checked + 1
+    """Breaks at any ms since the last scan are all seen by the next: once is every ms of it."""
+    bench = homed(plc(machine), period)
+    bench.press("start_button")
+    checked = 0
+    while bench.block["busy"]:
+        if checked % max(1, 10_000 // period) == 0:
+            trial = bench.fork()
+            assert trial.scan(**{broken: False}) == set()
+            assert trial.block["fault_code"] == (1 if broken == "light_grid" else 2)
+            assert trial.scan(start_button=True) == set()
+            assert trial.press("start_button") == set()
+            assert trial.press("home_button") == set(), "home before it was acknowledged"
+            trial.press("acknowledge")
+            assert not trial.block["fault"]
+            assert trial.press("start_button") == set(), "a start from anywhere"
+        bench.scan()
+        checked += 1
     assert checked * period > 7_000_000
-    assert busy > 0.9 * checked
+
+
+@pytest.mark.parametrize("shaper", ["zv", "um-2ei"])
+def test_after_every_break_acknowledge_home_and_start_bring_a_whole_cycle(shaper: str) -> None:
+    """Every 13th scan of the cycle, with jitter: pistons stand anywhere then."""
+    bench = homed(plc(shaper=shaper), 10_000, 0.2, seed=5)
+    bench.press("start_button")
+    checked = 0
+    while bench.block["busy"]:
+        if checked % 13 == 0:
+            trial = bench.fork()
+            trial.scan(light_grid=False)
+            for _ in range(60):
+                trial.scan()
+            trial.press("acknowledge")
+            trial.home()
+            assert (trial.cell.pistons["x"].at, trial.cell.pistons["z"].at) == (0.0, 0.0)
+            trial.press("start_button")
+            trial.until_idle()
+            assert trial.block["finished"], trial.block["fault_text"]
+        bench.scan()
+        checked += 1
 
 
 def test_a_press_while_the_beam_is_broken_is_no_start() -> None:
-    controller = plc()
-    controller.scan(READY | {"start_button": False}, 0)
-    for k in range(1, 5):
-        pushed = READY | {"start_button": True, "light_grid": False}
-        assert on(controller.scan(pushed, k * 10_000)) == set()
-    assert on(controller.scan(READY | {"start_button": True}, 50_000)) == set()
+    bench = homed(plc())
+    for _ in range(5):
+        assert bench.scan(start_button=True, light_grid=False) == set()
+    assert bench.scan(start_button=True) == set()
 
 
-def test_a_button_that_is_held_at_power_up_is_no_start() -> None:
-    controller = plc()
-    for k in range(5):
-        assert on(controller.scan(READY | {"start_button": True}, k * 10_000)) == set()
+@pytest.mark.parametrize("button", ["start_button", "home_button"])
+def test_a_button_that_is_held_at_power_up_is_no_press(button: str) -> None:
+    bench = Bench(plc())
+    for _ in range(5):
+        assert bench.scan(**{button: True}) == set()
 
 
 @pytest.mark.parametrize(
@@ -137,24 +144,80 @@ def test_a_button_that_is_held_at_power_up_is_no_start() -> None:
 def test_watchdog_stops_a_late_scan_and_no_other(machine: str, limit: int) -> None:
     period = SCAN_OF[machine]
     for late in (limit - 1, limit):
-        controller = plc(machine)
-        now = pressed(controller, period)
+        bench = homed(plc(machine), period)
+        bench.press("start_button")
         for _ in range(10):
-            now += period
-            state = on(controller.scan(READY | {"start_button": False}, now))
-            assert state == {"main_air"}
-        state = on(controller.scan(READY | {"start_button": False}, now + late))
-        block = controller.instance.v["sequence"].v
+            assert bench.scan() == {"main_air"}
+        inputs = bench.cell.advance(bench.now + late)
+        state = bench.cell.tell(bench.plc.scan(inputs, bench.now))
         assert (state == set()) == (late >= limit)
-        assert block["fault"] == (late >= limit)
+        assert bench.block["fault"] == (late >= limit)
+        assert bench.block["fault_code"] == (3 if late >= limit else 0)
 
 
 def test_an_input_that_never_comes_is_a_fault() -> None:
-    controller = plc()
-    now = pressed(controller, 10_000)
-    inputs = READY | {"start_button": False, "letter_held": False}
+    bench = homed(plc())
+    bench.cell.stuck = {"letter_held": False}
+    bench.press("start_button")
+    bench.until_idle()
+    block = bench.block
+    assert block["fault"]
+    assert block["stopped"]
+    assert not block["finished"]
+    assert block["fault_text"] == "an input did not come in time"
+    assert block["contact_text"] == "letter_held"
+
+
+def test_home_from_wherever_the_pistons_stand() -> None:
+    for x in range(0, 201, 25):
+        for z in (0.0, 37.0, 100.0):
+            bench = Bench(plc(), cell=Cell(float(x), z))
+            seen: list[set[str]] = []
+            bench.press("home_button")
+            while bench.block["busy"]:
+                seen.append(bench.scan())
+            assert bench.block["homed"]
+            assert (bench.cell.pistons["x"].at, bench.cell.pistons["z"].at) == (0.0, 0.0)
+            # The lift first, and slowly: the smaller flow alone.
+            assert all(s <= {"main_air", "z_up", "z_up_a2", "x_left", "x_left_a2"} for s in seen)
+            first_x = next(i for i, s in enumerate(seen) if "x_left" in s)
+            assert not any("z_up" in s for s in seen[first_x:])
+
+
+def test_single_and_continuous_cycles_and_their_count() -> None:
+    bench = homed(plc())
+    bench.press("start_button")
+    bench.until_idle()
+    assert bench.block["count"] == 1
+    bench.scan()
+    bench.scan(start_button=True, continuous=True)
+    places = []
+    while bench.block["count"] < 3:
+        bench.scan(continuous=True)
+        places.append(bench.block["place"])
+    assert bench.block["busy"], "two more cycles, and on"
+    bench.scan(continuous=True, stop_at_end=True)
     for _ in range(2000):
-        now += 10_000
-        controller.scan(inputs, now)
-    block = controller.instance.v["sequence"].v
-    assert block["fault"] and block["stopped"] and not block["busy"] and not block["finished"]
+        bench.scan(continuous=True)
+    assert not bench.block["busy"]
+    assert bench.block["count"] == 4
+    assert bench.block["finished"]
+    assert bench.block["homed"]
+
+
+def test_by_hand_one_thing_at_a_time_with_the_interlocks_of_the_cycle() -> None:
+    jogs = {"x_out": 1, "x_in": 2, "z_out": 3, "z_in": 4, "knife": 5, "venturi": 6, "press": 7}
+    bench = homed(plc())
+    assert bench.scan(manual=True) == {"main_air"}
+    assert bench.scan(manual=True, jog=jogs["x_out"]) == {"main_air", "x_right", "x_right_a2"}
+    assert bench.scan(manual=True, jog=jogs["knife"]) == {"main_air"}, "the lift is up"
+    assert not bench.block["homed"]
+    for _ in range(200):
+        bench.scan(manual=True, jog=jogs["z_out"])
+    assert bench.cell.pistons["z"].at > 90
+    assert bench.scan(manual=True, jog=jogs["x_out"]) == {"main_air"}, "the lift is down"
+    assert bench.scan(manual=True, jog=jogs["z_out"]) == {"main_air"}, "it is at its end"
+    assert bench.scan(manual=True, jog=jogs["x_out"], light_grid=False) == set()
+    assert bench.scan(start_button=True) == set(), "a start that is not home"
+    for _ in range(3):
+        assert bench.scan(manual=True, start_button=True, home_button=True) <= {"main_air"}

@@ -62,7 +62,7 @@ def test_every_name_is_declared_once_typed_and_no_keyword(shaper: str) -> None:
             assert IDENTIFIER.fullmatch(name), name
             assert name not in KEYWORDS
             assert name not in units
-            known = declared.type in {"BOOL", "INT", "TIME", "TON"}
+            known = declared.type in {"BOOL", "INT", "DINT", "STRING", "TIME", "TON"}
             assert known or declared.type.lower() in units, declared
         assert unit.name not in KEYWORDS
         code = code_of(unit)
@@ -79,7 +79,7 @@ def test_every_name_is_declared_once_typed_and_no_keyword(shaper: str) -> None:
 def test_assignments_agree_with_their_types(shaper: str) -> None:
     """BOOL := BOOL, INT := INT, TIME := TIME; blark would let anything through."""
     units = units_of("letter-placer", shaper)
-    values = {"BOOL": True, "INT": 3, "TIME": 3}
+    values = {"BOOL", "INT", "DINT", "STRING", "TIME"}
     for unit in units.values():
         for line in ASSIGNMENT.findall(text_of("letter-placer", shaper)):
             target, source = line[0].lower(), line[1].strip()
@@ -91,7 +91,9 @@ def test_assignments_agree_with_their_types(shaper: str) -> None:
             elif source.startswith("T#"):
                 assert wanted == "TIME", line
             elif source.isdigit():
-                assert wanted == "INT", line
+                assert wanted in {"INT", "DINT"}, line
+            elif source.startswith("'"):
+                assert wanted == "STRING", line
             elif source.lower() in unit.declared:
                 assert unit.declared[source.lower()].type == wanted, line
             else:
@@ -102,14 +104,15 @@ def test_assignments_agree_with_their_types(shaper: str) -> None:
 def test_outputs_are_off_by_default(shaper: str) -> None:
     (block,) = [u for u in units_of("letter-placer", shaper).values() if u.kind == "FUNCTION_BLOCK"]
     for name in block.of("VAR_OUTPUT"):
-        assert block.declared[name].initial is False
+        declared = block.declared[name]
+        assert declared.initial in {"BOOL": [False], "STRING": ["", "idle"]}.get(declared.type, [0])
 
 
 @EVERY_SHAPER
 def test_addresses_are_those_of_the_machine_and_unique(shaper: str) -> None:
     (program,) = [u for u in units_of("letter-placer", shaper).values() if u.kind == "PROGRAM"]
     addresses = [d.address for d in program.declared.values() if d.address]
-    assert len(addresses) == len(set(addresses)) == 24
+    assert len(addresses) == len(set(addresses)) == 26
     assert program.declared["light_grid"].address == "%IX0.0"
     assert program.declared["x_right_a1"].address == "%QX0.2"
 

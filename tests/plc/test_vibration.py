@@ -6,12 +6,11 @@ between two scans by scipy's matrix exponential.
 
 from __future__ import annotations
 
-import random
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.plc.driving import homed
 from tests.plc.machine import Plc
 from tests.plc.test_scans import SCAN_OF
 from tests.plc.texts import controller
@@ -48,24 +47,22 @@ class Propagator:
 
 def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed: int) -> float:
     """Return the amplitude, um, with which the table rings after the stroke to the right."""
-    random_ = random.Random(seed)
+    bench = homed(plc, period, jitter, seed)
     ahead, x = Propagator(equations(0.43)), np.zeros(7)
-    ready = dict.fromkeys(plc.inputs, True)
     pending: list[tuple[int, float]] = []
-    now = 0
-    plc.scan(ready | {"start_button": False}, now)
-    level, moved = 0.0, 0
-    for k in range(1, 10_000_000 // period):
-        then = k * period + round(random_.uniform(-jitter, jitter) * period)
+    bench.press("start_button")
+    level, moved, now = 0.0, 0, bench.now
+    for _ in range(10_000_000 // period):
+        on = bench.scan()
+        then = bench.now
         while pending and pending[0][0] <= then:
             at, value = pending.pop(0)
             x = ahead(x, at - now)
             now, x[6] = at, value
         x = ahead(x, then - now) if moved else x
         now = then
-        outputs = plc.scan(ready | {"start_button": k == 1}, now)
-        wanted = outputs["x_right"] * (
-            flows[0] * outputs["x_right_a1"] + flows[1] * outputs["x_right_a2"]
+        wanted = ("x_right" in on) * (
+            flows[0] * ("x_right_a1" in on) + flows[1] * ("x_right_a2" in on)
         )
         if wanted != level:
             pending.append((now + DELAY_US, wanted))

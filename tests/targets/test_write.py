@@ -90,7 +90,7 @@ def test_commands_of_another_kind_are_refused(tmp_path) -> None:
     with pytest.raises(OptionError, match=r"a table of counts is needed, which an on/off machine"):
         write(plan, "csv", tmp_path / "x")
     plan.machine = load_machine("letter-placer")
-    with pytest.raises(OptionError, match=r"commanded by switches. Use plcopen or st"):
+    with pytest.raises(OptionError, match=r"commanded by switches. Use plcopen or scl or st"):
         write(plan, "csv", tmp_path / "x")
 
 
@@ -176,5 +176,5 @@ def test_a_target_is_refused_before_anything_is_planned() -> None:
         target_of("st", winder())
     placer = load_machine("letter-placer")
     assert target_of("plcopen", placer).takes_shaped
-    with pytest.raises(OptionError, match=r"than letter-placer, .* Use plcopen or st"):
+    with pytest.raises(OptionError, match=r"than letter-placer, .* Use plcopen or scl or st"):
         target_of("csv", placer)

@@ -46,7 +46,7 @@ from threadline.writing import is_stdout, together
 def compile_(
     job: JobArgument,
     machine: MachineOption,
-    target: Annotated[str, typer.Option(help="ticks, csv, npz, nc, st or plcopen.")],
+    target: Annotated[str, typer.Option(help="ticks, csv, npz, nc, st, plcopen or scl.")],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     law: LawOption = None,

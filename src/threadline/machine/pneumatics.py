@@ -46,12 +46,13 @@ class Output:
 class Contact:
     """A digital input of the PLC.
 
-    ``light-grid`` and ``enable`` are true while the machine may move; ``start`` asks for a cycle;
+    ``light-grid`` and ``enable`` are true while the machine may move; ``start`` asks for a cycle,
+    ``home`` for the way home, ``acknowledge`` clears a fault;
     ``contact`` is an end switch that closes once ``cylinder`` is at ``at`` or beyond it, or
     something that the machine does not move.
     """
 
-    kind: Literal["light-grid", "enable", "start", "contact"]
+    kind: Literal["light-grid", "enable", "start", "acknowledge", "home", "contact"]
     address: InputAddress
     cylinder: str | None = None
     at: Annotated[Quantity, Units(("m",), not_negative=True)] | None = None

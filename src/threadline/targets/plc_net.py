@@ -28,6 +28,8 @@ class NetPlace:
         The token leaves this long after the origin; of a waiting place, its timeout.
     wait
         Input that is waited for, and its value; the time of the input is the next origin.
+    begin_tick, origin_tick
+        Scans of the schedule at which the token arrives, and from which its time counts.
     """
 
     number: int
@@ -35,6 +37,8 @@ class NetPlace:
     on: tuple[str, ...]
     due_ms: int
     wait: tuple[str, bool] | None = None
+    begin_tick: int = 0
+    origin_tick: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,6 +150,8 @@ class _Walk:
                 on=self.on,
                 due_ms=due_ms,
                 wait=wait,
+                begin_tick=self.arrival,
+                origin_tick=self.origin,
             )
         )
 

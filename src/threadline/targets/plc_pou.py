@@ -34,7 +34,7 @@ class Variable:
 class Block:
     """One VAR block; located and unlocated variables never share one."""
 
-    kind: Literal["VAR_INPUT", "VAR_OUTPUT", "VAR"]
+    kind: Literal["VAR_INPUT", "VAR_OUTPUT", "VAR", "VAR CONSTANT"]
     variables: tuple[Variable, ...]
 
     def __post_init__(self) -> None:

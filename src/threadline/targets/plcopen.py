@@ -16,7 +16,12 @@ NAMESPACE = "http://www.plcopen.org/xml/tc6_0201"
 XHTML = "http://www.w3.org/1999/xhtml"
 EPOCH = "2000-01-01T00:00:00"
 """Creation time that is written unless another is given: the same job gives the same file."""
-_LISTS = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR": "localVars"}
+_LISTS = {
+    "VAR_INPUT": "inputVars",
+    "VAR_OUTPUT": "outputVars",
+    "VAR": "localVars",
+    "VAR CONSTANT": "localVars",
+}
 _KINDS = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}
 
 
@@ -72,7 +77,8 @@ def _pou(parent: ET.Element, pou: Pou) -> None:
 
 
 def _variables(parent: ET.Element, block: Block) -> None:
-    element = ET.SubElement(parent, _LISTS[block.kind])
+    constant = {"constant": "true"} if block.kind == "VAR CONSTANT" else {}
+    element = ET.SubElement(parent, _LISTS[block.kind], constant)
     for variable in block.variables:
         _variable(element, variable)
 
@@ -84,7 +90,8 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
     if variable.derived:
         ET.SubElement(kind, "derived", {"name": variable.type})
     else:
-        ET.SubElement(kind, variable.type)
+        # The schema has the string types in lower case, as elements of their own.
+        ET.SubElement(kind, "string" if variable.type == "STRING" else variable.type)
     if variable.initial:
         initial = ET.SubElement(element, "initialValue")
         ET.SubElement(initial, "simpleValue", {"value": variable.initial})

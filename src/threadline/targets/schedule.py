@@ -30,6 +30,7 @@ from threadline.targets.schedule_options import shaping_of
 
 ON_OFF = "on-off"
 """Stands where other plans have an interpolation."""
+_SAME_M = 1e-9
 REST_LAGS = 4.0
 """So many lags after the last switching a cylinder has come to rest within 2 %."""
 
@@ -222,10 +223,19 @@ class _Builder:
     ) -> None:
         self._check_air(source)
         ends = [self.tick + 1]
+        if not any(
+            abs(to - self.position[axis]) > _SAME_M
+            for axis, to in zip(self.job.axes, target, strict=True)
+        ):
+            where = ", ".join(f"{axis} at {at * 1e3:g} mm" for axis, at in self.position.items())
+            self.warnings.append(
+                f"{source.place}: this move moves nothing: the list has {where} already; a list "
+                "begins at 0, and the way home from elsewhere is in the PLC program of its own"
+            )
         for axis, to in zip(self.job.axes, target, strict=True):
             distance = to - self.position[axis]
             self.position[axis] = to
-            if abs(distance) > 1e-9:
+            if abs(distance) > _SAME_M:
                 ends.append(self._stroke(index, axis, distance, source, how))
         self.tick = max(ends)
 

@@ -6,6 +6,7 @@ typed, located variables in a VAR block of their own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,17 +15,41 @@ from threadline.escaping import st_comment
 from threadline.machine import Machine
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.plc_names import Names
-from threadline.targets.plc_net import PetriNet, petri_net
+from threadline.targets.plc_net import PetriNet
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
+from threadline.targets.plc_sequence import FAULTS, Sequence, sequence_of
 from threadline.targets.schedule import Scheduled
 from threadline.targets.schedule_moves import shaping_words
 from threadline.targets.structured_text_body import Words, body_lines
 from threadline.writing import together
 
+_PANEL_INPUTS = {
+    "continuous": ("BOOL", "cycle after cycle; single cycles else"),
+    "stop_at_end": ("BOOL", "ends continuous cycles at the end of this one"),
+    "manual": ("BOOL", "by hand, where no cycle runs"),
+    "jog": ("INT", "what is done by hand; 0 for nothing"),
+}
+_PANEL_OUTPUTS = {
+    "busy": ("BOOL", "FALSE", "a cycle or the way home runs"),
+    "finished": ("BOOL", "FALSE", "the cycle ran to its end"),
+    "homed": ("BOOL", "FALSE", "every piston is home"),
+    "stopped": ("BOOL", "FALSE", "it was broken off"),
+    "fault": ("BOOL", "FALSE", "until it is acknowledged"),
+    "fault_code": ("INT", "0", "one of the constants no_fault, f_..."),
+    "fault_place": ("INT", "0", "the place in which it stopped"),
+    "fault_contact": ("INT", "0", "the input that it is about, c_...; 0 for none"),
+    "place": ("INT", "0", "the step counter: one of the constants s_..."),
+    "count": ("DINT", "0", "cycles since power-on"),
+    "step_text": ("STRING", "'idle'", ""),
+    "fault_text": ("STRING", "''", ""),
+    "contact_text": ("STRING", "''", ""),
+}
 _INTERNAL = (
-    "place", "origin", "elapsed", "late", "allowed", "start_before", "cycle_timer", "scan_timer",
-    "busy", "finished", "fault", "stopped", "sequence",
+    "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
+    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "jogging", "sequence",
+    *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
 )  # fmt: skip
+_ONCE = ("start", "acknowledge", "home")
 
 
 def plc_program(scheduled: Scheduled) -> PlcProgram:
@@ -33,20 +58,35 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     Raises
     ------
     PlanError
-        If the machine has no light grid, no enable or no start input, or the net can't be made.
+        If the machine lacks an input that a program needs, a cylinder could not be brought home,
+        or the net can't be made.
     """
-    machine, net = scheduled.machine, petri_net(scheduled)
+    machine = scheduled.machine
     assert machine.plc is not None
-    roles = {kind: _of_kind(machine, kind) for kind in ("light-grid", "enable", "start")}
+    roles = {kind: _of_kind(machine, kind) for kind in ("light-grid", "enable", *_ONCE)}
     names = Names(_INTERNAL)
     block_name, main_name = names.give(scheduled.job.name), names.give(f"{machine.name}_main")
     inputs = {contact: names.give(contact) for contact in machine.contacts}
     outputs = {output: names.give(output) for output in machine.outputs}
+    sequence = sequence_of(scheduled, names)
+    net = sequence.net
+    free = [
+        named.place.wait
+        for named in sequence.cycle
+        if named.place.wait is not None and machine.contacts[named.place.wait[0]].cylinder is None
+    ]
     words = Words(
         inputs=inputs,
         outputs=outputs,
-        clear=tuple(inputs[n] for n in (*roles["light-grid"], *roles["enable"])),
+        grids=tuple(inputs[n] for n in roles["light-grid"]),
+        enables=tuple(inputs[n] for n in roles["enable"]),
         start=inputs[roles["start"][0]],
+        acknowledge=inputs[roles["acknowledge"][0]],
+        home=inputs[roles["home"][0]],
+        fresh={
+            wait: names.give(f"{wait[0]}_was_{'off' if wait[1] else 'on'}")
+            for wait in dict.fromkeys(free)
+        },
         watchdog_ms=round(1000.0 * machine.plc.watchdog.si),
         early_ms=net.scan_ms // 2,
     )
@@ -54,8 +94,8 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
         kind="FUNCTION_BLOCK",
         name=block_name,
         notes=_notes(scheduled, net),
-        blocks=_block_variables(words, net),
-        body=tuple(body_lines(net, words)),
+        blocks=_block_variables(words, sequence),
+        body=tuple(body_lines(sequence, words, machine)),
     )
     main = _main(machine, words, block_name, main_name)
     return PlcProgram(
@@ -71,10 +111,10 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
 
 def _of_kind(machine: Machine, kind: str) -> list[str]:
     found = [name for name, contact in machine.contacts.items() if contact.kind == kind]
-    if not found or (kind == "start" and len(found) > 1):
+    if not found or (kind in _ONCE and len(found) > 1):
         raise PlanError(
             f"machine {machine.name!r} has {len(found)} contacts of kind {kind!r}; a PLC program "
-            f"needs {'exactly' if kind == 'start' else 'at least'} one",
+            f"needs {'exactly' if kind in _ONCE else 'at least'} one",
             remedy=f'Add contacts with kind = "{kind}" to the machine file.',
         )
     return found
@@ -85,9 +125,10 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
     return (
         f"Job {scheduled.job.name}, sha256 {scheduled.job.sha256[:16]}",
         f"Machine {scheduled.machine.name}, sha256 {scheduled.machine.sha256[:16]}",
-        f"Call it every {net.scan_ms} ms from a timed task. Place 0 has every output off.",
-        "A broken light grid, a missing enable or a late scan switches all outputs off in the",
-        "same scan; only a new rising edge of the start input begins again, from place 1.",
+        f"Call it every {net.scan_ms} ms from a timed task. Place idle has every output off.",
+        "A broken light grid, a missing enable, a late scan, or a contact that cannot be believed",
+        "switches all outputs off in the same scan. Then: acknowledge, home, start.",
+        "Power-on, work by hand and every fault ask for home before a start.",
         "It is no safety function: what protects people has to cut the air without it.",
         *(
             f"{axis}: {shaping_words(scheduled.shaping.get(axis))}"
@@ -96,37 +137,55 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
     )
 
 
-def _block_variables(words: Words, net: PetriNet) -> tuple[Block, ...]:
+def _block_variables(words: Words, sequence: Sequence) -> tuple[Block, ...]:
     return (
         Block(
             kind="VAR_INPUT",
-            variables=tuple(Variable(name=n, type="BOOL") for n in words.inputs.values()),
+            variables=(
+                *(Variable(name=n, type="BOOL") for n in words.inputs.values()),
+                *_panel_inputs(),
+            ),
         ),
         Block(
             kind="VAR_OUTPUT",
             variables=(
                 *(Variable(name=n, type="BOOL", initial="FALSE") for n in words.outputs.values()),
-                Variable(name="busy", type="BOOL", initial="FALSE", note="the cycle runs"),
-                Variable(name="finished", type="BOOL", initial="FALSE", note="it ran to its end"),
-                Variable(name="stopped", type="BOOL", initial="FALSE", note="it was broken off"),
-                Variable(name="fault", type="BOOL", initial="FALSE", note="late scan or input"),
+                *_panel_outputs(),
             ),
         ),
-        Block(
-            kind="VAR",
-            variables=(
-                Variable(name="place", type="INT", initial="0", note=f"0 to {len(net.places)}"),
-                Variable(name="origin", type="TIME", initial="T#0ms", note="of the last input"),
-                Variable(name="elapsed", type="TIME", initial="T#0ms", note="since the origin"),
-                Variable(name="late", type="BOOL", initial="FALSE"),
-                Variable(name="allowed", type="BOOL", initial="FALSE"),
-                # TRUE at power-on: a button that is held then is no fresh start.
-                Variable(name="start_before", type="BOOL", initial="TRUE"),
-                Variable(name="cycle_timer", type="TON", derived=True),
-                Variable(name="scan_timer", type="TON", derived=True),
-            ),
-        ),
+        Block(kind="VAR CONSTANT", variables=tuple(sequence.constants())),
+        Block(kind="VAR", variables=tuple(_state(words, sequence))),
     )
+
+
+def _panel_inputs() -> Iterator[Variable]:
+    for name, (kind, note) in _PANEL_INPUTS.items():
+        yield Variable(name=name, type=kind, note=note)
+
+
+def _panel_outputs() -> Iterator[Variable]:
+    for name, (kind, initial, note) in _PANEL_OUTPUTS.items():
+        yield Variable(name=name, type=kind, initial=initial, note=note)
+
+
+def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
+    yield Variable(name="origin", type="TIME", initial="T#0ms", note="of the last input")
+    yield Variable(name="elapsed", type="TIME", initial="T#0ms", note="since the origin")
+    for name in ("late", "allowed", "ending", "jogging"):
+        yield Variable(name=name, type="BOOL", initial="FALSE")
+    yield Variable(name="cause", type="INT", initial="0", note="of a stop in this scan")
+    yield Variable(name="culprit", type="INT", initial="0", note="the input that it is about")
+    # TRUE at power-on: a button that is held then is no fresh press.
+    for name in ("start_before", "home_before", "acknowledge_before"):
+        yield Variable(name=name, type="BOOL", initial="TRUE")
+    for name in words.fresh.values():
+        yield Variable(name=name, type="BOOL", initial="FALSE")
+    for one in sequence.guarded:
+        yield Variable(name=one.expect, type="INT", initial="0")
+        yield Variable(name=one.early, type="TIME", initial="T#0ms")
+        yield Variable(name=one.gone, type="TIME", initial="T#0ms")
+    yield Variable(name="cycle_timer", type="TON", derived=True)
+    yield Variable(name="scan_timer", type="TON", derived=True)
 
 
 def _main(machine: Machine, words: Words, block_name: str, name: str) -> Pou:
@@ -137,17 +196,25 @@ def _main(machine: Machine, words: Words, block_name: str, name: str) -> Pou:
         Variable(name=words.outputs[n], type="BOOL", address=output.address)
         for n, output in machine.outputs.items()
     ]
-    arguments = ", ".join(f"{n} := {n}" for n in words.inputs.values())
+    arguments = ", ".join(f"{n} := {n}" for n in (*words.inputs.values(), *_PANEL_INPUTS))
     body = [f"sequence({arguments});"]
-    body += [f"{n} := sequence.{n};" for n in words.outputs.values()]
+    body += [f"{n} := sequence.{n};" for n in (*words.outputs.values(), *_PANEL_OUTPUTS)]
     return Pou(
         kind="PROGRAM",
         name=name,
-        notes=("Feeds the block from the inputs and writes its outputs, once a scan.",),
+        notes=(
+            "Feeds the block from the inputs and writes its outputs, once a scan. What has no",
+            "address is for a panel.",
+        ),
         blocks=(
             Block(kind="VAR", variables=tuple(located)),
             Block(
-                kind="VAR", variables=(Variable(name="sequence", type=block_name, derived=True),)
+                kind="VAR",
+                variables=(
+                    *_panel_inputs(),
+                    *_panel_outputs(),
+                    Variable(name="sequence", type=block_name, derived=True),
+                ),
             ),
         ),
         body=tuple(body),

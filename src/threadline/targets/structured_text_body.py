@@ -1,11 +1,15 @@
-"""The body of the block: watchdog, inputs, transitions in order, outputs as sums of places."""
+"""The body of the block: what forbids motion, buttons, transitions in order, outputs by place."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from threadline.targets.plc_net import NetPlace, PetriNet
+from threadline.machine import Machine
+from threadline.targets.plc_sequence import FAULTS, Guarded, NamedPlace, Sequence
+from threadline.targets.plc_watch import reads, switches_of
+
+_LONGEST = "PT := T#24h"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,10 +20,12 @@ class Words:
     ----------
     inputs, outputs
         Name in the machine file to name in the program.
-    clear
+    grids, enables
         Inputs that all must be true while the machine moves.
-    start
-        Input whose rising edge starts the cycle.
+    start, acknowledge, home
+        Inputs whose rising edges count.
+    fresh
+        Variable that says of an input and its value that it was otherwise since it last counted.
     watchdog_ms
         A scan that comes later than this after the one before is a fault.
     early_ms
@@ -28,29 +34,38 @@ class Words:
 
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
-    clear: tuple[str, ...]
+    grids: tuple[str, ...]
+    enables: tuple[str, ...]
     start: str
+    acknowledge: str
+    home: str
+    fresh: Mapping[tuple[str, bool], str]
     watchdog_ms: int
     early_ms: int
 
 
-def body_lines(net: PetriNet, words: Words) -> Iterator[str]:
+def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
     """Yield the lines of the body."""
     yield from _watchdog(words)
-    yield from _guards(words)
-    yield from _clock(words)
+    yield from _guards(words, sequence)
+    yield from _buttons(words, sequence)
+    yield from _clock(words, sequence)
+    yield from _plausible(words, sequence, machine)
+    yield from _stop(sequence)
     yield "(* The transitions, in order: several may fire in one scan. *)"
     step = None
-    for place in net.places:
-        if place.step != step:
-            step = place.step
-            yield f"(* Step {step} *)"
-        yield from _transition(place, words, last=place is net.places[-1])
+    for run in (sequence.cycle, sequence.homing):
+        for named, then in zip(run, (*run[1:], None), strict=True):
+            if named.place.step != step:
+                step = named.place.step
+                yield f"(* Step {step} *)"
+            yield from _transition(named, then, words, sequence)
     yield ""
-    yield "(* The outputs: on in the places that are named, off in every other one. *)"
-    for name, word in words.outputs.items():
-        yield from _output(word, [p.number for p in net.places if name in p.on])
-    yield "busy := place > 0;"
+    yield from _stop(sequence)
+    yield from _outputs(words, sequence)
+    yield from _jogging(words, sequence)
+    yield from _texts(sequence)
+    yield f"busy := place <> {sequence.idle};"
 
 
 def _watchdog(words: Words) -> Iterator[str]:
@@ -63,73 +78,259 @@ def _watchdog(words: Words) -> Iterator[str]:
     yield ""
 
 
-def _guards(words: Words) -> Iterator[str]:
-    yield "(* Whatever forbids motion takes the token away: place 0 has every output off. *)"
-    yield f"allowed := {' AND '.join(words.clear)} AND NOT late;"
-    yield "IF (place > 0) AND NOT allowed THEN"
-    yield "  place := 0;"
-    yield "  stopped := TRUE;"
-    yield "  fault := late;"
+def _guards(words: Words, sequence: Sequence) -> Iterator[str]:
+    clear = " AND ".join((*words.grids, *words.enables))
+    yield "(* What forbids motion: the cause of a stop, and the input that it is about. *)"
+    yield "cause := no_fault;"
+    yield "culprit := 0;"
+    yield f"allowed := {clear} AND NOT late;"
+    yield f"IF place <> {sequence.idle} THEN"
+    first = True
+    for condition, fault in (
+        *((f"NOT {name}", "f_light_grid") for name in words.grids),
+        *((f"NOT {name}", "f_enable") for name in words.enables),
+        ("late", "f_late_scan"),
+    ):
+        yield f"  {'IF' if first else 'ELSIF'} {condition} THEN"
+        yield f"    cause := {fault};"
+        first = False
+    yield "  END_IF;"
     yield "END_IF;"
-    yield f"IF {words.start} AND NOT start_before AND allowed AND (place = 0) THEN"
-    yield "  place := 1;"
-    yield "  origin := T#0ms;"
-    yield "  finished := FALSE;"
-    yield "  stopped := FALSE;"
-    yield "  fault := FALSE;"
-    yield "  cycle_timer(IN := FALSE, PT := T#24h);"
-    yield "END_IF;"
-    yield f"start_before := {words.start};"
     yield ""
 
 
-def _clock(words: Words) -> Iterator[str]:
+def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
+    idle = sequence.idle
+    yield "(* A fault stays until it is acknowledged; then home, then start. *)"
+    yield f"IF {words.acknowledge} AND NOT acknowledge_before AND allowed THEN"
+    yield "  fault := FALSE;"
+    yield "  stopped := FALSE;"
+    yield "  fault_code := no_fault;"
+    yield "  fault_place := 0;"
+    yield "  fault_contact := 0;"
+    yield "END_IF;"
+    yield f"acknowledge_before := {words.acknowledge};"
+    ready = f"allowed AND NOT fault AND NOT manual AND (place = {idle})"
+    for button, before, run, condition in (
+        (words.home, "home_before", sequence.homing, ready),
+        (words.start, "start_before", sequence.cycle, f"{ready} AND homed"),
+    ):
+        yield f"IF {button} AND NOT {before} AND {condition} THEN"
+        yield from (f"  {line}" for line in _begin(run[0].name, words))
+        yield "  finished := FALSE;"
+        yield "  ending := FALSE;"
+        if run is sequence.homing:
+            yield "  homed := FALSE;"
+        yield "END_IF;"
+        yield f"{before} := {button};"
+    yield "IF stop_at_end THEN"
+    yield "  ending := TRUE;"
+    yield "END_IF;"
+    yield ""
+
+
+def _begin(first: str, words: Words) -> Iterator[str]:
+    yield f"place := {first};"
+    yield "origin := T#0ms;"
+    yield f"cycle_timer(IN := FALSE, {_LONGEST});"
+    for fresh in words.fresh.values():
+        yield f"{fresh} := FALSE;"
+
+
+def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
     early = f" + T#{words.early_ms}ms" if words.early_ms else ""
     yield "(* Milliseconds since the last input, by half a scan ahead: the nearest scan acts. *)"
-    yield "cycle_timer(IN := place > 0, PT := T#24h);"
+    yield f"cycle_timer(IN := place <> {sequence.idle}, {_LONGEST});"
     yield f"elapsed := cycle_timer.ET - origin{early};"
+    yield from _fresh(words, sequence)
     yield ""
 
 
-def _transition(place: NetPlace, words: Words, *, last: bool) -> Iterator[str]:
-    to = 0 if last else place.number + 1
+def _fresh(words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield what tells that an input was otherwise before it counts.
+
+    One that a vacuum is to bring must have been so when the vacuum was switched on.
+    """
+    for (name, value), fresh in words.fresh.items():
+        word = words.inputs[name]
+        yield f"IF {f'NOT {word}' if value else word} THEN"
+        yield f"  {fresh} := TRUE;"
+        before = sequence.before_vacuum.get((name, value), ())
+        if before:
+            yield f"ELSIF {' OR '.join(f'(place = {one})' for one in before)} THEN"
+            yield f"  {fresh} := FALSE;"
+        yield "END_IF;"
+
+
+def _plausible(words: Words, sequence: Sequence, machine: Machine) -> Iterator[str]:
+    for one in sequence.guarded:
+        yield f"(* The end switches of {one.axis}: where it stands, and on its way. *)"
+        yield f"IF (place <> {sequence.idle}) AND (cause = no_fault) THEN"
+        lines = list(_contradictions(one, words, machine))
+        for number, (condition, fault, name) in enumerate(lines):
+            yield f"  {'ELSIF' if number else 'IF'} {condition} THEN"
+            yield f"    cause := {fault};"
+            yield f"    culprit := {sequence.contacts[name]};"
+        if lines:
+            yield "  END_IF;"
+        yield "END_IF;"
+    yield ""
+
+
+def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tuple[str, str, str]]:
+    """Yield condition, fault and contact of everything that cannot be."""
+    switches = switches_of(machine, one.axis)
+    for (begin, end), constant in one.known.items():
+        at = f"({one.expect} = {constant})"
+        said = {
+            name: (reads(contact, begin), reads(contact, end)) for name, contact in switches.items()
+        }
+        for name, (first, last) in said.items():
+            word = words.inputs[name]
+            if (first, last) == (True, True):
+                yield f"{at} AND NOT {word}", "f_lost", name
+            elif (first, last) == (False, False):
+                yield f"{at} AND {word}", "f_wrong", name
+            elif (first, last) == (False, True):
+                yield f"{at} AND {word} AND (elapsed < {one.early})", "f_early", name
+        for name, (first, last) in said.items():
+            word = words.inputs[name]
+            if (first, last) == (True, False):
+                yield f"{at} AND {word} AND (elapsed >= {one.gone})", "f_stayed", name
+                # The far end has come in its time: the near one is what should be off.
+                for far, far_said in said.items():
+                    if far_said == (False, True):
+                        yield f"{at} AND {word} AND {words.inputs[far]}", "f_stayed", name
+    for near, low in switches.items():
+        for far, high in switches.items():
+            if low.at is None or high.at is None:
+                continue
+            if (low.beyond, high.beyond) == ("below", "above") and low.at.si < high.at.si:
+                yield f"{words.inputs[near]} AND {words.inputs[far]}", "f_opposite", far
+
+
+def _stop(sequence: Sequence) -> Iterator[str]:
+    yield "IF cause <> no_fault THEN"
+    yield "  fault_code := cause;"
+    yield "  fault_contact := culprit;"
+    yield "  fault_place := place;"
+    yield f"  place := {sequence.idle};"
+    yield "  fault := TRUE;"
+    yield "  stopped := TRUE;"
+    yield "  homed := FALSE;"
+    yield "  cause := no_fault;"
+    yield "END_IF;"
+    yield ""
+
+
+def _transition(
+    named: NamedPlace, then: NamedPlace | None, words: Words, sequence: Sequence
+) -> Iterator[str]:
+    place = named.place
+    leave = [f"place := {then.name};"] if then else list(_end(named, words, sequence))
     if place.wait is None:
-        yield f"IF (place = {place.number}) AND (elapsed >= T#{place.due_ms}ms) THEN"
-        yield f"  place := {to};"
-        if last:
-            yield "  finished := TRUE;"
+        yield f"IF (place = {named.name}) AND (elapsed >= {named.due}) THEN"
+        yield from (f"  {line}" for line in leave)
         yield "END_IF;"
         return
-    name, value = place.wait
-    word = words.inputs[name]
-    yield f"IF place = {place.number} THEN"
-    yield f"  IF {word if value else f'NOT {word}'} THEN"
-    yield f"    place := {to};"
-    if last:
-        yield "    finished := TRUE;"
+    word = words.inputs[place.wait[0]]
+    fresh = words.fresh.get(place.wait)
+    awaited = word if place.wait[1] else f"NOT {word}"
+    yield f"IF place = {named.name} THEN"
+    yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''} THEN"
+    if fresh:
+        yield f"    {fresh} := FALSE;"
     yield "    origin := cycle_timer.ET;"
     yield f"    elapsed := T#{words.early_ms}ms;"
-    yield f"  ELSIF elapsed >= T#{place.due_ms}ms THEN"
-    yield "    place := 0;"
-    yield "    stopped := TRUE;"
-    yield "    fault := TRUE;"
+    yield from (f"    {line}" for line in leave)
+    yield f"  ELSIF elapsed >= {named.due} THEN"
+    if fresh:
+        yield "    cause := f_missing;"
+        yield f"    IF {awaited} THEN"
+        yield "      cause := f_stuck;"
+        yield "    END_IF;"
+    else:
+        yield "    cause := f_missing;"
+    yield f"    culprit := {sequence.contacts[place.wait[0]]};"
     yield "  END_IF;"
     yield "END_IF;"
 
 
-def _output(word: str, places: list[int]) -> Iterator[str]:
-    runs: list[tuple[int, int]] = []
-    for number in places:
-        if runs and runs[-1][1] == number - 1:
-            runs[-1] = (runs[-1][0], number)
-        else:
-            runs.append((number, number))
-    terms = [
-        f"(place = {a})" if a == b else f"((place >= {a}) AND (place <= {b}))" for a, b in runs
-    ]
-    if not terms:
-        yield f"{word} := FALSE;"
+def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield what the last place of a run does."""
+    if named in sequence.homing:
+        yield f"place := {sequence.idle};"
+        yield "homed := TRUE;"
         return
-    yield f"{word} := {terms[0]}{';' if len(terms) == 1 else ''}"
-    for term in terms[1:]:
-        yield f"  OR {term}{';' if term is terms[-1] else ''}"
+    yield "count := count + 1;"
+    yield "IF continuous AND NOT ending THEN"
+    yield from (f"  {line}" for line in _begin(sequence.cycle[0].name, words))
+    yield "ELSE"
+    yield f"  place := {sequence.idle};"
+    yield "  finished := TRUE;"
+    yield "END_IF;"
+
+
+def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
+    yield "(* The outputs: off, but for those that the place has on. *)"
+    for word in words.outputs.values():
+        yield f"{word} := FALSE;"
+    for one in sequence.guarded:
+        yield f"{one.expect} := {one.unknown};"
+        yield f"{one.early} := T#0ms;"
+        yield f"{one.gone} := T#0ms;"
+    yield "step_text := 'idle';"
+    for named in sequence.places:
+        yield f"IF place = {named.name} THEN"
+        yield f"  step_text := '{_plain(named.place.step)}';"
+        for name in named.place.on:
+            yield f"  {words.outputs[name]} := TRUE;"
+        for one in sequence.guarded:
+            watch = named.watch.get(one.axis)
+            if watch is None:
+                continue
+            known = one.known[round(watch.begin_m, 9), round(watch.end_m, 9)]
+            yield f"  {one.expect} := {known};"
+            if not watch.stands:
+                yield f"  {one.early} := T#{watch.early_ms}ms;"
+                yield f"  {one.gone} := T#{watch.gone_ms}ms;"
+        yield "END_IF;"
+    yield ""
+
+
+def _jogging(words: Words, sequence: Sequence) -> Iterator[str]:
+    yield "(* By hand: one thing at a time, slowly, where the cycle would do it. *)"
+    yield f"jogging := manual AND allowed AND NOT fault AND (place = {sequence.idle});"
+    yield "IF jogging THEN"
+    yield "  homed := FALSE;"
+    yield "  step_text := 'by hand';"
+    for name in sequence.air:
+        yield f"  {words.outputs[name]} := TRUE;"
+    yield "END_IF;"
+    for jog in sequence.jogs:
+        needs = [words.inputs[n] if v else f"NOT {words.inputs[n]}" for n, v in jog.needs]
+        yield f"IF {' AND '.join(['jogging', f'(jog = {jog.name})', *needs])} THEN"
+        for name in jog.on:
+            yield f"  {words.outputs[name]} := TRUE;"
+        yield "END_IF;"
+    yield ""
+
+
+def _texts(sequence: Sequence) -> Iterator[str]:
+    yield "(* Words for a panel. *)"
+    for name, text in FAULTS.items():
+        yield f"IF fault_code = {name} THEN"
+        yield f"  fault_text := '{text}';"
+        yield "END_IF;"
+    yield "contact_text := '';"
+    for contact, name in sequence.contacts.items():
+        yield f"IF fault_contact = {name} THEN"
+        yield f"  contact_text := '{_plain(contact)}';"
+        yield "END_IF;"
+    yield ""
+
+
+def _plain(text: str) -> str:
+    """Return text that a string literal of every PLC takes."""
+    kept = (c if c.isascii() and (c.isalnum() or c in " _-.,") else " " for c in text[:60])
+    return "".join(kept).strip()

@@ -18,6 +18,7 @@ from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen
 from threadline.targets.schedule import Scheduled
+from threadline.targets.scl import write_scl
 from threadline.targets.step_files import write_steps, write_t15
 from threadline.targets.stitched import Stitched
 from threadline.targets.structured_text import write_structured_text
@@ -100,6 +101,7 @@ TICK_TARGETS: Mapping[str, Target] = {
 """Targets of machines whose controllers take a row per tick."""
 SWITCH_TARGETS: Mapping[str, Target] = {
     "plcopen": Target(write=lambda plan, path: write_plcopen(plan.scheduled, path)),
+    "scl": Target(write=lambda plan, path: write_scl(plan.scheduled, path)),
     "st": Target(write=lambda plan, path: write_structured_text(plan.scheduled, path)),
 }
 """Targets of on/off machines."""

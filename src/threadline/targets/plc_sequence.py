@@ -1,0 +1,315 @@
+"""A schedule as the sequence that a PLC plays: named places, their times, watches and interlocks.
+
+The cycle and the way home are two runs through places of one net; one token is in one of them, or
+in ``IDLE``, where every output is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from threadline.machine import Machine
+from threadline.targets.plc_home import HOMING, home_places, slowest
+from threadline.targets.plc_names import Names
+from threadline.targets.plc_net import NetPlace, PetriNet, petri_net
+from threadline.targets.plc_pou import Variable
+from threadline.targets.plc_watch import Watch, reads, switches_of, watches
+from threadline.targets.schedule import Scheduled
+
+FAULTS = {
+    "no_fault": "none",
+    "f_light_grid": "the light grid is broken",
+    "f_enable": "the enable is missing",
+    "f_late_scan": "a scan came late",
+    "f_missing": "an input did not come in time",
+    "f_stuck": "an input is on that was never off",
+    "f_opposite": "both end switches are on",
+    "f_lost": "an end switch is off where its piston stands",
+    "f_wrong": "an end switch is on where no piston stands",
+    "f_early": "an end switch came too early",
+    "f_stayed": "an end switch did not go off",
+}
+"""What the program tells of a stop, by the name of its constant; numbered in this order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamedPlace:
+    """A place with what the program calls it.
+
+    Parameters
+    ----------
+    place
+        Of the net.
+    name, due
+        Constants: its number, and the time at which it is left or its input is late.
+    note
+        What its time is of.
+    watch
+        Of every cylinder with end switches; none on the way home.
+    """
+
+    place: NetPlace
+    name: str
+    due: str
+    note: str
+    watch: Mapping[str, Watch]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Guarded:
+    """What a program knows of one cylinder.
+
+    Parameters
+    ----------
+    axis
+        Its name in the machine file.
+    expect, early, gone
+        Variables: what is expected of its switches, and the two times since the origin.
+    unknown
+        Constant for "nothing is known".
+    known
+        Constant of every way (from, to) in m that the cycle has; from and to the same: it stands.
+    """
+
+    axis: str
+    expect: str
+    early: str
+    gone: str
+    unknown: str
+    known: Mapping[tuple[float, float], str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jog:
+    """One thing that may be done by hand.
+
+    Parameters
+    ----------
+    name
+        Constant that the panel gives.
+    note
+        For people.
+    on
+        Outputs that it switches on.
+    needs
+        Contacts that must read so while it does.
+    """
+
+    name: str
+    note: str
+    on: tuple[str, ...]
+    needs: tuple[tuple[str, bool], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sequence:
+    """Everything of a schedule that a program is written from.
+
+    Parameters
+    ----------
+    net
+        The cycle.
+    cycle, homing
+        Its places, and those of the way home.
+    guarded, jogs
+        What is known of cylinders, and what may be done by hand.
+    contacts
+        Constant that names each contact.
+    before_vacuum
+        Of an input that is waited for with a vacuum on: the places just before it was switched on.
+    idle
+        Constant of the place in which every output is off.
+    air
+        Outputs of kind ``soft-start``.
+    """
+
+    net: PetriNet
+    cycle: tuple[NamedPlace, ...]
+    homing: tuple[NamedPlace, ...]
+    guarded: tuple[Guarded, ...]
+    jogs: tuple[Jog, ...]
+    contacts: Mapping[str, str]
+    before_vacuum: Mapping[tuple[str, bool], tuple[str, ...]]
+    idle: str
+    air: tuple[str, ...]
+
+    @property
+    def places(self) -> tuple[NamedPlace, ...]:
+        """All of them, in the order of their numbers."""
+        return (*self.cycle, *self.homing)
+
+    def constants(self) -> Iterator[Variable]:
+        """Yield the constants of the program."""
+        yield Variable(name=self.idle, type="INT", initial="0", note="every output is off")
+        for named in self.places:
+            number = str(named.place.number)
+            on = ", ".join(named.place.on) or "nothing"
+            yield Variable(name=named.name, type="INT", initial=number, note=f"on: {on}")
+        for named in self.places:
+            due = f"T#{named.place.due_ms}ms"
+            yield Variable(name=named.due, type="TIME", initial=due, note=named.note)
+        for code, (name, text) in enumerate(FAULTS.items()):
+            yield Variable(name=name, type="INT", initial=str(code), note=text)
+        for code, name in enumerate(self.contacts.values(), start=1):
+            yield Variable(name=name, type="INT", initial=str(code))
+        for one in self.guarded:
+            yield Variable(name=one.unknown, type="INT", initial="0", note="anywhere")
+            for code, ((begin, end), name) in enumerate(one.known.items(), start=1):
+                way = (
+                    f"{begin * 1e3:g} mm"
+                    if begin == end
+                    else f"{begin * 1e3:g} to {end * 1e3:g} mm"
+                )
+                yield Variable(name=name, type="INT", initial=str(code), note=way)
+        for code, jog in enumerate(self.jogs, start=1):
+            yield Variable(name=jog.name, type="INT", initial=str(code), note=jog.note)
+
+
+def sequence_of(scheduled: Scheduled, names: Names) -> Sequence:
+    """Return the sequence of ``scheduled``.
+
+    Raises
+    ------
+    PlanError
+        If the net cannot be made, or a cylinder could not be brought home.
+    """
+    net, machine = petri_net(scheduled), scheduled.machine
+    idle = names.give("idle")
+    watched = watches(scheduled, net)
+    back = home_places(scheduled, len(net.places), net.scan_ms)
+    cycle = _named(net.places, watched, scheduled, names)
+    homing = _named(back, [{} for _ in back], scheduled, names)
+    return Sequence(
+        net=net,
+        cycle=cycle,
+        homing=homing,
+        guarded=tuple(_guarded(machine, cycle, names)),
+        jogs=tuple(_jogs(scheduled, cycle, names)),
+        contacts={
+            c: names.give(f"c_{c}") for c, k in machine.contacts.items() if k.kind == "contact"
+        },
+        before_vacuum=_before_vacuum(machine, cycle),
+        idle=idle,
+        air=tuple(n for n, o in machine.outputs.items() if o.kind == "soft-start"),
+    )
+
+
+def _named(
+    places: tuple[NetPlace, ...],
+    watched: list[dict[str, Watch]],
+    scheduled: Scheduled,
+    names: Names,
+) -> tuple[NamedPlace, ...]:
+    found = []
+    count: dict[str, int] = {}
+    for place, watch in zip(places, watched, strict=True):
+        step = place.step or "cycle"
+        count[step] = count.get(step, 0) + 1
+        name = names.give(f"s_{step}_{count[step]}")
+        note = f"{place.step}: {_what(place, scheduled)}"
+        found.append(
+            NamedPlace(
+                place=place,
+                name=name,
+                due=names.give(f"t_{step}_{count[step]}"),
+                note=note,
+                watch=watch,
+            )
+        )
+    return tuple(found)
+
+
+def _what(place: NetPlace, scheduled: Scheduled) -> str:
+    """Return what the time of a place is of."""
+    if place.wait is not None:
+        return f"{place.wait[0]} must be {'on' if place.wait[1] else 'off'} by then"
+    if place.step == HOMING:
+        return "pressed home"
+    for move in scheduled.moves:
+        if move.first_tick <= place.begin_tick < move.last_tick:
+            way = "forward" if move.forward else "back"
+            return f"{move.axis} {move.levels.wanted_m * 1e3:g} mm {way}"
+    return "the next is due"
+
+
+def _before_vacuum(
+    machine: Machine, cycle: tuple[NamedPlace, ...]
+) -> dict[tuple[str, bool], tuple[str, ...]]:
+    vacuums = {name for name, output in machine.outputs.items() if output.kind == "vacuum"}
+    found: dict[tuple[str, bool], tuple[str, ...]] = {}
+    for index, named in enumerate(cycle):
+        wait = named.place.wait
+        drawn = vacuums & set(named.place.on)
+        if wait is None or not wait[1] or not drawn or machine.contacts[wait[0]].cylinder:
+            continue
+        before = index
+        while before and drawn & set(cycle[before].place.on):
+            before -= 1
+        found[wait] = (*found.get(wait, ()), cycle[before].name)
+    return found
+
+
+def _guarded(machine: Machine, cycle: tuple[NamedPlace, ...], names: Names) -> Iterator[Guarded]:
+    for axis in machine.cylinders:
+        ways = [named.watch[axis] for named in cycle if axis in named.watch]
+        if not ways:
+            continue
+        known: dict[tuple[float, float], str] = {}
+        for way in ways:
+            key = round(way.begin_m, 9), round(way.end_m, 9)
+            if key not in known:
+                begin, end = (f"{value * 1e3:g}" for value in key)
+                text = f"{axis}_at_{begin}" if way.stands else f"{axis}_{begin}_to_{end}"
+                known[key] = names.give(text.lower())
+        low = axis.lower()
+        yield Guarded(
+            axis=axis,
+            expect=names.give(f"{low}_expected"),
+            early=names.give(f"{low}_too_early"),
+            gone=names.give(f"{low}_must_be_gone"),
+            unknown=names.give(f"{low}_anywhere"),
+            known=known,
+        )
+
+
+def _jogs(scheduled: Scheduled, cycle: tuple[NamedPlace, ...], names: Names) -> Iterator[Jog]:
+    """Yield each thing that may be done by hand, under the conditions that the cycle does it in."""
+    machine = scheduled.machine
+    for axis, cylinder in machine.cylinders.items():
+        for way, sense, to in ((cylinder.forward, "out", "above"), (cylinder.back, "in", "below")):
+            ends = tuple(
+                (n, False) for n, c in switches_of(machine, axis).items() if c.beyond == to
+            )
+            others = _stand(machine, cycle, axis, way.valve)
+            yield Jog(
+                name=names.give(f"jog_{axis}_{sense}".lower()),
+                note=f"{axis} {'forward' if sense == 'out' else 'back'}, slowly",
+                on=(way.valve, *slowest(way)[1]),
+                needs=(*ends, *others),
+            )
+    for name, output in machine.outputs.items():
+        if output.kind in {"tool", "vacuum"}:
+            yield Jog(
+                name=names.give(f"jog_{name}".lower()),
+                note=f"{name}",
+                on=(name,),
+                needs=_stand(machine, cycle, "", name) if output.kind == "tool" else (),
+            )
+
+
+def _stand(
+    machine: Machine, cycle: tuple[NamedPlace, ...], own: str, output: str
+) -> tuple[tuple[str, bool], ...]:
+    """Return what end switches of other cylinders always read where the cycle has an output on."""
+    needs: list[tuple[str, bool]] = []
+    for axis in machine.cylinders:
+        where = [n.watch[axis] for n in cycle if axis in n.watch and output in n.place.on]
+        places = {round(w.end_m, 9) for w in where}
+        if axis == own or len(places) != 1 or not all(w.stands for w in where):
+            continue
+        for name, contact in switches_of(machine, axis).items():
+            value = reads(contact, next(iter(places)))
+            if value is not None:
+                needs.append((name, value))
+    return tuple(needs)

@@ -1,0 +1,133 @@
+"""Siemens SCL of a schedule: the same block as its structured text, as an external source.
+
+A source for TIA Portal (S7-1200, S7-1500): the function block with its interface, BEGIN and its
+body, a data block that is its instance, an organisation block for a cyclic interrupt that calls it
+with symbolic tags, and the table of these tags beside it. The body is that of the structured text,
+line by line; local names carry ``#``, tags stand in quotes, the timers are IEC timers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from threadline.escaping import st_comment
+from threadline.signals.files.common import Written, atomic_file, written
+from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
+from threadline.targets.schedule import Scheduled
+from threadline.targets.structured_text import plc_program
+from threadline.writing import together
+
+_TYPES = {
+    "BOOL": "Bool", "INT": "Int", "DINT": "DInt", "TIME": "Time", "STRING": "String",
+    "TON": "TON_TIME",
+}  # fmt: skip
+_NAME = re.compile(r"'[^']*'|\(\*.*?\*\)|(?<![#%\w.])[A-Za-z_]\w*")
+
+
+def scl_source(scheduled: Scheduled) -> str:
+    """Return the source of ``scheduled``.
+
+    Raises
+    ------
+    PlanError
+        As ``plc_program``.
+    """
+    program = plc_program(scheduled)
+    instance = f"{program.block.name}_data"
+    lines = [
+        *_function_block(program.block),
+        "",
+        f'DATA_BLOCK "{instance}"',
+        "{ S7_Optimized_Access := 'TRUE' }",
+        "VERSION : 0.1",
+        "NON_RETAIN",
+        f'"{program.block.name}"',
+        "BEGIN",
+        "END_DATA_BLOCK",
+        "",
+        *_organisation_block(program, instance),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _function_block(pou: Pou) -> Iterator[str]:
+    yield f'FUNCTION_BLOCK "{pou.name}"'
+    yield "{ S7_Optimized_Access := 'TRUE' }"
+    yield "VERSION : 0.1"
+    for note in pou.notes:
+        yield f"// {st_comment(note)}"
+    for block in pou.blocks:
+        yield from _variables(block)
+    yield "BEGIN"
+    local = {variable.name for block in pou.blocks for variable in block.variables}
+    for line in pou.body:
+        yield f"  {_local(line, local)}" if line else ""
+    yield "END_FUNCTION_BLOCK"
+
+
+def _variables(block: Block) -> Iterator[str]:
+    yield f"  {block.kind}"
+    for variable in block.variables:
+        yield f"    {_declaration(variable)}"
+    yield "  END_VAR"
+
+
+def _declaration(variable: Variable) -> str:
+    initial = f" := {variable.initial}" if variable.initial else ""
+    note = f"  // {st_comment(variable.note)}" if variable.note else ""
+    return f"{variable.name} : {_TYPES[variable.type]}{initial};{note}"
+
+
+def _local(line: str, names: set[str]) -> str:
+    """Return a line with ``#`` before every local name; texts and comments stay."""
+
+    def marked(match: re.Match[str]) -> str:
+        return f"#{match[0]}" if match[0] in names else match[0]
+
+    return _NAME.sub(marked, line)
+
+
+def _located(program: PlcProgram) -> dict[str, str]:
+    """Return the address of every tag, in the order of the machine."""
+    variables = [v for block in program.main.blocks for v in block.variables]
+    return {v.name: v.address for v in variables if v.address}
+
+
+def _organisation_block(program: PlcProgram, instance: str) -> Iterator[str]:
+    """Yield the block that a cyclic interrupt of the scan's period calls."""
+    arguments = [
+        f'{name} {":=" if address.startswith("%I") else "=>"} "{name}"'
+        for name, address in _located(program).items()
+    ]
+    yield f'ORGANIZATION_BLOCK "{program.main.name}"'
+    yield "{ S7_Optimized_Access := 'TRUE' }"
+    yield "VERSION : 0.1"
+    yield f"// Make it a cyclic interrupt of {program.interval_ms} ms. What has no address is for a"
+    yield f"// panel: it is read and written in {instance}."
+    yield "BEGIN"
+    yield f'  "{instance}"('
+    for number, argument in enumerate(arguments, start=1):
+        yield f"    {argument}{'' if number == len(arguments) else ','}"
+    yield "  );"
+    yield "END_ORGANIZATION_BLOCK"
+
+
+def scl_tags(scheduled: Scheduled) -> str:
+    """Return the table of tags: name, type and address as this PLC writes it, ``%I0.0``."""
+    rows = [
+        f"{name},Bool,{address.replace('X', '', 1)}"
+        for name, address in _located(plc_program(scheduled)).items()
+    ]
+    return "\n".join(("Name,Data Type,Logical Address", *rows)) + "\n"
+
+
+def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
+    """Write the source to ``path`` and the tags beside it, ``NAME.tags.csv``."""
+    beside = path.with_name(f"{path.stem}.tags.csv")
+    with together():
+        for file, content in ((path, scl_source(scheduled)), (beside, scl_tags(scheduled))):
+            with atomic_file(file) as stream:
+                stream.write(content.encode("ascii"))
+        return [written(path, scheduled.warnings), written(beside)]

@@ -1,0 +1,87 @@
+"""The SCL source is the structured text in another dress, whole and with every name accounted for.
+
+No compiler of Siemens is at hand here. What can be checked without one: the frame of an external
+source, every ``#name`` declared in the block, every quoted tag in the table of tags, types of S7
+alone; and the body, undressed, read by blark and run on the same cell.
+"""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from tests.plc.driving import homed
+from tests.plc.machine import Plc
+from tests.plc.parts import read_in_parts
+from tests.plc.stuck import forbidden
+from tests.plc.texts import emitted, text_of
+
+TYPES = {"Bool": "BOOL", "Int": "INT", "DInt": "DINT", "Time": "TIME", "String": "STRING",
+         "TON_TIME": "TON"}  # fmt: skip
+
+
+def source() -> str:
+    return emitted("letter-placer", "zv", "scl")["st"].decode("ascii")
+
+
+def undressed(scl: str) -> str:
+    """The block as IEC structured text again, with the program of the structured text beside it."""
+    block = scl[: scl.index("DATA_BLOCK")]
+    block = re.sub(r"//.*", "", block).replace("\nBEGIN\n", "\n")
+    block = re.sub(r"\{.*?\}\nVERSION : [0-9.]+\n", "", block)
+    block = re.sub(r'FUNCTION_BLOCK "(\w+)"', r"FUNCTION_BLOCK \1", block)
+    for mine, standard in TYPES.items():
+        block = re.sub(rf" : {mine}\b", f" : {standard}", block)
+    whole = text_of("letter-placer", "zv")
+    return re.sub(r"(?<!T)#", "", block) + whole[whole.index("PROGRAM ") :]
+
+
+def test_the_frame_of_the_source() -> None:
+    text = source()
+    assert re.match(
+        r'FUNCTION_BLOCK "letter_cycle"\n\{ S7_Optimized_Access := \'TRUE\' \}\nVERSION : 0\.1\n',
+        text,
+    )
+    order = ["FUNCTION_BLOCK", "VAR_INPUT", "VAR_OUTPUT", "VAR CONSTANT", "BEGIN",
+             "END_FUNCTION_BLOCK", "DATA_BLOCK", "END_DATA_BLOCK", "ORGANIZATION_BLOCK",
+             "END_ORGANIZATION_BLOCK"]  # fmt: skip
+    places = [re.search(rf"^\s*{word}\b", text, re.MULTILINE) for word in order]
+    starts = [match.start() for match in places if match]
+    assert len(starts) == len(order)
+    assert starts == sorted(starts)
+    assert "%" not in text, "tags are symbolic"
+
+
+def test_every_name_is_declared_and_every_tag_is_in_the_table() -> None:
+    text = source()
+    block = text[: text.index("END_FUNCTION_BLOCK")]
+    declared = dict(re.findall(r"^    (\w+) : (\w+)", block, re.MULTILINE))
+    assert set(declared.values()) <= set(TYPES)
+    body = re.sub(r"'[^']*'", "''", block[block.index("\nBEGIN\n") :])
+    used = set(re.findall(r"(?<!T)#(\w+)", body))
+    assert used <= set(declared)
+    bare = re.sub(r"\(\*.*?\*\)|#\w+(\.\w+)?|T#\w+", "", body)
+    assert not set(re.findall(r"\b[a-z]\w*", bare)), "a local name without its #"
+    tags = emitted("letter-placer", "zv", "scl")["tags.csv"].decode("ascii").splitlines()[1:]
+    named = {line.split(",")[0]: line.split(",")[2] for line in tags}
+    call = text[text.index("ORGANIZATION_BLOCK") :]
+    assert set(re.findall(r'[:=]=?>? "(\w+)"', call)) == set(named)
+    assert named["light_grid"] == "%I0.0"
+    assert named["x_right_a1"] == "%Q0.2"
+    assert len(set(named.values())) == 26
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+def test_the_body_runs_the_cycle_as_the_structured_text_does(jitter: float) -> None:
+    units = read_in_parts(undressed(source()))
+    bench = homed(Plc(units), 10_000, jitter)
+    bench.press("start_button")
+    seen: list[set[str]] = []
+    while bench.block["busy"]:
+        seen.append(bench.scan())
+        assert not forbidden(seen[-1], bench.cell)
+    assert bench.block["finished"]
+    other = homed(Plc(read_in_parts(text_of("letter-placer", "zv"))), 10_000, jitter)
+    other.press("start_button")
+    assert seen == [other.scan() for _ in seen]
