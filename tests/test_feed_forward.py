@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -329,3 +330,11 @@ def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys
         assert found[key]["measured"] == pytest.approx(proved[key]["measured"], rel=1e-3)
     code, _, err = run(capsys, *judging, "--smoothing", "40 ms")
     assert code == 2 and "--smoothing is of --feed-forward" in err
+
+
+def test_a_machine_without_controllers_is_told_so(examples: Path) -> None:
+    """Feed-forward goes in as references of a controller: a stepper has none."""
+    machine = load_machine("stepper-winder")
+    job = read_job(examples / "x-180.prg", machine)
+    with pytest.raises(OptionError, match=r"--feed-forward .* stepper-winder has none: drives"):
+        plan_job(job, machine, Options(feed_forward_s=0.02))

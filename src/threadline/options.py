@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode
@@ -379,9 +379,12 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
     OptionError
         If one is given.
     """
-    if replace(options, shaper=None, shaper_mode=None, shaper_damping=None) != Options():
+    axes = [f.name for f in fields(Options) if not f.name.startswith("shaper")]
+    given = [name for name in axes if getattr(options, name) != getattr(Options(), name)]
+    if given:
+        unitless = (name.removesuffix("_m").removesuffix("_s") for name in given)
+        names = ["--" + n.replace("limit_share", "limits").replace("_", "-") for n in unitless]
         raise OptionError(
-            f"{machine.name} switches on and off: it has no interpolation, feed, tolerance or "
-            "share of limits to choose",
-            remedy="Leave these options out; a shaper may be given.",
+            f"{', '.join(names)}: {machine.name} switches on and off, which has none of that",
+            remedy="Leave it out; a shaper may be given.",
         )

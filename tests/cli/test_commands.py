@@ -111,7 +111,13 @@ def test_wrong_options_exit_with_two_and_one_line(
     [
         ("compile", "letter-cycle.toml", ["--mode", "3 Hz"], ["Give --shaper too"]),
         ("compile", "letter-cycle.toml", ["--shaper", "zv", "--mode", "0 Hz"], ["positive"]),
-        ("compile", "letter-cycle.toml", ["--limits", "50 %"], ["switches on and off"]),
+        (
+            "compile",
+            "letter-cycle.toml",
+            ["--limits", "50 %"],
+            ["--limits: ", "switches on and off"],
+        ),
+        ("fastest", "letter-cycle.toml", ["--feed-forward"], ["--feed-forward: letter-placer"]),
         ("compile", "x-180.prg", ["--shaper", "zv:12Hz", "--mode", "3 Hz"], ['"zv:12Hz:0.02"']),
         ("compile", "x-180.prg", ["--feed-forward", "--smoothing", ""], ["not a number"]),
         ("fastest", "strap.seam.toml", ["--smoothing", "36 ms"], ["Give --feed-forward too"]),

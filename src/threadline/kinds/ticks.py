@@ -67,6 +67,12 @@ def _check_options(machine: Machine, options: Options) -> None:
             f"feed {text!r}: {machine.name} has no shaft that turns a stitch at a time",
             remedy=f'The needle speed of a seam stands in its file: needle_speed = "{text}".',
         )
+    if options.following is Following.LOAD and machine.position_sources:
+        raise OptionError(
+            f"--feed-forward goes in through the controllers of the axes, and {machine.name} has "
+            f"none: drives.{next(iter(machine.position_sources))} is told positions",
+            remedy="Leave it out; --shaper keeps the load from ringing.",
+        )
     if options.following is Following.LOAD and options.timing.shaper is not None:
         raise OptionError(
             "a shaper and feed-forward exclude each other: the inverse leaves nothing to shape",
