@@ -288,51 +288,60 @@ def tables_of(machine: Machine, law: Law, window_s: Fraction) -> tuple[StepTable
 def _rows(job: Job, pace: Pace) -> dict[str, Any]:
     """Return the columns of the turns: long travels in several turns, and a stop behind them."""
     unit, longest = pace.tables.unit.si, pace.tables.longest_units
-    at = np.zeros(len(job.axes), dtype=np.int64)
+    at: IntArray = np.zeros((1, len(job.axes)), dtype=np.int64)
     units: list[IntArray] = []
-    columns: list[tuple[int, int, int, int, int]] = []  # needle, operation, line, stitch, block
+    columns: list[IntArray] = []  # needle, operation, line, stitch, block
     events: list[Event] = []
-    index = 0
+    index = turns = 0
     for item in job.runs():
         if not isinstance(item, MoveRun):
             if isinstance(item, ToolEvent):
-                events.append(
-                    Event(tick=len(columns), kind="tool", operation=index, name=item.name)
-                )
+                events.append(Event(tick=turns, kind="tool", operation=index, name=item.name))
             elif isinstance(item, Stop) and item.final:
-                events.append(Event(tick=len(columns), kind="end", operation=index))
+                events.append(Event(tick=turns, kind="end", operation=index))
             index += 1
             continue
-        places = np.rint(item.targets / unit).astype(np.int64)
-        off = np.abs(item.targets / unit - places).max(axis=1)
-        if (off > _WHOLE).any():
-            wrong = int(np.argmax(off > _WHOLE))
-            raise PlanError(
-                f"a stitch at {item.targets[wrong] * 1e3} mm is between the units of "
-                f"{unit * 1e3:g} mm in which the machine moves",
-                place=Place(item.file, int(item.line[wrong])),
-                remedy="Scale the design, or take a machine with a finer unit.",
-            )
-        for target, line, number, block in zip(
-            places, item.line.tolist(), item.columns["stitch"].tolist(),
-            item.columns["block"].tolist(), strict=True,
-        ):  # fmt: skip
-            way = target - at
-            parts = 1 if number else max(1, -(-int(np.abs(way).max()) // longest))
-            ends = np.rint(np.outer(np.arange(1, parts + 1) / parts, way)).astype(np.int64)
-            units += list(np.diff(ends, axis=0, prepend=0 * way[None]))
-            columns += [(int(number > 0), index, line, number, block)] * parts
-            at = target
-            index += 1
-    table = np.array(columns, dtype=np.int64)
+        places = _on_grid(item, unit)
+        way = np.diff(places, axis=0, prepend=at)
+        stitch = np.asarray(item.columns["stitch"], dtype=np.int64)
+        most = np.abs(way).max(axis=1)
+        parts = np.where(stitch > 0, 1, np.maximum(1, -(-most // longest)))
+        of = np.repeat(np.arange(len(way)), parts)
+        number = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+        ends = [
+            np.rint(((number + more) / parts[of])[:, None] * way[of]).astype(np.int64)
+            for more in (0, 1)
+        ]
+        units.append(ends[1] - ends[0])
+        block = np.asarray(item.columns["block"], dtype=np.int64)
+        row = (stitch > 0, index + np.arange(len(way)), item.line, stitch, block)
+        columns.append(np.stack(row, axis=1).astype(np.int64)[of])
+        at = places[-1:]
+        index, turns = index + len(way), turns + len(of)
+    table = np.concatenate(columns)
     return {
-        "moves": Moves(units=np.array(units, dtype=np.int64), needle=table[:, 0]),
+        "moves": Moves(units=np.concatenate(units), needle=table[:, 0]),
         "operation": table[:, 1],
         "line": table[:, 2],
         "stitch": table[:, 3],
         "block": table[:, 4],
         "events": tuple(events),
     }
+
+
+def _on_grid(item: MoveRun, unit_m: float) -> IntArray:
+    """Return the (n, A) places of a run in units of the machine."""
+    places = np.rint(item.targets / unit_m).astype(np.int64)
+    off = np.abs(item.targets / unit_m - places).max(axis=1)
+    if (off > _WHOLE).any():
+        wrong = int(np.argmax(off > _WHOLE))
+        raise PlanError(
+            f"a stitch at {item.targets[wrong] * 1e3} mm is between the units of "
+            f"{unit_m * 1e3:g} mm in which the machine moves",
+            place=Place(item.file, int(item.line[wrong])),
+            remedy="Scale the design, or take a machine with a finer unit.",
+        )
+    return places
 
 
 def _check_budget(machine: Machine, seconds: float) -> None:

@@ -8,6 +8,7 @@ to the first stitch, or that no stitch ends, is travel with the needle up.
 from __future__ import annotations
 
 import hashlib
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -95,7 +96,10 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
 
 @dataclass(slots=True)
 class _Merged:
-    """Moves and events as they come out of the records; times of the needle are counted."""
+    """Moves and events as they come out of the records; times of the needle are counted.
+
+    Numbers are kept in rows of arrays: X and Y of each target, and line, stitch and block.
+    """
 
     file: str
     longest_m: float
@@ -104,8 +108,8 @@ class _Merged:
     block: int = 1
     still: int = 0
     jumped: bool = False
-    targets: list[tuple[float, float]] = field(default_factory=list)
-    rows: list[tuple[int, int, int]] = field(default_factory=list)  # line, stitch, block
+    targets: array[float] = field(default_factory=lambda: array("d"))
+    rows: array[int] = field(default_factory=lambda: array("q"))
     events: list[tuple[int, str, int]] = field(default_factory=list)  # moves before, name, line
 
     def take(self, line: int, to: tuple[float, float], act: Act) -> None:
@@ -123,7 +127,7 @@ class _Merged:
         if act is Act.END:
             return
         name = EVENTS[act]
-        self.events.append((len(self.rows), name, line))
+        self.events.append((self.moves, name, line))
         if name == "colour" and self.stitches:
             self.block += 1
 
@@ -141,14 +145,20 @@ class _Merged:
         elif way == 0.0 and self.stitches:
             self.still += 1
         self.stitches += 1
-        self.targets.append(to)
-        self.rows.append((line, self.stitches, self.block))
-        self.at = to
+        self._move(line, self.stitches, to)
 
     def _travel(self, line: int, to: tuple[float, float]) -> None:
-        self.targets.append(to)
-        self.rows.append((line, 0, self.block))
+        self._move(line, 0, to)
+
+    def _move(self, line: int, stitch: int, to: tuple[float, float]) -> None:
+        self.targets.extend(to)
+        self.rows.extend((line, stitch, self.block))
         self.at = to
+
+    @property
+    def moves(self) -> int:
+        """How many moves there are."""
+        return len(self.targets) // 2
 
     def operations(self) -> Iterator[Operation | MoveRun]:
         """Return moves in runs, events between them, and the end."""
@@ -157,15 +167,17 @@ class _Merged:
             yield from self._runs(first, before)
             yield ToolEvent(name, 0.0, Source(self.file, line))
             first = before
-        yield from self._runs(first, len(self.rows))
-        yield Stop(final=True, source=Source(self.file, self.rows[-1][0]))
+        yield from self._runs(first, self.moves)
+        yield Stop(final=True, source=Source(self.file, self.rows[-3]))
 
     def _runs(self, first: int, end: int) -> Iterator[MoveRun]:
+        targets = np.array(self.targets, dtype=np.float64).reshape(-1, 2)
+        numbers = np.array(self.rows, dtype=np.int64).reshape(-1, 3)
         for begin in range(first, end, _LONGEST_RUN):
             part = slice(begin, min(begin + _LONGEST_RUN, end))
-            rows = np.array(self.rows[part], dtype=np.int64)
+            rows = numbers[part]
             yield MoveRun(
-                targets=np.array(self.targets[part], dtype=np.float64),
+                targets=targets[part],
                 line=rows[:, 0],
                 feeds=((0, None),),
                 file=self.file,
