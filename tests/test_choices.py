@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.path.builders import job_of
+from threadline.described import describe, options_from
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.options import Options
+from threadline.options import Options, options_of
 from threadline.path import CHORDS, chord_path, plan_path, programmed_path
 from threadline.path.plan import KEEPING_TOLERANCE, interpolation_names
 from threadline.pipeline import plan_job
@@ -82,3 +83,33 @@ def test_a_plan_says_what_follows_and_what_was_intended() -> None:
     assert {demand.axis for demand in led.demands} == {"X"}
     assert led.path.interpolation == CHORDS
     assert not led.historical
+
+
+def test_the_contour_is_of_optimal_followed_by_motors() -> None:
+    """0.3 mm unless told otherwise; loads that follow, and other paths, are not asked for it."""
+    assert Options(interpolation="optimal").timing.contour_m == 3e-4
+    assert Options().timing.contour_m == np.inf
+    assert Options(interpolation="optimal", feed_forward_s=0.01).timing.contour_m == np.inf
+    named = options_of("optimal", None, "0.1 mm", contour="50 um")
+    assert named.timing.contour_m == pytest.approx(5e-5, rel=1e-12)
+    assert options_of("optimal", None, "0.1 mm", contour="none").timing.contour_m == np.inf
+    for words in ({"interpolation": "auto"}, {"interpolation": "optimal", "feed_forward": True}):
+        with pytest.raises(OptionError, match="bounds what loops make of optimal"):
+            options_of(feed=None, tolerance="0.1 mm", contour="0.3 mm", **words)
+    for text in ("0 mm", "-1 mm", "0.9 um"):
+        with pytest.raises(OptionError, match="at least 1 um"):
+            options_of("optimal", None, "0.1 mm", contour=text)
+
+
+def test_the_contour_is_told_and_read_again() -> None:
+    job = job_of(POINTS, ("X",), FEED)
+    for contour_m in (None, 5e-5, np.inf):
+        options = Options(interpolation="optimal", contour_m=contour_m)
+        told = describe(job, MACHINE, options)
+        assert options_from(told).timing == options.timing
+    assert "contour" not in describe(job, MACHINE, Options())
+
+
+def test_feed_forward_smooths_optimal_less() -> None:
+    assert options_of("auto", None, "0.1 mm", feed_forward=True).feed_forward_s == 0.04
+    assert options_of("optimal", None, "0.1 mm", feed_forward=True).feed_forward_s == 0.01

@@ -24,6 +24,8 @@ NO_CONTOUR = "none"
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
 """Over which feed-forward smooths the motion unless told otherwise."""
+OPTIMAL_FEED_FORWARD = "10 ms"
+"""The same of ``optimal``, whose acceleration does not step."""
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
 """What ``describe`` says of machines with axes, and means nothing on one that switches."""
@@ -355,6 +357,7 @@ def options_of(
             f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of {what}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL} without --feed-forward.",
         )
+    width = OPTIMAL_FEED_FORWARD if interpolation == OPTIMAL else FEED_FORWARD
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
@@ -364,7 +367,7 @@ def options_of(
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,
-        feed_forward_s=parse_width_s(FEED_FORWARD if smoothing is None else smoothing)
+        feed_forward_s=parse_width_s(width if smoothing is None else smoothing)
         if feed_forward
         else None,
         contour_m=None if contour is None else parse_contour_m(contour),

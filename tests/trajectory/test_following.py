@@ -98,6 +98,15 @@ def test_the_contour_is_kept_where_the_program_rests():
     assert max(peak.ratio for peak in limit_peaks(plan.motion.trajectory, WINDER)) <= 1.001
 
 
+def test_loads_that_follow_are_not_slowed_for_their_loops():
+    """The inverse of the loops, within the drives: no sample at the clamp, and half the time."""
+    motors, _ = proved(CORNERS)
+    loads, found = proved(CORNERS, feed_forward_s=0.01)
+    assert worst(found, "contour_error") <= 0.45e-3
+    assert worst(found, "dac_saturation") == 0.0
+    assert loads.duration_s < 0.75 * motors.duration_s
+
+
 def test_no_slowness_helps_where_the_loads_never_come_near():
     """A stop without warning from 1 m/s: the load is on its way past it, whatever comes next."""
     follower = Follower(answers=(answers_of(WINDER)["X"],), radius_m=np.ones(1), tolerance_m=1e-4)

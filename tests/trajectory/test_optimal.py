@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.path.builders import job_of, polylines
 from tests.trajectory.builders import without_drives
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
+from threadline.laws import shortest_move
 from threadline.machine import load_machine
 from threadline.path import path_deviation, plan_path, programmed_path
 from threadline.trajectory import limit_peaks, plan_trajectory
@@ -35,22 +36,6 @@ def straight(length, velocity, acceleration, jerk, gap=1e-4):
     return fastest(elements, limits, gap), limits
 
 
-def rest_to_rest_s(length, velocity, acceleration, jerk):
-    """Seven phases of constant jerk, with those that vanish (Biagiotti and Melchiorri, 2008)."""
-    ramp = min(acceleration / jerk, np.sqrt(velocity / jerk))
-    peak = jerk * ramp
-    to_top = velocity / peak + ramp
-    if velocity * to_top <= length:
-        return length / velocity + to_top
-    if np.isfinite(jerk) and length < 2.0 * acceleration**3 / jerk**2:
-        return 4.0 * (length / (2.0 * jerk)) ** (1.0 / 3.0)
-    ramp = acceleration / jerk
-    speed = 0.5 * (
-        -acceleration * ramp + np.sqrt((acceleration * ramp) ** 2 + 4 * acceleration * length)
-    )
-    return 2.0 * (speed / acceleration + ramp)
-
-
 @pytest.mark.parametrize(
     ("length", "velocity", "acceleration", "jerk", "printed_s"),
     [
@@ -64,7 +49,7 @@ def test_rest_to_rest_takes_the_time_of_the_closed_form(
     length, velocity, acceleration, jerk, printed_s
 ):
     """Never less than the least, and within 0.5 % of it: what the finest elements still lose."""
-    least_s = rest_to_rest_s(length, velocity, acceleration, jerk)
+    least_s = shortest_move(length, velocity, acceleration, jerk).duration_s
     if printed_s is not None:
         assert least_s == pytest.approx(printed_s, abs=6e-6)
     solution, limits = straight(length, velocity, acceleration, jerk)
@@ -187,7 +172,7 @@ def test_a_machine_without_a_jerk_limit_has_the_shorter_time():
     x = replace(WINDER.axes["X"], jerk=replace(WINDER.axes["X"].jerk, si=np.inf))
     free = replace(WINDER, axes={**WINDER.axes, "X": x})
     _, _, unlimited = plan(("X",), [[0.0], [0.1]], machine=free)
-    least_s = rest_to_rest_s(0.1, 1.0, 10.5, 1e12)
+    least_s = shortest_move(0.1, 1.0, 10.5).duration_s
     assert least_s <= unlimited.duration_s < min(limited.duration_s, 1.004 * least_s)
 
 

@@ -135,7 +135,8 @@ FeedForwardOption = Annotated[
 SmoothingOption = Annotated[
     str | None,
     typer.Option(
-        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}".'
+        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}", of '
+        f'optimal "{planning.OPTIMAL_FEED_FORWARD}".'
     ),
 ]
 ActualOption = Annotated[

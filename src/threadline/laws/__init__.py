@@ -13,6 +13,7 @@ from threadline.laws.catalogue import (
 from threadline.laws.extremes import extremes, measured_law, refuse_descent
 from threadline.laws.forms import Form, Pieces
 from threadline.laws.law import Law, gauss
+from threadline.laws.shortest import ShortestMove, shortest_move
 from threadline.laws.spline import law_of_velocity
 from threadline.laws.table import law_through, read_law, write_law
 
@@ -22,6 +23,7 @@ __all__ = [
     "Form",
     "Law",
     "Pieces",
+    "ShortestMove",
     "extremes",
     "gauss",
     "harmonic",
@@ -33,6 +35,7 @@ __all__ = [
     "modified_constant_velocity",
     "read_law",
     "refuse_descent",
+    "shortest_move",
     "trapezoid",
     "trapezoidal_acceleration",
     "write_law",
