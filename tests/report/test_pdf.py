@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from pypdf import PageObject, PdfReader
 
 from threadline.report.document import Document, Table
+from threadline.report.figures import PROFILE_IN
 from threadline.report.pdf import write_pdf
 from threadline.report.pdf_tables import columns_of
 from threadline.report.style import figure_style
@@ -137,6 +138,16 @@ def test_figures_stand_whole_on_their_page_above_their_caption(pages: list[PageO
         assert caption_y < title_y < A4_PT[1] - 40.0
         if number in (0, 1):  # as far apart as the figure is high, but for a line or two
             assert title_y - caption_y == pytest.approx(72.0 * (3.0, 6.8)[number], abs=15.0)
+
+
+def test_two_profiles_stand_on_a_page(tmp_path: Path) -> None:
+    """The first stands below the title, the others on the page after it."""
+    texts = [
+        page.extract_text()
+        for page in written(document((), [PROFILE_IN[1]] * 3), tmp_path / "r.pdf")
+    ]
+    assert "Caption of f0" in texts[0]
+    assert "Caption of f1" in texts[1] and "Caption of f2" in texts[1]
 
 
 def test_a_wide_table_is_cut_into_tables_that_begin_with_its_first_column(tmp_path: Path) -> None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 DEGREES = 180.0 / np.pi
 
+PROFILE_IN = (7.2, 4.6)
+"""Size of the profile of an axis, inches: two of them stand on a page of paper."""
 _BAR_IN = 0.19  # inches of a bar with its label, which must not touch the next
 
 
@@ -143,7 +145,7 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
     """Draw displacement, velocity and acceleration of one axis, planned and actual."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 6.6))
+    figure = Figure(figsize=PROFILE_IN)
     rows = figure.subplots(3, 1, sharex=True)
     factor, unit = display(proof, axis)
     limits = proof.plan.machine.axes[axis]
@@ -156,7 +158,7 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
         panel: Axes = rows[row]
         panel.plot(traces.time_s, planned[:, row] * factor, label="planned", **PLANNED)
         panel.plot(traces.time_s, actual[row] * factor, label="actual", **ACTUAL)
-        panel.set_ylabel(f"{name} [{shown_unit}]")
+        panel.set_ylabel(f"{name} [{shown_unit}]", fontsize=7.5)
         if bound is not None and _near(planned[:, row], actual[row], bound):
             for sign in (-1.0, 1.0):
                 label = "limit" if sign > 0 else None

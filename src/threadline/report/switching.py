@@ -67,8 +67,8 @@ def write_switching(proof: Proof, folder: Path) -> Path:
     with figure_style():
         figures = {
             "residual": residual_figure(proof, unshaped),
-            "cycle": cycle_figure(proof),
             "frame": frame_figure(proof, unshaped),
+            "cycle": cycle_figure(proof),
         }
         # Every cylinder starts drawn in: what moves at all moves forward first.
         forward = [move for move in plan.scheduled.moves if move.forward]
