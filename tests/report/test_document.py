@@ -57,7 +57,13 @@ def test_the_printer_gets_every_column_and_no_scroll_bar(tmp_path) -> None:
         title='say "a"</style>',
         subtitle="b",
         verdicts=[("OUT OF SPEC (nominal: 1 run)", False)],
-        tables=[Table(title="t", header=("a", "note"), rows=[("x", "y")])],
+        tables=[
+            Table(
+                title="t",
+                header=("a", "note"),
+                rows=[("x", "a note that may be broken into lines")],
+            )
+        ],
         figures={},
         captions={},
         facts=[],
@@ -71,7 +77,12 @@ def test_the_printer_gets_every_column_and_no_scroll_bar(tmp_path) -> None:
     assert "th, td { white-space: normal;" in printer
     assert "h1, h2 { break-after: avoid; }" in printer
     assert "thead { display: table-header-group; }" in printer
-    assert "auto" not in printer and "nowrap" not in printer
+    assert "auto" not in printer
+    assert "td.short { white-space: nowrap; }" in printer
+    assert re.findall(r'class="([^"]*)">([^<]*)</td>', page)[:2] == [
+        ("left short", "x"),
+        ("left note", "a note that may be broken into lines"),
+    ]
     assert "A4 portrait" in paper
     assert '"OUT OF SPEC (nominal: 1 run)"' in paper
     assert 'counter(page) " of " counter(pages)' in paper
