@@ -15,7 +15,7 @@ from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
-from threadline.pipeline import Proof, prove
+from threadline.pipeline import Proof, Trials, prove
 from threadline.report import write_report
 from threadline.units import parse_quantity
 from threadline.verdict import load_spec, verdict_json
@@ -39,7 +39,8 @@ def proof_of(
     job = folder / name
     job.write_text(text)
     loaded = load_machine(machine)
-    return prove(job, loaded, load_spec(None, loaded), options, repeats=runs)
+    trials = Trials(repeats=runs)
+    return prove(job, loaded, load_spec(None, loaded), options, trials=trials)
 
 
 def winder(folder: Path) -> Proof:
@@ -134,6 +135,8 @@ def test_json_terminal_screen_and_paper_tell_the_same(
         assert any(all(word in text for word in words) for text in terminal.splitlines())
         assert any(" ".join(words) in text for text in paper)
 
+    several = f"Drawn is the first of {told['runs']} runs"
+    assert (several in page) == (told["runs"] > 1)
     word = "IN SPEC" if told["passed"] else "OUT OF SPEC"
     level = f"{told['level']}: {told['runs']} run"
     (verdict,) = re.findall(r'<span class="verdict (?:passed|failed)">(.*?)</span>', page)

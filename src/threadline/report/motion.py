@@ -44,6 +44,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
         if seam is not None:
             figures = {"seam": seam, **figures}
         thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
+        thinned += first_run_words(proof.verdict.runs)
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
@@ -152,6 +153,13 @@ def summary_facts(proof: Proof) -> list[tuple[str, str]]:
     """Return what the planner says of its path."""
     summary = proof.plan.motion.path.summary
     return [(key, f"{without_noise(value):g}") for key, value in summary.items()]
+
+
+def first_run_words(runs: int) -> str:
+    """Return what the captions say where a verdict is of several runs; empty for one."""
+    if runs == 1:
+        return ""
+    return f" Drawn is the first of {runs} runs; what is marked as worst is the worst of all."
 
 
 def thinned_words(stride: int) -> str:
