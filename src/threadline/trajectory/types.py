@@ -100,11 +100,14 @@ class Trajectory:
         moved = False
         for block in self.blocks:
             end_s = block.end_s
-            moving = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
-            if moving.any():
-                begin_s = moves_s[0] if moved else float(block.start_s[moving][0])
-                moves_s = begin_s, float((block.start_s + block.duration_s)[moving][-1])
-                moved = True
+            if moved and block.coefficients[-1, 1:].any():  # by far the most often
+                moves_s = moves_s[0], end_s
+            else:
+                moving = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
+                if moving.any():
+                    begin_s = moves_s[0] if moved else float(block.start_s[moving][0])
+                    moves_s = begin_s, float((block.start_s + block.duration_s)[moving][-1])
+                    moved = True
             yield block
         self.__dict__[_SPAN] = end_s, moves_s
 
