@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
-from threadline.shaping.onoff.model import Command, RestToRest, simulate
+from threadline.shaping.onoff.model import Command, RestToRest, simulate, worst_ringing
+from threadline.shaping.onoff.switched import switched_command
 from threadline.shaping.types import FlexibleMode
 
 
@@ -77,3 +78,26 @@ def test_half_a_move_and_impossible_numbers_are_refused() -> None:
 def test_a_move_needs_a_positive_distance() -> None:
     with pytest.raises(ValueError, match="distance_m must be positive"):
         RestToRest(0.0, 1.0, (FlexibleMode(3.04),))
+
+
+def test_on_off_levels_hold_as_long_as_the_valves_need() -> None:
+    """Without the dwell the command for the same demand holds levels for a single tick."""
+    move = RestToRest(0.2, 1.0, (FlexibleMode(3.04),))
+    shortest = {}
+    for dwell in (1, 2):
+        command = switched_command(
+            move, relative=0.2, tolerance=0.3, tick_s=0.01, ticks=117, dwell_ticks=dwell
+        )
+        assert command is not None
+        edges = np.flatnonzero(np.diff(command.levels, prepend=0.0, append=0.0))
+        shortest[dwell] = int(np.diff(edges).min())
+        assert worst_ringing(command, move.modes, 0.2) <= 0.3
+        end = simulate(command, move.modes[0], 1.0)
+        assert end[:2] == pytest.approx([0.2, 0.0], abs=1e-9)
+    assert shortest == {1: 1, 2: 2}
+
+
+def test_valves_slower_than_the_move_are_refused() -> None:
+    code, out, errors = run("--kind", "zv", "--tick", "10ms", "--dwell", "900ms", *MOVE)
+    assert (code, out) == (2, "")
+    assert "the valves need 0.9 s between two switchings" in errors

@@ -177,6 +177,7 @@ def shaper(
                 relative=tuple(one or _SI_BAND for one in bands),
                 tolerance=_STILL if still is None else still,
                 tick_s=tick_s,
+                dwell_s=0.0 if dwell is None else parse_number("--dwell", dwell, "s", "20 ms"),
                 progress=progress,
             )
     answer = _Answer(

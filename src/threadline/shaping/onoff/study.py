@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from threadline.errors import OptionError
 from threadline.shaping.onoff.model import Command, PerMode, RestToRest, per_mode
 from threadline.shaping.onoff.optimal import time_optimal
 from threadline.shaping.onoff.robust import ShapedMove, beside, robust_optimum
@@ -58,6 +59,7 @@ def study_move(
     relative: PerMode,
     tolerance: PerMode,
     tick_s: float | None = None,
+    dwell_s: float = 0.0,
     progress: Callable[[str, float], None] | None = None,
 ) -> MoveStudy:
     """Return the study of ``move`` with ``shaper``.
@@ -71,6 +73,8 @@ def study_move(
         one each.
     tick_s
         Of the controller that is to switch; None leaves the search out.
+    dwell_s
+        Shortest time between two changes of the level; 0 for none.
     progress
         Called with what is being done and the fraction that is done.
 
@@ -96,11 +100,24 @@ def study_move(
         bound = math.ceil(robust.duration_s / tick_s - 1e-9)
         coarse = range(first, bound, max(1, (bound - first) // 6))
         durations = (*coarse, *range(bound, last + 1))
+        dwell_ticks = max(1, math.ceil(dwell_s / tick_s - 1e-9))
+        if 2 * dwell_ticks > last:
+            raise OptionError(
+                f"on/off command: the valves need {dwell_s:g} s between two switchings, and the "
+                f"move takes {robust.duration_s:.4g} s",
+                remedy="A command needs room for two stretches: take quicker valves or leave "
+                "--dwell out.",
+            )
         for done, ticks in enumerate(durations):
             if progress is not None:
                 progress(f"searching on/off commands of {ticks} ticks", done / len(durations))
             front += residual_front(
-                move, relative=relative, tolerance=tolerance, tick_s=tick_s, ticks=[ticks]
+                move,
+                relative=relative,
+                tolerance=tolerance,
+                tick_s=tick_s,
+                ticks=[ticks],
+                dwell_ticks=dwell_ticks,
             )
             if front[-1].command is not None:
                 break

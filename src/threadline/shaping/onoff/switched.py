@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.shaping.onoff.model import (
     Command,
@@ -27,6 +28,7 @@ from threadline.shaping.onoff.model import (
 from threadline.shaping.onoff.robust import least_ringing
 
 DEFAULT_NODES = 3000
+_MORE_NODES = 4  # times as many where changes must keep apart: twice as many unknowns
 _SWEEP = 11
 _ROUNDS = 4
 
@@ -61,6 +63,7 @@ def switched_command(
     tolerance: PerMode,
     tick_s: float,
     ticks: int,
+    dwell_ticks: int = 1,
     nodes: int = DEFAULT_NODES,
 ) -> Command | None:
     """On/off command of ``ticks`` whole ticks that rings at most ``tolerance`` over the band.
@@ -72,6 +75,8 @@ def switched_command(
     tick_s, ticks
         The controller's tick, s, and the duration in ticks. The distance is met to 1e-9 of it,
         so it must be a whole number of half acceleration x tick^2; else there is none.
+    dwell_ticks
+        Fewest ticks between two changes of the level: what the valves need.
     nodes
         Of the tree of each integer program, at most: the same on every machine, however loaded,
         which a limit of time would not be.
@@ -105,19 +110,24 @@ def switched_command(
             rows += [one_half.real, one_half.imag]
         band = np.vstack(rows)
         band = band[np.abs(band).max(axis=1) * min(allowed) > 1e-9]
+        more, size = _apart(half, ticks, dwell_ticks)
+        empty = np.zeros((len(band), size - half))
         found = milp(
-            np.zeros(half),
+            np.zeros(size),
             constraints=[
-                LinearConstraint(band, -share, share),
-                LinearConstraint(reach[None, :], target, target),
+                LinearConstraint(np.hstack((band, empty)), -share, share),
+                LinearConstraint(
+                    np.pad(reach[None, :], ((0, 0), (0, size - half))), target, target
+                ),
+                *([] if more is None else [LinearConstraint(more[0], -np.inf, more[1])]),
             ],
-            integrality=np.ones(half, dtype=np.int64),
-            bounds=Bounds(-np.ones(half), np.ones(half)),
+            integrality=np.ones(size, dtype=np.int64),
+            bounds=Bounds(np.repeat([-1.0, 0.0], [half, size - half]), np.ones(size)),
             options={"node_limit": nodes},
         )
         if found.x is None:
             return None
-        first = np.rint(found.x)
+        first = np.rint(found.x[:half])
         middle = np.zeros(ticks % 2)
         command = Command(edges, np.concatenate((first, middle, -first[::-1])))
         reached = float(distance @ command.levels) * move.acceleration_m_s2
@@ -129,6 +139,38 @@ def switched_command(
     return None
 
 
+def _apart(half: int, ticks: int, dwell: int) -> tuple[tuple[FloatArray, FloatArray] | None, int]:
+    """Return rows and bounds that keep changes of the level apart, and how many unknowns there are.
+
+    Beside the levels of the first half stands, for each edge from the first to the one behind the
+    last of them, whether the level changes there. Of ``dwell`` edges in a row one may; about the
+    middle, where the command turns into its mirror image, an edge and its image count as two.
+    """
+    if dwell <= 1:
+        return None, half
+    size = 2 * half + 1
+    steps = np.zeros((half + 1, size))
+    steps[:half, :half] = np.eye(half) - np.eye(half, k=-1)
+    steps[half, half - 1] = 1.0  # to the mirror image, or to the 0 in the middle
+    marks = np.hstack((np.zeros((half + 1, half)), 2.0 * np.eye(half + 1)))
+    rows = [steps - marks, -steps - marks]
+    bounds = [np.zeros(2 * (half + 1))]
+    for first in range(half + 1):
+        window = np.zeros((1, size))
+        window[0, half + first : half + min(first + dwell, half + 1)] = 1.0
+        rows.append(window)
+        bounds.append(np.ones(1))
+    for back in range(half + 1):
+        # Its image is as far behind the middle; an odd command has a tick of 0 there.
+        between = 2 * back + ticks % 2
+        if 0 < between < dwell:
+            near = np.zeros((1, size))
+            near[0, size - 1 - back] = 1.0
+            rows.append(near)
+            bounds.append(np.zeros(1))
+    return (np.vstack(rows), np.concatenate(bounds)), size
+
+
 def residual_front(
     move: RestToRest,
     *,
@@ -136,6 +178,7 @@ def residual_front(
     tolerance: PerMode,
     tick_s: float,
     ticks: Sequence[int],
+    dwell_ticks: int = 1,
     nodes: int = DEFAULT_NODES,
 ) -> list[FrontPoint]:
     """Residual against time: for each duration the free least and an on/off command, if found."""
@@ -153,7 +196,8 @@ def residual_front(
                 tolerance=tolerance,
                 tick_s=tick_s,
                 ticks=count,
-                nodes=nodes,
+                dwell_ticks=dwell_ticks,
+                nodes=nodes if dwell_ticks <= 1 else _MORE_NODES * nodes,
             )
         points.append(
             FrontPoint(
