@@ -46,7 +46,12 @@ from threadline.writing import is_stdout, together
 def compile_(
     job: JobArgument,
     machine: MachineOption,
-    target: Annotated[str, typer.Option(help="ticks, csv, npz, nc, st, plcopen or scl.")],
+    target: Annotated[
+        str,
+        typer.Option(
+            help="ticks, csv, npz, nc, grbl, fluidnc, marlin, linuxcnc, fanuc, st, plcopen, scl."
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     law: LawOption = None,
@@ -135,6 +140,9 @@ def compile_(
         tell = note if is_stdout(out) else say
         for file in files:
             tell(f"{file.sha256}  {file.path}")
+            for told in file.warnings:
+                if told not in plan.intent.warnings:
+                    note(told)
 
 
 def register(app: typer.Typer) -> None:

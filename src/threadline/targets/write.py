@@ -14,6 +14,7 @@ from threadline.signals.files.array import write_array
 from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.calculate import CompiledPlan
+from threadline.targets.firmware_program import BOARDS, write_firmware_program
 from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen
@@ -91,12 +92,22 @@ def _of_table(writer: TableWriter) -> Target:
     return Target(write=lambda plan, path: [writer(tick_table(plan.commands), path)])
 
 
+def _of_firmware(name: str) -> Target:
+    return Target(
+        write=lambda plan, path: [
+            write_firmware_program(name, plan.job, plan.motion.trajectory, plan.machine, path)
+        ],
+        takes_shaped=False,
+    )
+
+
 TICK_TARGETS: Mapping[str, Target] = {
     **{name: _of_table(writer) for name, writer in TABLES.items()},
     "nc": Target(
         write=lambda plan, path: [write_nc(plan.job, plan.motion.trajectory, plan.machine, path)],
         takes_shaped=False,
     ),
+    **{name: _of_firmware(name) for name in BOARDS},
 }
 """Targets of machines whose controllers take a row per tick."""
 SWITCH_TARGETS: Mapping[str, Target] = {

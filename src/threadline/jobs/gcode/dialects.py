@@ -44,8 +44,9 @@ _MARLIN_IDLE = (
     302, 304, 355, 420, 500, 502, 503, 810, 900,
 )  # fmt: skip
 _MARLIN_M: dict[int, MMode] = {
-    **dict.fromkeys(_MARLIN_IDLE, "idle"), 0: "stop", 1: "stop", 2: "end", 30: "end", 3: "on",
-    4: "on", 5: "off", 7: "idle", 8: "idle", 9: "idle", 400: "rest", 109: "wait", 190: "wait",
+    **dict.fromkeys(_MARLIN_IDLE, "idle"), 0: "stop", 1: "stop", 3: "on", 4: "on", 5: "off",
+    7: "idle", 8: "idle", 9: "idle", 400: "rest", 109: "wait", 190: "wait",
+    30: "idle",  # it deletes a file on the card, and ends nothing
 }  # fmt: skip
 
 

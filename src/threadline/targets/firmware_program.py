@@ -1,0 +1,371 @@
+"""The planned motion as a part program for a firmware that plans its own ramps.
+
+A firmware speeds up and slows down by itself, so that it is told where to go and how fast at most:
+chords of the planned path, as long as they stay within 0.01 mm of it, each with the greatest speed
+that was planned along it. A chord ends where the planned speed rises again after it has fallen, and
+where the job changes its feed. The text is read back in the dialect it was written in, and held
+against the plan, before there is a file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import PlanError
+from threadline.jobs.feed_times import feed_time_s
+from threadline.jobs.gcode.dialects import DIALECTS
+from threadline.jobs.gcode.f_words import RULES
+from threadline.jobs.gcode.part_program import read_part_program
+from threadline.jobs.operations import Dwell, Feed, Job, Move, Operation, Stop, ToolEvent
+from threadline.jobs.programmed_time import programmed_time_s
+from threadline.machine import Machine
+from threadline.signals.files.common import Written, atomic_file, written
+from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
+from threadline.trajectory.types import Trajectory
+
+_DECIMALS = 4  # of a millimetre or a degree
+_ROUNDED_M = 1e-7  # by how far an end that is so rounded lies off, and a little
+_MOST_POINTS = 100_000
+_RISE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """How a program for a firmware begins and ends, and what it takes.
+
+    Parameters
+    ----------
+    longest
+        Characters of a line, its end not counted.
+    bytes_s
+        Characters a second that its port takes; 0 where it reads files.
+    pause
+        The word of a dwell, and how many of its units a second has.
+    """
+
+    begin: tuple[str, ...]
+    end: tuple[str, ...]
+    longest: int
+    bytes_s: int = 0
+    pause: tuple[str, int] = ("P", 1)
+
+
+BOARDS: Mapping[str, Board] = {
+    "grbl": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520),
+    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254),
+    "marlin": Board(
+        begin=("G21", "G90"), end=("M400",), longest=95, bytes_s=11_520, pause=("P", 1000)
+    ),
+    "linuxcnc": Board(begin=("G21 G90 G94 G17", "G64 P0.01"), end=("M2",), longest=255),
+    "fanuc": Board(
+        begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
+    ),
+}
+"""By target, which is also the dialect. Serial ports are those of 115200 baud."""
+
+
+class Chord(NamedTuple):
+    """A straight move: from ``points[0]`` on past the (n, axes) points, at ``speed`` at most.
+
+    ``speed`` is in m/s as F of the target counts it.
+    """
+
+    points: FloatArray
+    speed: float
+    duration_s: float
+
+
+def write_firmware_program(
+    target: str, job: Job, trajectory: Trajectory, machine: Machine, path: Path
+) -> Written:
+    """Write a plan for a firmware; the file is there when it has been read back and found right.
+
+    Raises
+    ------
+    PlanError
+        If the job holds what the dialect has no word for, a line is too long, or what was read back
+        is not what was planned.
+    """
+    timed = planned_job(job, trajectory, machine)
+    plain = replace(machine, operator=None)
+    lines = _Lines(target, timed, job, plain)
+    with atomic_file(path) as file:
+        file.writelines(f"{line}\n".encode() for line in lines)
+        file.flush()
+        told = _read_back(target, Path(file.name), timed, job, plain, trajectory.duration_s)
+    return written(path, (f"{path.name}: {told}",))
+
+
+def chords(target: str, timed: Job, job: Job, machine: Machine) -> Iterator[Operation | Chord]:
+    """Yield the operations of a plan with its moves merged into chords.
+
+    Parameters
+    ----------
+    timed
+        Of ``planned_job``.
+    job
+        The job that was planned.
+    """
+    originals = (item for item in job if isinstance(item, Move))
+    original = next(originals, None)
+    stretch = _Stretch(np.array(job.start), target, job, machine)
+    for item in timed:
+        if not isinstance(item, Move):
+            yield from stretch.end()
+            yield item
+            continue
+        while original is not None and original.source != item.source:
+            original = next(originals, None)
+        assert item.feed is not None
+        feed = None if original is None else original.feed
+        if feed != stretch.feed or len(stretch.ends) >= _MOST_POINTS:
+            yield from stretch.end()
+            stretch.feed = feed
+        stretch.ends.append(item.target)
+        stretch.durations_s.append(1.0 / item.feed.value)
+    yield from stretch.end()
+
+
+class _Stretch:
+    """Moves in hand that follow each other at one programmed feed.
+
+    Attributes
+    ----------
+    ends, durations_s
+        Of each move.
+    feed
+        The programmed one.
+    """
+
+    def __init__(self, start: FloatArray, target: str, job: Job, machine: Machine) -> None:
+        mode, _ = RULES[DIALECTS[target].feed_rule]
+        self._unit = Feed(mode, 1.0)
+        self._axes, self._machine = job.axes, machine
+        self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
+        self._start = start
+        self.ends: list[tuple[float, ...]] = []
+        self.durations_s: list[float] = []
+        self.feed: Feed | None = None
+
+    def end(self) -> Iterator[Chord]:
+        """Yield the chords of the moves in hand and begin at their end."""
+        if not self.ends:
+            return
+        points = np.vstack([self._start, np.array(self.ends)])
+        seconds = np.array(self.durations_s)
+        lengths = feed_time_s(np.diff(points, axis=0), self._unit, self._axes, self._machine)
+        speeds = lengths / seconds
+        if self.feed is not None and self.feed.mode is self._unit.mode:
+            # Into a faster move the plan speeds up on the last of a slower one: F does not.
+            speeds = np.minimum(speeds, self.feed.value)
+        at_tool = points * self._radius_m
+        first = 0
+        for last in _humps(speeds):
+            while first < last:
+                count = _longest(at_tool[first : last + 1])
+                part = slice(first, first + count)
+                yield Chord(
+                    points[first : first + count + 1],
+                    float(speeds[part].max()),
+                    float(seconds[part].sum()),
+                )
+                first += count
+        self._start = points[-1]
+        self.ends, self.durations_s = [], []
+
+
+def _humps(speeds: FloatArray) -> Iterator[int]:
+    """Yield where each stretch of (n,) speeds ends that rises and then falls once at most."""
+    change = np.diff(speeds) / np.maximum(speeds[1:], speeds[:-1])
+    falls = False
+    for at in np.flatnonzero(np.abs(change) > _RISE).tolist():
+        if change[at] > 0.0 and falls:
+            yield at + 1
+            falls = False
+        falls = falls or bool(change[at] < 0.0)
+    yield len(speeds)
+
+
+def _longest(points: FloatArray) -> int:
+    """Return how many moves from the first of (n, axes) points on make a chord, 1 at least."""
+    most = len(points) - 1
+    good = 1
+    while good < most and _within(points[: min(2 * good, most) + 1], CHORD_TOLERANCE_M):
+        good = min(2 * good, most)
+    bad = min(2 * good, most + 1)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if middle <= most and _within(points[: middle + 1], CHORD_TOLERANCE_M):
+            good = middle
+        else:
+            bad = middle
+    return good
+
+
+def _within(points: FloatArray, most_m: float) -> bool:
+    """Say whether (n, axes) points lie along the line from first to last, in their order."""
+    way = points[-1] - points[0]
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return False
+    along = (points - points[0]) @ (way / length)
+    if (np.diff(along) < -_ROUNDED_M).any():
+        return False
+    away = points - points[0] - along[:, None] * (way / length)
+    return bool(float(np.sqrt((away**2).sum(axis=1).max())) <= most_m)
+
+
+class _Lines:
+    """The lines of a program; each moves at least one of its axes by a printed digit."""
+
+    def __init__(self, target: str, timed: Job, job: Job, machine: Machine) -> None:
+        self._target, self._timed, self._job, self._machine = target, timed, job, machine
+        self._board = BOARDS[target]
+        self._dialect = DIALECTS[target]
+        self._linear = [machine.axes[name].kind == "linear" for name in job.axes]
+
+    def __iter__(self) -> Iterator[str]:
+        at = _written_position(np.array(self._job.start), self._linear)
+        feed = ""
+        for line in self._body(at, feed):
+            if len(line) > self._board.longest:
+                raise PlanError(
+                    f"a line of {len(line)} characters: {self._target} takes {self._board.longest}",
+                    remedy="Use another target, or fewer axes.",
+                )
+            yield line
+
+    def _body(self, at: list[str], feed: str) -> Iterator[str]:
+        yield from self._board.begin
+        modal = False
+        for item in chords(self._target, self._timed, self._job, self._machine):
+            if not isinstance(item, Chord):
+                yield from self._other(item)
+                continue
+            now = _written_position(item.points[-1], self._linear)
+            words = [
+                f"{name}{self._number(text)}"
+                for name, text, before in zip(self._job.axes, now, at, strict=True)
+                if text != before
+            ]
+            if not words:
+                continue
+            at = now
+            wanted = f"{60_000.0 * item.speed:.6g}"
+            if "e" in wanted:
+                wanted = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
+            g = "" if modal and not self._dialect.each_g else "G1 "
+            modal = True
+            yield g + " ".join(words) + ("" if wanted == feed else f" F{wanted}")
+            feed = wanted
+        yield from self._board.end
+
+    def _number(self, text: str) -> str:
+        return f"{text}." if self._dialect.points and "." not in text else text
+
+    def _other(self, item: Operation) -> Iterator[str]:
+        if isinstance(item, Dwell):
+            letter, units = self._board.pause
+            text = _decimal(item.duration_s * units)
+            yield f"G4 {letter}{self._number(text)}"
+        elif isinstance(item, Stop):
+            if not item.final:
+                yield "M0"
+        elif isinstance(item, ToolEvent) and item.name == "spindle":
+            yield "M3" if item.value else "M5"
+        else:
+            raise PlanError(
+                f"{self._target} has no word for {type(item).__name__}",
+                place=item.source.place,
+                remedy="Take it out of the job.",
+            )
+
+
+def _decimal(value: float) -> str:
+    text = f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
+    return "0" if text in {"-0", ""} else text
+
+
+def _written_position(position: FloatArray, linear: list[bool]) -> list[str]:
+    return [
+        _decimal(1e3 * value if straight else math.degrees(value))
+        for value, straight in zip(position.tolist(), linear, strict=True)
+    ]
+
+
+def _read_back(
+    target: str, path: Path, timed: Job, job: Job, machine: Machine, planned_s: float
+) -> str:
+    """Hold the written program against the plan; return what it is, in words.
+
+    Raises
+    ------
+    PlanError
+        If a block of it leaves the plan by more than its chords may.
+    """
+    again = read_part_program(path, machine=machine, dialect=target)
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    radius_m = machine.radius_m[column]
+    order = [again.axes.index(axis) for axis in job.axes]
+    moves = (item for item in again if isinstance(item, Move))
+    linear = [machine.axes[name].kind == "linear" for name in job.axes]
+    at = np.array(job.start)
+    text_at = _written_position(at, linear)
+    worst_m, count = 0.0, 0
+    for chord in chords(target, timed, job, machine):
+        if not isinstance(chord, Chord):
+            continue
+        text = _written_position(chord.points[-1], linear)
+        if text != text_at:
+            text_at = text
+            move = next(moves, None)
+            if move is None:
+                raise _not_the_plan(target, "ends before it", 0.0)
+            count += 1
+            before, at = at, np.array(move.target)[order]
+            away_m = _away_m(chord.points * radius_m, before * radius_m, at * radius_m)
+            end_m = float(np.linalg.norm((at - chord.points[-1]) * radius_m))
+            worst_m = max(worst_m, away_m, end_m)
+        if worst_m > 2.0 * CHORD_TOLERANCE_M + _ROUNDED_M:
+            raise _not_the_plan(target, "leaves it by", worst_m)
+    if next(moves, None) is not None:
+        raise _not_the_plan(target, "goes on behind it", 0.0)
+    by_f_s = programmed_time_s(again, machine)
+    size = path.stat().st_size
+    board = BOARDS[target]
+    rate = size / max(by_f_s, 1e-9)
+    slow = ""
+    if board.bytes_s and rate > board.bytes_s:
+        slow = (
+            f"; its {rate:.0f} characters a second are more than a port of 115200 baud takes "
+            f"({board.bytes_s})"
+        )
+    return (
+        f"{count} blocks, read back: within {1e3 * worst_m:.2g} mm of the plan, "
+        f"{by_f_s:.4g} s by F alone, {planned_s:.4g} s as planned with its ramps, which the "
+        f"firmware makes itself{slow}"
+    )
+
+
+def _not_the_plan(target: str, what: str, off_m: float) -> PlanError:
+    by = f" {1e3 * off_m:.3g} mm" if off_m else ""
+    return PlanError(
+        f"the program for {target}, read back, is not the plan: it {what}{by}",
+        remedy="Report it with the job and the machine file.",
+    )
+
+
+def _away_m(points: FloatArray, begin: FloatArray, end: FloatArray) -> float:
+    """Return how far (n, axes) points lie from a segment at most."""
+    way = end - begin
+    squared = float(way @ way)
+    share = np.clip((points - begin) @ way / squared, 0.0, 1.0) if squared else 0.0
+    nearest = begin + np.multiply.outer(share, way) if squared else begin
+    return float(np.sqrt(((points - nearest) ** 2).sum(axis=1).max()))

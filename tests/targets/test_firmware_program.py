@@ -1,0 +1,168 @@
+"""Programs for firmwares: few blocks, within the tolerance, at the planned speeds, read by others.
+
+The written text is split by a parser of three lines here, and the distance of the sampled
+trajectory from it measured, in order.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.jobs.made_machines import made_machine
+from threadline.cli.main import main
+from threadline.errors import PlanError
+from threadline.jobs import read_job
+from threadline.machine import Machine, load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job, write
+from threadline.plan import Plan
+from threadline.targets import firmware_program
+
+TARGETS = tuple(firmware_program.BOARDS)
+
+
+@pytest.fixture(scope="module")
+def xya(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return made_machine(
+        tmp_path_factory.mktemp("xya"), "XY", "A", '[programs]\nfeed_mode = "grbl"\n'
+    )
+
+
+def plan(folder: Path, machine: Machine, text: str, **options: object) -> Plan:
+    job = folder / "job.nc"
+    job.write_text(text)
+    chosen = Options(**options)  # type: ignore[arg-type]
+    return plan_job(open_job(job, machine, chosen), machine, chosen)
+
+
+def blocks(text: str) -> list[tuple[dict[str, float], float]]:
+    """Where each G1 ends and its F, by a reader that knows nothing else."""
+    at, feed, found = {"X": 0.0, "Y": 0.0, "A": 0.0}, 0.0, []
+    for line in text.splitlines():
+        words = {w[0]: float(w[1:]) for w in re.findall(r"[A-Z]-?[0-9.]+", line)}
+        feed = words.get("F", feed)
+        moved = {name: value for name, value in words.items() if name in at}
+        if moved and "G4" not in line:
+            at = at | moved
+            found.append((dict(at), feed))
+    return found
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str) -> None:
+    """There and back in steps of 1 mm at one feed: a block each way, F as programmed.
+
+    Where it turns, a block of a thousandth of a millimetre may stand between them; the planner's
+    tolerance cuts 0.1 mm off the turning point.
+    """
+    lines = [f"X{x}" for x in [*range(1, 31), *range(29, -1, -1)]]
+    made = plan(tmp_path, xya, "\n".join(["G1 F1200", *lines, "G4 P0.5", "M0", "M30"]) + "\n")
+    out = tmp_path / "out.gcode"
+    (file,) = write(made, target, out)
+    found = blocks(out.read_text())
+    ends = [0.0, *(end["X"] for end, _ in found)]
+    long = [
+        (b, f) for a, b, (_, f) in zip(ends, ends[1:], found, strict=False) if abs(a - b) > 0.01
+    ]
+    assert [end for end, _ in long] == pytest.approx([30.0, 0.0], abs=0.1)
+    assert [f for _, f in long] == pytest.approx([1200.0, 1200.0], rel=1e-3)
+    assert len(found) <= 3
+    assert max(map(len, out.read_text().splitlines())) < 80
+    assert f"{len(found)} blocks, read back" in file.warnings[0]
+    pause = {"marlin": "G4 P500", "fanuc": "G4 X0.5"}.get(target, "G4 P0.5")
+    assert pause in out.read_text() and "M0" in out.read_text()
+    again = read_job(out, xya, dialect=target)
+    assert again.axes == ("X", "Y", "A")
+
+
+@pytest.mark.parametrize("target", ["grbl", "marlin"])
+def test_a_winding_stays_within_its_tolerance(tmp_path: Path, xya: Machine, target: str) -> None:
+    """A helix with rounded ends: every sample of the plan within 0.02 mm of the blocks."""
+    text = ["G1 F3000"]
+    for k in range(1, 3):
+        text += [f"X{20 * (k % 2)} A{60 * k} Y{5 * (k % 3)}", f"A{60 * k + 20}"]
+    made = plan(tmp_path, xya, "\n".join([*text, "M30"]) + "\n")
+    out = tmp_path / "out.gcode"
+    write(made, target, out)
+    found = blocks(out.read_text())
+    scale = np.array([1.0, 1.0, math.radians(50.0)])
+    chain = np.array([[0.0, 0.0, 0.0], *[[e["X"], e["Y"], e["A"]] for e, _ in found]]) * scale
+    trajectory = made.motion.trajectory
+    times = np.linspace(0.0, trajectory.duration_s, 4000)
+    samples = trajectory(times) * [1e3, 1e3, 50.0]
+    low = 0
+    for sample in samples:
+        a, b = chain[low : low + 40], chain[low + 1 : low + 41]
+        a = a[: len(b)]
+        way = b - a
+        share = np.clip(((sample - a) * way).sum(axis=1) / (way**2).sum(axis=1), 0, 1)
+        away = np.linalg.norm(sample - a - share[:, None] * way, axis=1)
+        assert away.min() <= 0.0202
+        low += int(np.flatnonzero(away <= 0.0202)[0])
+    assert len(chain) - low <= 3
+    # No block is faster than the job's feed by grbl's own length, and the cruise is there.
+    if target == "grbl":
+        assert max(f for _, f in found) == pytest.approx(3000.0, rel=0.02)
+
+
+def test_a_change_of_feed_ends_a_block(tmp_path: Path, xya: Machine) -> None:
+    made = plan(tmp_path, xya, "G1 X10 F600\nX20 F1200\nX30 F600\nM30\n")
+    write(made, "grbl", tmp_path / "out.gcode")
+    found = blocks((tmp_path / "out.gcode").read_text())
+    assert found[0][1] <= 600.0 * 1.001 and found[0][0]["X"] == pytest.approx(10.0, abs=0.2)
+    assert {round(f, -1) for _, f in found} >= {600.0, 1200.0}
+    assert len(found) <= 12
+
+
+def test_what_is_not_the_plan_is_not_written(
+    tmp_path: Path, xya: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ends that come back 0.1 mm off: an error, and no file."""
+    made = plan(tmp_path, xya, "G1 X5 F600\nM30\n")
+    usual = firmware_program._decimal
+    monkeypatch.setattr(firmware_program, "_decimal", lambda v: usual(v + 0.1) if v else "0")
+    with pytest.raises(PlanError, match="read back, is not the plan: it leaves it by"):
+        write(made, "grbl", tmp_path / "out.gcode")
+    assert not (tmp_path / "out.gcode").exists()
+
+
+@pytest.mark.linuxcnc
+def test_linuxcnc_takes_what_is_written_for_it(tmp_path: Path, xya: Machine) -> None:
+    """Its interpreter ends every block where it was written, to the 4 decimals of both."""
+    rs274 = shutil.which("rs274")
+    if rs274 is None:
+        pytest.skip("rs274 (Debian's linuxcnc-uspace) is not installed")
+    text = "G1 F3000 X8 A20\nX16 Y5\nA40\nG4 P0.2\nX0 Y0 A0\nM30\n"
+    made = plan(tmp_path, xya, text)
+    out = tmp_path / "out.ngc"
+    write(made, "linuxcnc", out)
+    done = subprocess.run(
+        [rs274, "-g", out.name], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        check=True,
+    )  # fmt: skip
+    found = re.findall(r"STRAIGHT_FEED\(([^)]*)\)", done.stdout)
+    ends = [[float(n) for n in call.split(",")] for call in found]
+    written = [[e["X"], e["Y"], e["A"]] for e, _ in blocks(out.read_text())]
+    assert [[e[0], e[1], e[3]] for e in ends] == [pytest.approx(w, abs=1.01e-4) for w in written]
+
+
+def test_the_command_says_what_it_wrote(
+    tmp_path: Path, examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """x-180 for grbl: a handful of blocks where the timed program has thousands of lines."""
+    out = tmp_path / "x.gcode"
+    with pytest.raises(SystemExit) as stopped:
+        main(["compile", str(examples / "x-180.prg"), "-m", "lathe-winder", "--target", "grbl",
+              "-o", str(out)])  # fmt: skip
+    said = capsys.readouterr()
+    assert not stopped.value.code, said.err
+    assert "blocks, read back: within" in said.err
+    assert len(out.read_text().splitlines()) < 60
+    assert load_machine("lathe-winder").axes["X"].kind == "linear"
