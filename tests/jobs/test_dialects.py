@@ -303,10 +303,12 @@ def _time_one_by_one(job: Job, machine: Machine) -> float:
 
 def test_marlin_goes_at_the_feed_in_g0_too(tmp_path: Path, xyza: Machine) -> None:
     """F 3000 alone on a G0 is the feed of all that follows (Cyclone and FiberPath write it so)."""
-    text = "G0 F3000\nG0 X10 Y0\nG0 X10 Y20\nG92 Y0\nG0 Y5\nG1 X0\n"
+    text = "G0 X0 Y0 Z0\nG0 F3000\nG0 X10 Y0\nG0 X10 Y20\nG92 Y0\nG0 Y5\nG1 X0\n"
     job = read(tmp_path, xyza, text, "marlin")
-    assert {(m.feed.mode, m.feed.value) for m in moves(job) if m.feed} == {(FeedMode.IN_TURN, 0.05)}
-    assert millimetres(job)[2][:2] == pytest.approx((10.0, 25.0))
+    first, *others = moves(job)
+    assert first.target == (0.0,) * 4  # before any feed, and going nowhere
+    assert {(m.feed.mode, m.feed.value) for m in others if m.feed} == {(FeedMode.IN_TURN, 0.05)}
+    assert millimetres(job)[3][:2] == pytest.approx((10.0, 25.0))
     assert programmed_time_s(job, xyza) == pytest.approx((10 + 20 + 5 + 10) / 50.0)
     with pytest.raises(JobError, match="before any feed"):
         list(read(tmp_path, xyza, "G0 X5\n", "marlin"))

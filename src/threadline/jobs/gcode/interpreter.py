@@ -239,15 +239,12 @@ class Interpreter:
         unit = np.full(count, self._feed_tenth_mm)
         if len(words):
             unit[words[0] :] = self._feed_tenth_mm = self._tenth_mm
-        if self._inverse_time or not self._by_letters or (unit == _MILLIMETRE).all():
+        in_turn = self._program.rule.mode is FeedMode.IN_TURN
+        if self._inverse_time or not in_turn or (unit == _MILLIMETRE).all():
             return values
         way = np.diff(plain.out_position[:count], axis=0, prepend=np.array([before]))
         turned = ~way[:, self._lengths].any(axis=1) & (values > 0)
         return np.where(turned, values * _MILLIMETRE / unit, values)
-
-    @property
-    def _by_letters(self) -> bool:
-        return self._program.rule.mode is FeedMode.IN_TURN
 
     def _step(self, block: Block) -> Iterator[Operation]:
         """Return the operations of one block, in the order of RS274/NGC."""
@@ -321,6 +318,8 @@ class Interpreter:
     def _move(self, block: Block) -> Iterator[Operation]:
         rapid = self._motion == 0 and not self._dialect.rapid_is_feed
         feed = _RAPID if rapid else self._feed
+        if feed is None and self._motion == 0 and self._stays(block):
+            feed = _RAPID  # it takes no time at any feed: planners begin so
         if self._motion == -1 or (self._dialect.each_g and block.motion == -1):
             raise self._error(
                 block.line,
@@ -359,6 +358,11 @@ class Interpreter:
         ):
             feed = self._feed_of(feed.value * _MILLIMETRE / self._feed_tenth_mm)
         yield Move(tuple(self._position), feed, source, tags)
+
+    def _stays(self, block: Block) -> bool:
+        """Say whether the words of a block lead nowhere."""
+        base = self._exact if self._relative else self._zeros.offset
+        return all(base[i] + self._scaled(i, v) == self._exact[i] for i, v in block.axes)
 
     def _along(
         self, block: Block, before: tuple[int, ...], feed: Feed, source: Source, tags: Tags
