@@ -123,7 +123,8 @@ def lacking(channel: Channel | None, facts: Facts) -> str:
     begin, end = chunks[0][0], chunks[-1][0] + len(chunks[-1][1])
     if begin * channel.period_s > facts.begin_s + 1.001 * channel.period_s:
         return "late"
-    if end * channel.period_s < facts.end_s - 1e-6 * channel.period_s:
+    # The last sample may be missing where the machine has arrived before it was due.
+    if end * channel.period_s < facts.end_s - 1.001 * channel.period_s:
         return "early"
     return ""
 

@@ -244,3 +244,20 @@ def test_nothing_of_a_finer_voltage_is_lost_between_the_samples_of_the_load() ->
             assert result.measured == pytest.approx(1 / len(commanded))
             assert result.time_s == pytest.approx(-(-clamped // 5) * 5e-3)
     assert SERVO.period_s == 5 * fine.period_s
+
+
+def test_a_channel_that_goes_on_alone_is_not_judged_in_part() -> None:
+    """100 A after the last position: not all that was recorded of the current was judged."""
+
+    def alone(number: int, first: int, samples: Mapping[str, np.ndarray]):
+        if number < 17:  # the motion ends with block 16
+            return first, samples
+        ended = {name: values[:0] for name, values in samples.items() if ".load" in name}
+        return first, {**samples, **ended, "X.current": samples["X.current"] + 100.0}
+
+    recording = changed(run(), alone)
+    verdict = judge([recording], plan(), SPEC)
+    told = {f"{r.name} {r.axis}".strip(): r for r in verdict.results}
+    assert not verdict.passed
+    assert told["current_peak X"].status is Status.NOT_MEASURED
+    assert "X.current goes on until" in told["current_peak X"].note

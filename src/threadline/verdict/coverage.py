@@ -80,10 +80,20 @@ class Coverage:
     def lack(self, channels: Iterable[Channel], begin_s: float, end_s: float) -> Lack | None:
         """Return what is missing of the channels between two instants; None where nothing is.
 
-        A gap anywhere counts, and a whole sample at either end. Of several the one that leaves
-        least to be seen is told. Known once the recording was read to its end.
+        A gap anywhere counts, and a whole sample at either end, be it that another of the channels
+        goes on: what that one holds was not laid beside it. Of several the one that leaves least to
+        be seen is told. Known once the recording was read to its end.
         """
         found: list[Lack] = []
+        channels = list(channels)
+        last_s, longest = max(
+            (
+                (float(c.clock.time_s(seen.end - c.stride)), c.name)
+                for c in channels
+                if (seen := self._seen.get(c.name)) is not None
+            ),
+            default=(0.0, ""),
+        )
         for channel in channels:
             seen = self._seen.get(channel.name)
             if seen is None:
@@ -102,6 +112,10 @@ class Coverage:
             elif seen.end * period_s + _ROUNDING * slack_s < end_s:
                 last = _s(channel, seen.end - channel.stride)
                 why = f"{channel.name} ends at {last}, the motion at {end_s:.6g} s"
+                found.append(Lack(why, early=True))
+            elif seen.end * period_s <= last_s + _ROUNDING * slack_s:
+                last = _s(channel, seen.end - channel.stride)
+                why = f"{channel.name} ends at {last}, {longest} goes on until {last_s:.6g} s"
                 found.append(Lack(why, early=True))
         return min(found, key=lambda lack: lack.early, default=None)
 
