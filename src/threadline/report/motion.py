@@ -7,7 +7,7 @@ from pathlib import Path
 
 from threadline.control import Demand
 from threadline.doubts import doubts
-from threadline.jobs.gcode.f_words import RULES
+from threadline.jobs.gcode.f_words import of_which
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.document import (
@@ -114,7 +114,7 @@ def feed_lines(plan: Plan) -> list[str]:
     nominal_s = plan.nominal_s
     if nominal_s is None:
         return []
-    _, length = RULES[plan.job.feed_rule.partition(":")[0]]
+    length = of_which(plan.job.feed_rule)
     return [
         f"F is a speed:         {length} (feed mode {plan.job.feed_rule})",
         f"Time by F alone:      {nominal_s:.6g} s ({nominal_s / 60.0:.2f} min), rapids at the "

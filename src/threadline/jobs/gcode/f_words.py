@@ -142,3 +142,13 @@ def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
     tick_s = float(machine.tick_clock.period_s)
     per_axis = machine.operator.normal_feed.si / machine.counts_per_unit / tick_s
     return tuple((per_axis * machine.radius_m).tolist())
+
+
+def of_which(rule: str) -> str:
+    """Return what F is the speed of, in words, by the text of a job's rule.
+
+    >>> of_which("base-axes:A,X"), of_which("x-winder")
+    ('of the base axes, a rotary axis at its radius', 'of the carriage, a second')
+    """
+    name = rule.partition(":")[0]
+    return RULES[name][1] if name in RULES else "of the carriage, a second"
