@@ -237,7 +237,7 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     assert "limited by the end of the search (--high)" in out
     (command,) = re.findall(r"To prove it: threadline (.*)", out)
     # All shares of the limits give the same job here: one row.
-    assert len(re.findall(r"100\.0% to [0-9.]+%\s+20\.00\s+21\.10", out)) == 1
+    assert len(re.findall(r"100\.0% to [0-9.]+%\s+20\s+21\.1\s", out)) == 1
 
     _, found, _ = run(capsys, *words, "--json")
     code, again, _ = run(capsys, *shlex.split(command), "--json")
@@ -275,7 +275,14 @@ def test_a_recording_is_judged_as_the_run_was(
     trace = tmp_path / "run.npz"
     common = ["-m", "lathe-winder", "--interpolation", "b-spline-pulled"]
     _, first, _ = run(
-        capsys, "prove", examples / "x-180.prg", *common, "--recording", trace, "--json"
+        capsys,
+        "prove",
+        examples / "x-180.prg",
+        *common,
+        "--nominal",
+        "--recording",
+        trace,
+        "--json",
     )
     code, second, _ = run(capsys, "judge", trace, "--json")
 
@@ -335,7 +342,7 @@ def test_a_recording_says_all_that_its_run_was_made_with(
     options = [str(tmp_path / o) if o == "FW-CNC.PAR" else o for o in made_with]
     trace = tmp_path / "run.npz"
     common = ["-m", "lathe-winder", *options, "--recording", trace, "--json"]
-    code, first, _ = run(capsys, "prove", examples / "x-180.prg", *common)
+    code, first, _ = run(capsys, "prove", examples / "x-180.prg", *common, "--nominal")
     judged, second, _ = run(capsys, "judge", trace, "--json")
 
     assert judged == code
@@ -392,7 +399,7 @@ def test_what_f_means_can_be_chosen(
     job.write_text("O1\nG91 G1 A57.29577951 X50 Y20 F600\nM30\n")
     chosen = [] if mode is None else ["--feed-mode", mode]
     common = ["-m", "lathe-winder", "--interpolation", "linear", "--json"]
-    _, first, _ = run(capsys, "prove", job, *common, *chosen, "--recording", trace)
+    _, first, _ = run(capsys, "prove", job, *common, *chosen, "--nominal", "--recording", trace)
     _, second, _ = run(capsys, "judge", trace, "--json")
 
     # 600 mm/min is 10 mm/s; linear takes whole ticks of 5 ms.
@@ -424,7 +431,14 @@ def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
     common = ["-m", "lathe-winder", "--interpolation", "linear"]
     run_file = tmp_path / "run.npz"
     _, first, _ = run(
-        capsys, "prove", examples / "x-180.prg", *common, "--recording", run_file, "--json"
+        capsys,
+        "prove",
+        examples / "x-180.prg",
+        *common,
+        "--nominal",
+        "--recording",
+        run_file,
+        "--json",
     )
     recording = read_recording(run_file)
     times = recording.samples("X.load")[0]
