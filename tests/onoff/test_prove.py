@@ -77,7 +77,7 @@ def test_shaped_cycle_is_in_spec_and_the_unshaped_and_the_misread_one_are_not(
 ) -> None:
     """Exit codes 0 and 1; a recording that was written is judged the same."""
     trace = tmp_path / "run.npz"
-    words = ["prove", str(cycle), "-m", TRIMMED, "--json"]
+    words = ["prove", str(cycle), "-m", TRIMMED, "--json", "--nominal"]
     code, text = run(*words, "--shaper", "zv", "--recording", str(trace))
     proof = json.loads(text)
     assert (code, proof["passed"], proof["ticks"]) == (0, True, None)
