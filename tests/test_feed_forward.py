@@ -313,7 +313,7 @@ def test_mistakes_are_said(capsys, seam, tmp_path):
 def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys, seam, tmp_path):
     """A controller that ran the feed-forward table and knows nothing of it: as prove judged it."""
     trace, npz = tmp_path / "trace.csv", tmp_path / "run.npz"
-    proving = ("prove", str(seam), "-m", "stitcher", "--feed-forward", "--json")
+    proving = ("prove", str(seam), "-m", "stitcher", "--feed-forward", "--nominal", "--json")
     _, out, _ = run(capsys, *proving, "--recording", str(npz))
     proved = {(c["name"], c["axis"]): c for c in json.loads(out)["criteria"]}
     recording = read_recording(npz)
