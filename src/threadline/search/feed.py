@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from threadline.errors import LimitError
@@ -30,12 +32,13 @@ def feed_range_m_s(machine: Machine) -> tuple[float, float]:
     tick_s = float(machine.tick_clock.period_s)
     low = float((machine.radius_m / machine.counts_per_unit).max()) / tick_s
     high = float((machine.velocity_limit * machine.radius_m).max())
-    return _typed(low), _typed(high)
+    return _typed(low, math.ceil), _typed(high, math.floor)
 
 
-def _typed(feed: float) -> float:
-    """Return a feed of six digits: a search that ends there has an answer that can be typed."""
-    return float(f"{feed:.6g}")
+def _typed(feed: float, towards: Callable[[float], int]) -> float:
+    """Return a feed of six digits within the range: what a search ends with can be typed."""
+    digits = 5 - math.floor(math.log10(feed))
+    return float(f"{towards(feed * 10.0**digits)}e{-digits}")
 
 
 def fastest_feed(
