@@ -69,8 +69,11 @@ class Finding:
         return replace(self, value=None, note=note)
 
     def somewhere(self) -> Finding:
-        """Return the finding without its place if it is zero: no place is worse than another."""
-        if self.value != 0.0:
+        """Return the finding without its place if it is zero: no place is worse than another.
+
+        What is found of one step keeps it: that is where it was looked for.
+        """
+        if self.value != 0.0 or self.step:
             return self
         return replace(self, time_s=None, operation=None, job_line=None, position=None)
 
