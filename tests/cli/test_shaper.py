@@ -130,7 +130,7 @@ def test_a_shaped_proof_says_what_it_costs_and_is_judged_again_the_same(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     trace = tmp_path / "run.npz"
-    common = ["prove", examples / "x-180.prg", "-m", "lathe-winder", "--json"]
+    common = ["prove", examples / "x-180.prg", "-m", "lathe-winder", "--nominal", "--json"]
     _, out, _ = run(capsys, *common)
     plain = json.loads(out)
     _, out, _ = run(capsys, *common, "--shaper", "zv:12Hz:0.02", "--recording", trace)
