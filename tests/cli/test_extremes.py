@@ -34,7 +34,7 @@ def test_an_empty_range_is_told(
 ) -> None:
     code, out, err = run([*FASTEST, "--interpolation", "linear", *span], capsys)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert f"nothing to scan {words}" in err.replace("from 0.00992183 m/s ", "")
+    assert f"nothing to scan {words}" in err.replace("from 0.00992184 m/s ", "")
     assert "Give a --low below --high" in err
 
 

@@ -83,8 +83,9 @@ def study_move(
     OptionError, ShaperError
         If a number is out of range, or a program fails.
     """
-    optimal = time_optimal(move).command
+    # The robust optimum first: it refuses modes too far apart, of which the other may not converge.
     robust = robust_optimum(move, relative=relative, tolerance=tolerance)
+    optimal = time_optimal(move).command
     moves = beside(
         move,
         [UNSHAPED, shaper],
