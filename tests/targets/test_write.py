@@ -68,8 +68,8 @@ def test_unknown_targets_name_the_nearest(tmp_path) -> None:
     plan = plan_of(polynomials(PIECES))
     with pytest.raises(OptionError, match=r"unknown target 'tick'. Did you mean 'ticks'\?"):
         write(plan, "tick", tmp_path / "x")
-    with pytest.raises(OptionError, match=r"unknown target 'hpgl'. Known: csv, nc, npz"):
-        write(plan, "hpgl", tmp_path / "x")
+    with pytest.raises(OptionError, match=r"unknown target 'dxf'. Known: csv, fanuc, fluidnc"):
+        write(plan, "dxf", tmp_path / "x")
     assert {"csv", "nc", "npz", "ticks"} <= set(target_names())
     assert list(tmp_path.iterdir()) == []
 
@@ -170,7 +170,7 @@ def test_a_rest_that_no_dwell_asks_for_keeps_its_time() -> None:
 def test_a_target_is_refused_before_anything_is_planned() -> None:
     """By its name and the kind of machine alone, with what would do."""
     assert not target_of("nc", winder()).takes_shaped
-    with pytest.raises(OptionError, match=r"unknown target 'klipper'. Known: csv, nc, npz"):
+    with pytest.raises(OptionError, match=r"unknown target 'klipper'. Known: csv, fanuc, fluidnc"):
         target_of("klipper", winder())
     with pytest.raises(OptionError, match=r"than lathe-winder, .* Use csv or npz or ticks or nc"):
         target_of("st", winder())
