@@ -56,7 +56,7 @@ def shortened(text: str, font: str, size_pt: float, room_pt: float) -> str:
     """Return ``text``, with its middle left out where it is wider than ``room_pt``.
 
     >>> shortened("a-very-long-name-of-a-job.prg on winder", FONT, 8.0, 100.0)
-    'a-very-lo…n winder'
+    'a-very-long… on winder'
     """
     if width_pt(text, font, size_pt) <= room_pt:
         return text
