@@ -154,7 +154,10 @@ def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["letter-cycle.toml", "-m", "letter-placer"], "planned as Scheduled, not as Motion"),
+        (
+            ["letter-cycle.toml", "-m", "letter-placer"],
+            "letter-placer has none. Judge drawn machines of it with threadline prove --tolerances",
+        ),
         (["x-180.prg", "-m", "lathe-winder", "--variants", "0"], "--variants"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.errors import MachineError, OptionError
+from threadline.errors import MachineError, OptionError, PlanError
 from threadline.machine import Machine
 from threadline.machine.variants import (
     MOST_CORNERS,
@@ -122,13 +122,17 @@ class MachineYield:
     Raises
     ------
     OptionError
-        If no number of the machine varies, or its drives are told positions.
-    PlanError
-        If the plan has no path.
+        If no number of the machine varies, its drives are told positions, or the plan has no path.
     """
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
-        self.plan, axes = plan, plan.motion.axes
+        try:
+            self.plan, axes = plan, plan.motion.axes
+        except PlanError as error:
+            raise OptionError(
+                f"yield draws machines whose axes follow a path, and {plan.machine.name} has none",
+                remedy="Judge drawn machines of it with threadline prove --tolerances.",
+            ) from error
         told = [axis for axis in axes if plan.machine.source_of(axis) is not None]
         if told:
             raise OptionError(

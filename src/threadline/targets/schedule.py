@@ -24,6 +24,7 @@ from threadline.targets.schedule_moves import (
     Levels,
     move_levels,
     open_flows,
+    shortest_ticks,
     written_levels,
 )
 from threadline.targets.schedule_options import shaping_of
@@ -335,7 +336,7 @@ class _Builder:
                 levels = move_levels(abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s)
             chosen = [open_flows(v, way, self.machine, source.place) for v in levels.levels]
             shortest = min(
-                ((flow, _shortest(flow, chosen, levels.ticks)) for flow in way.flows),
+                ((flow, shortest_ticks(flow, chosen, levels.ticks)) for flow in way.flows),
                 key=lambda pair: pair[1],
             )
             if shortest[1] >= need / tick_s - 1e-9:
@@ -394,11 +395,3 @@ def _shaping_of(machine: Machine, text: str, source: Source) -> dict[str, AxisSh
         return shaping_of(machine, text)
     except OptionError as error:
         raise PlanError(error.message, place=source.place, remedy=error.remedy) from error
-
-
-def _shortest(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, ...]) -> int:
-    """Return the fewest ticks between two switchings of ``flow``."""
-    opened = [flow in names for names in chosen]
-    before = [False, *opened[:-1]]
-    changes = [t for t, now, was in zip(ticks, opened, before, strict=True) if now != was]
-    return int(np.diff(changes).min()) if len(changes) > 1 else 1 << 62

@@ -229,3 +229,11 @@ def open_flows(level: float, way: Way, machine: Machine, place: Place) -> tuple[
             "it, or take a um- shaper, which needs none but 0 and 1.",
         )
     return best
+
+
+def shortest_ticks(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, ...]) -> int:
+    """Return the fewest ticks between two switchings of ``flow``."""
+    opened = [flow in names for names in chosen]
+    before = [False, *opened[:-1]]
+    changes = [t for t, now, was in zip(ticks, opened, before, strict=True) if now != was]
+    return int(np.diff(changes).min()) if len(changes) > 1 else 1 << 62

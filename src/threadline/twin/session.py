@@ -1,6 +1,7 @@
 """A machine on the way: rows in, samples out, its state kept between; stops and waits are honoured.
 
-A simulated machine that is driven live is a session; ``simulate`` is a loop over one.
+A simulated machine that is driven live is a session; ``simulate`` is a loop over one. What it keeps
+between two calls is one state, which is why the file is longer than most.
 """
 
 from __future__ import annotations
