@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import re
+from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -22,6 +23,16 @@ def test_rooms_stand_in_their_order() -> None:
 
     assert set(rows[0]) == wanted[0] | wanted[1]  # the ground floor is one row
     assert [set(row) for row in rows[1:]] == wanted[2:]
+
+
+def test_a_file_name_stands_for_one_thing() -> None:
+    """Names that come in several rooms are those that the page names, and no others."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    section = page.partition("## File names")[2].partition("\n## ")[0]
+    stems = Counter(f.stem for f in (ROOT / "src" / "threadline").rglob("*.py") if f.stem[0] != "_")
+    assert {stem for stem, times in stems.items() if times > 1} == set(
+        re.findall(r"`(\w+)`", section)
+    )
 
 
 ASKS = re.compile(

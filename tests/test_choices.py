@@ -12,7 +12,7 @@ from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
 from threadline.options import Options, options_of
 from threadline.path import CHORDS, chord_path, plan_path, programmed_path
-from threadline.path.plan import KEEPING_TOLERANCE, interpolation_names
+from threadline.path.interpolations import KEEPING_TOLERANCE, interpolation_names
 from threadline.pipeline import plan_job
 from threadline.plan import Following
 from threadline.trajectory import Pace, plan_trajectory

@@ -13,9 +13,9 @@ from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, prove, simulate, write
 from threadline.report.proof import REPORTS
 from threadline.verdict import judge, load_spec
+from threadline.verdict.intended_runs import RUNS
 from threadline.verdict.measure import OfPlan
 from threadline.verdict.registry import MEASURES
-from threadline.verdict.runs import RUNS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 WORK = {

@@ -27,7 +27,7 @@ from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.path import plan_path, programmed_path
-from threadline.path.plan import chord_path, interpolation_names
+from threadline.path.interpolations import chord_path, interpolation_names
 from threadline.pipeline import plan_job, prove_plan
 from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.signals.files import (

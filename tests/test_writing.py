@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from threadline.errors import OptionError
-from threadline.opening import noting_inputs, open_binary
+from threadline.input_files import noting_inputs, open_binary
 from threadline.report.document import Document
 from threadline.report.publish import write_document
 from threadline.writing import check_output, remove_with, staged_file, staging_folder, together

@@ -19,7 +19,7 @@ import pystitch
 
 from threadline.errors import ThreadlineError
 from threadline.jobs import Job, read_job
-from threadline.jobs.design.t15 import t15_bytes
+from threadline.jobs.embroidery.t15 import t15_bytes
 from threadline.machine import load_machine
 
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]

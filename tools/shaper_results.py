@@ -31,7 +31,7 @@ from threadline.shaping import (
     specified_insensitivity,
     vibration_of,
 )
-from threadline.shaping.onoff.model import RestToRest
+from threadline.shaping.onoff.body_and_modes import RestToRest
 from threadline.shaping.onoff.optimal import time_optimal
 from threadline.shaping.onoff.robust import compare_shapers, robust_optimum
 from threadline.shaping.onoff.switched import residual_front

@@ -7,7 +7,7 @@ from itertools import islice
 
 from threadline.jobs.operations import FeedMode, Job, MoveRun
 from threadline.options import parse_tolerance_m
-from threadline.path.plan import KEEPING_TOLERANCE, on_chords
+from threadline.path.interpolations import KEEPING_TOLERANCE, on_chords
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.plant.suspicions import suspicions

@@ -336,8 +336,8 @@ _OF_A_PLAN = (
 
 def _trials(level: str, repeats: int | None) -> Trials:
     """Return the runs of a level, or so many of the machine alone."""
+    from threadline.foreign_messages import nearest
     from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials
-    from threadline.wording import nearest
 
     levels = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
     if level not in levels:
@@ -371,7 +371,7 @@ def _options(words: dict[str, Any]) -> Options:
 
 
 def _check_words(words: dict[str, Any], known: tuple[str, ...]) -> None:
-    from threadline.wording import nearest
+    from threadline.foreign_messages import nearest
 
     for name in words:
         if name not in known:

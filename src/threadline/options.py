@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.path.plan import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M, OPTIMAL
+from threadline.path.interpolations import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 from threadline.units import parse_quantity, same_dimension, split_quantity

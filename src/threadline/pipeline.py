@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
 from threadline.jobs import read_job
 from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
@@ -24,7 +25,6 @@ from threadline.signals.files.common import Written
 from threadline.targets.write import Target
 from threadline.verdict import Judge, Spec, Status, Verdict
 from threadline.verdict.types import REPEATED_RUNS
-from threadline.wording import nearest
 from threadline.writing import together
 
 __all__ = [

@@ -17,15 +17,15 @@ from typing import Any
 from threadline import __version__
 from threadline.described import options_from
 from threadline.errors import Place, ProofError
+from threadline.input_files import read_text
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
-from threadline.opening import read_text
 from threadline.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.plan import Plan
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.verdict import Spec, load_spec
-from threadline.verdict.present import criteria_json
+from threadline.verdict.rendering import criteria_json
 
 FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20

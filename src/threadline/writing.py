@@ -23,7 +23,7 @@ from types import FrameType
 from typing import IO
 
 from threadline.errors import OptionError
-from threadline.opening import input_behind, naming
+from threadline.input_files import input_behind, naming
 
 _PREFIX = 80  # characters of a file's name that the temporary one has too
 _STDOUT = 1

@@ -12,7 +12,7 @@ import pytest
 from threadline.cli import fastest_seam
 from threadline.cli.main import main
 from threadline.path import interpolation_names
-from threadline.path.plan import KEEPING_TOLERANCE
+from threadline.path.interpolations import KEEPING_TOLERANCE
 from threadline.search import gentle
 from threadline.search.fastest import RANGE, Fastest, Interval
 from threadline.verdict import Verdict

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from threadline.drawing.arclength import arc_table
 from threadline.drawing.contours import Contour
-from threadline.drawing.crossing import crossings, flatten
 from threadline.drawing.offset import Allowance, offset_contour
+from threadline.drawing.self_crossing import crossings, flatten
 from threadline.drawing.shapes import bezier, bulges, chords, ellipse_arc
 from threadline.errors import JobError
 

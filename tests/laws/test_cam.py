@@ -15,7 +15,7 @@ from threadline.laws import law
 from threadline.laws.cam import MeasuredCam, Triangle, read_cam
 from threadline.laws.cam_study import CamStudy, Fairing, study_cam
 from threadline.laws.fairing import differences, rebound
-from threadline.laws.rise import noise_of
+from threadline.laws.measured_rise import noise_of
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "schiffli-cam.csv"
 TRIANGLE = Triangle(b_m=0.165, c_m=0.135)

@@ -11,7 +11,7 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.path import interpolation_names
-from threadline.path.plan import KEEPING_TOLERANCE
+from threadline.path.interpolations import KEEPING_TOLERANCE
 from threadline.pipeline import plan_job
 from threadline.verdict.deviation import measure_path_deviation
 

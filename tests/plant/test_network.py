@@ -10,9 +10,9 @@ import pytest
 import control
 from threadline.errors import MachineError, OptionError
 from threadline.machine.load import load_machine
+from threadline.plant.coupled import connected_groups
 from threadline.plant.linear_model import linear_model
 from threadline.plant.network import piecewise_linear
-from threadline.plant.parts import connected_groups
 from threadline.plant.values import Values
 from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate

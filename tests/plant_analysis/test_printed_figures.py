@@ -11,7 +11,7 @@ from threadline.plant.analysis import analyse, analyse_axis, loop_figures
 from threadline.plant.delayed import closed_poles
 from threadline.plant.loop import axis_loop, axis_loops
 from threadline.plant.modes import free_modes, locked_modes
-from threadline.plant.steps import step_response
+from threadline.plant.step_responses import step_response
 from threadline.plant.values import Values
 
 from . import reference as ref

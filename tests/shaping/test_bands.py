@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from threadline.cli.main import main
 from threadline.shaping import Requirement, unit_magnitude_over_bands
-from threadline.shaping.onoff.model import RestToRest, rings_within, worst_of_each
+from threadline.shaping.onoff.body_and_modes import RestToRest, rings_within, worst_of_each
 from threadline.shaping.onoff.robust import robust_optimum
 from threadline.shaping.oscillator import simulated_vibration
 from threadline.shaping.types import FlexibleMode, Shaper

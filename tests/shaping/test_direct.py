@@ -12,7 +12,7 @@ from threadline.shaping.combine import convolve
 from threadline.shaping.designs import design
 from threadline.shaping.direct import Requirement, direct_shaper, specified_insensitivity
 from threadline.shaping.klipper import klipper_export, klipper_impulses
-from threadline.shaping.onoff.model import RestToRest, worst_ringing
+from threadline.shaping.onoff.body_and_modes import RestToRest, worst_ringing
 from threadline.shaping.onoff.switched import residual_front, switched_command
 from threadline.shaping.oscillator import simulated_vibration
 from threadline.shaping.response import pole, response, responses

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from threadline.shaping.designs import design
-from threadline.shaping.onoff.model import (
+from threadline.shaping.onoff.body_and_modes import (
     Command,
     RestToRest,
     ringing,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
-from threadline.shaping.onoff.model import Command, RestToRest, simulate, worst_ringing
+from threadline.shaping.onoff.body_and_modes import Command, RestToRest, simulate, worst_ringing
 from threadline.shaping.onoff.switched import switched_command
 from threadline.shaping.types import FlexibleMode
 

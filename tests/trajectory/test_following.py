@@ -15,12 +15,12 @@ from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.path import plan_path, programmed_path
 from threadline.pipeline import plan_job, prove_plan
-from threadline.plant.answers import answers_of
+from threadline.plant.closed_loop import answers_of
 from threadline.signals import tick_table
 from threadline.trajectory import limit_peaks, plan_trajectory
-from threadline.trajectory.optimal import following
+from threadline.trajectory.optimal import following_error
 from threadline.trajectory.optimal.drives import limits_of
-from threadline.trajectory.optimal.following import Follower, Past
+from threadline.trajectory.optimal.following_error import Follower, Past
 from threadline.trajectory.types import TrajectoryBlock
 from threadline.twin import simulate
 from threadline.verdict import load_spec
@@ -112,9 +112,9 @@ def test_no_slowness_helps_where_the_loads_never_come_near():
     follower = Follower(answers=(answers_of(WINDER)["X"],), radius_m=np.ones(1), tolerance_m=1e-4)
     past = Past(follower.memory_s)
     past.add(straight(0.0, 0.0, 1.0))
-    assert following._slower(straight(1.0, 1.0, 1.1), follower, past).end_s > 1.1 + 1.0
+    assert following_error._slower(straight(1.0, 1.0, 1.1), follower, past).end_s > 1.1 + 1.0
     with pytest.raises(PlanError, match=r"stray .* mm from the path however slowly"):
-        following._slower(straight(1.0, 1.0, 1.001, back=True), follower, past)
+        following_error._slower(straight(1.0, 1.0, 1.001, back=True), follower, past)
 
 
 def straight(begin_s, start, end, back=False):

@@ -16,7 +16,7 @@ from threadline.laws import shortest_move
 from threadline.machine import load_machine
 from threadline.path import path_deviation, plan_path, programmed_path
 from threadline.trajectory import limit_peaks, plan_trajectory
-from threadline.trajectory.optimal import Limits, blocks, elements_of, fastest, in_time
+from threadline.trajectory.optimal import Limits, elements_of, fastest, fastest_motion, in_time
 
 AS_BUILT = load_machine("lathe-winder")
 WINDER = without_drives(AS_BUILT)
@@ -161,7 +161,7 @@ def test_a_run_of_more_pieces_than_are_solved_together_rests_in_between(monkeypa
     turn = np.linspace(0.0, 6.0, 60)
     points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(turn)], axis=1).tolist()
     whole_s = plan(("X", "Y"), points)[2].duration_s
-    monkeypatch.setattr(blocks, "MOST_PIECES", 25)
+    monkeypatch.setattr(fastest_motion, "MOST_PIECES", 25)
     _, _, parted = plan(("X", "Y"), points)
     assert parted.duration_s > whole_s
     assert max(peak.ratio for peak in limit_peaks(parted, WINDER)) <= 1.001

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import print_json, print_table, say
+from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.cli.told import warning
 from threadline.control import LeadDesign, design_lead
 from threadline.errors import OptionError

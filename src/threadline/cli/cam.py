@@ -9,9 +9,9 @@ import numpy as np
 import typer
 
 from threadline.cli.law import law_json
-from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.cli.told import warning
 from threadline.errors import OptionError
 from threadline.laws import write_law

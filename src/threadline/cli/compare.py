@@ -10,7 +10,9 @@ import typer
 
 from threadline.cli.found import limit_words
 from threadline.cli.level import NominalOption, TolerancesOption, trials_of
-from threadline.cli.options import (
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import (
     DEFAULT_TOLERANCE_TEXT,
     JobArgument,
     JsonOption,
@@ -22,8 +24,6 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
 from threadline.cli.told import warning
 from threadline.cli.warn import warn
 from threadline.doubts import proof_warnings

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.options import (
+from threadline.cli.output import print_json, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -31,8 +33,6 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json, say
-from threadline.cli.outputs import check_outputs
 from threadline.cli.told import note
 from threadline.cli.warn import warn
 from threadline.doubts import tolerance_warnings

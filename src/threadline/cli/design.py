@@ -7,7 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import (
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     FEED_FORWARD,
@@ -22,8 +24,6 @@ from threadline.cli.options import (
     keep_inputs,
     options_of,
 )
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
 from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine

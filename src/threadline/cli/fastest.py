@@ -27,7 +27,8 @@ from threadline.cli.found import (
     typed,
 )
 from threadline.cli.level import NominalOption, TolerancesOption, level_words, trials_of
-from threadline.cli.options import (
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     ActualOption,
@@ -46,7 +47,6 @@ from threadline.cli.options import (
     options_of,
     report_folder,
 )
-from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError

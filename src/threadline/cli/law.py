@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.errors import OptionError
 from threadline.laws import LAWS, Law, write_law
 from threadline.laws import law as law_called

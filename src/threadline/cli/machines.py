@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import JsonOption
 from threadline.cli.output import print_json, say, say_lines
+from threadline.cli.shared_options import JsonOption
 from threadline.cli.told import note
 from threadline.machine import (
     Machine,

@@ -28,7 +28,7 @@ from threadline.errors import (
     OptionError,
     ThreadlineError,
 )
-from threadline.opening import noting_inputs
+from threadline.input_files import noting_inputs
 
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3

@@ -17,12 +17,12 @@ import typer
 
 from threadline import __version__
 from threadline.cli.from_settings import KINDS, PROVE, settings_files
-from threadline.cli.options import JsonOption
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import JsonOption
 from threadline.errors import OptionError
+from threadline.input_files import naming
 from threadline.machine import library_file
-from threadline.opening import naming
 
 
 @dataclass(frozen=True, slots=True)

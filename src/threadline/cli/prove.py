@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
-from threadline.cli.options import (
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -36,8 +38,6 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.machine import Machine

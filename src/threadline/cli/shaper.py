@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import JsonOption, ReportOption
 from threadline.cli.output import print_json, print_table, progress_bar, say, say_lines
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
@@ -23,6 +22,7 @@ from threadline.cli.shaper_text import (
     suspicions,
     tolerances_of,
 )
+from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.cli.told import warning
 from threadline.errors import OptionError
 from threadline.options import parse_number

@@ -11,7 +11,7 @@ from threadline.errors import OptionError
 from threadline.options import parse_number
 from threadline.report.document import Table
 from threadline.shaping import FlexibleMode
-from threadline.shaping.onoff.model import Command, RestToRest, worst_ringing
+from threadline.shaping.onoff.body_and_modes import Command, RestToRest, worst_ringing
 from threadline.shaping.onoff.study import WITHIN, MoveStudy
 
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.options import JsonOption
 from threadline.cli.output import print_json, print_table
+from threadline.cli.shared_options import JsonOption
 from threadline.cli.told import warning
 from threadline.options import parse_number
 from threadline.sizing import PROFILES, Demands, Sizing

@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 from threadline.escaping import plain
-from threadline.wording import grouped
+from threadline.foreign_messages import grouped
 
 STDOUT = "standard output"
 """What an error calls it where a file would have its name."""

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.options import JsonOption
 from threadline.cli.output import print_json, say
+from threadline.cli.shared_options import JsonOption
 from threadline.errors import Place, ProofError
 from threadline.proof_file import read_proof, verify_proof
 

@@ -8,7 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from threadline.cli.options import (
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -29,15 +31,13 @@ from threadline.cli.options import (
     machine_from,
     options_of,
 )
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.report.machine_yield import limited_rows, write_yield
 from threadline.search.influence import Influence, influence
 from threadline.search.machine_yield import MachineYield, Worst, Yield, shares_of, worst_toml
 from threadline.verdict import CriterionRow, load_spec
-from threadline.verdict.present import shown
+from threadline.verdict.rendering import shown
 from threadline.writing import together
 
 _WHY_MACHINES = 2000

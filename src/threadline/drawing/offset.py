@@ -9,9 +9,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.drawing.contours import Contour
-from threadline.drawing.crossing import crossings, flatten
 from threadline.drawing.offset_mitre import Mitre, sharpen
 from threadline.drawing.offset_parts import clear_of, stitch_parts
+from threadline.drawing.self_crossing import crossings, flatten
 from threadline.drawing.shapes import chords
 from threadline.errors import JobError, Place
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.drawing.crossing import crossings
+from threadline.drawing.self_crossing import crossings
 
 _SAME_M = 1e-9
 

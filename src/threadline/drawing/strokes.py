@@ -7,7 +7,7 @@ from pathlib import Path
 
 from threadline.drawing.curves import Pieces
 from threadline.errors import JobError, Place
-from threadline.opening import open_binary
+from threadline.input_files import open_binary
 
 MAX_BYTES = 256 * 1024 * 1024
 MAX_STROKES = 1_000_000

@@ -10,7 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.drawing.curves import Pieces, join_pieces
 from threadline.drawing.segments import bulge_segment, centre_segment, radius_segment
-from threadline.wording import nearest
+from threadline.foreign_messages import nearest
 
 CONTOUR_KEYS = ("layer", "unit", "closed", "points")
 _POINT = ("to", "bulge", "centre", "radius", "turn", "large")

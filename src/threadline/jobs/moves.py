@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from threadline.errors import JobError, Place, UnitError
+from threadline.foreign_messages import line_in_rows, nearest, toml_fault
+from threadline.input_files import open_binary
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -27,10 +29,8 @@ from threadline.jobs.operations import (
     WaitInput,
 )
 from threadline.machine import Machine
-from threadline.opening import open_binary
 from threadline.signals import Stream
 from threadline.units import parse_quantity
-from threadline.wording import line_in_rows, nearest, toml_fault
 
 TOP_KEYS = ("name", "operation")
 OPERATION_KEYS = {

@@ -27,7 +27,7 @@ class Kind:
         What a machine of this kind says that it is commanded by (``Machine.commanded_by``).
     commands, intent
         What its controllers are given, and what its plans intend. By the type of the intent the
-        judge knows how to read a recording (``verdict/runs.py``) and a report what to draw
+        judge knows how to read a recording (``verdict/intended_runs.py``) and a report what to draw
         (``report/proof.py``).
     check
         Refuses a machine that cannot do any work, before anything is read.

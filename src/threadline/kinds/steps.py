@@ -17,7 +17,7 @@ from threadline.machine import Machine
 from threadline.machine.variants import variant
 from threadline.machine.vary import vary
 from threadline.options import Options
-from threadline.path.plan import BY_LAW
+from threadline.path.interpolations import BY_LAW
 from threadline.plan import Plan, Stitched
 from threadline.signals import Commands, Recording, StepPlay, played
 from threadline.targets.stitched import stitch

@@ -13,9 +13,9 @@ from threadline.laws.catalogue import (
 from threadline.laws.extremes import extremes, measured_law, refuse_descent
 from threadline.laws.forms import Form, Pieces
 from threadline.laws.law import Law, gauss
+from threadline.laws.law_table import law_through, read_law, write_law
 from threadline.laws.shortest import ShortestMove, shortest_move
 from threadline.laws.spline import law_of_velocity
-from threadline.laws.table import law_through, read_law, write_law
 
 __all__ = [
     "FAMILIES",

@@ -16,7 +16,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError, Place, UnitError
-from threadline.opening import read_text
+from threadline.input_files import read_text
 from threadline.units import parse_quantity
 
 _MOST_BYTES = 20_000_000

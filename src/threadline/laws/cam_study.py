@@ -14,9 +14,9 @@ from threadline.errors import OptionError
 from threadline.laws.cam import MeasuredCam
 from threadline.laws.fairing import MOST_PASSES, Rebound, Smoothed, Smoother, differences, rebound
 from threadline.laws.law import Law
-from threadline.laws.rise import Rise, noise_of, rise_of
+from threadline.laws.law_table import law_through
+from threadline.laws.measured_rise import Rise, noise_of, rise_of
 from threadline.laws.spline import law_of_velocity
-from threadline.laws.table import law_through
 
 DRAWS = 200
 _SEED = 1954

@@ -7,10 +7,10 @@ from math import comb, pi, sqrt
 from pathlib import Path
 
 from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
 from threadline.laws.forms import Harmonics, Phase, Phases, Rest, chained
 from threadline.laws.law import Law
-from threadline.laws.table import read_law
-from threadline.wording import nearest
+from threadline.laws.law_table import read_law
 
 MOST_HARMONICS = 63
 
@@ -19,7 +19,7 @@ def law(name: str) -> Law:
     """Return the law called ``name``, made with numbers, or of a table.
 
     ``"modified-sine"``; ``"trapezoid:0.2"``, ``"harmonic:7"``; ``"frame.csv"``
-    (:mod:`threadline.laws.table`).
+    (:mod:`threadline.laws.law_table`).
 
     Raises
     ------

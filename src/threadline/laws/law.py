@@ -8,7 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.laws.forms import Form
-from threadline.laws.inverse import invert
+from threadline.laws.inverse_law import invert
 
 LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
 

@@ -18,11 +18,11 @@ from typing import Any, NoReturn
 from pydantic import ValidationError
 
 from threadline.errors import MachineError, Place
+from threadline.foreign_messages import field_fault, nearest, toml_fault
+from threadline.input_files import note_input, read_text
 from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
 from threadline.machine.schema import ADAPTER, field_names, in_file, kinds_with, line_of
-from threadline.opening import note_input, read_text
-from threadline.wording import field_fault, nearest, toml_fault
 
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+)(?: names the \w+ '([^']*)'|: )")

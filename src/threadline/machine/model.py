@@ -27,7 +27,7 @@ from threadline.machine.parts import (
     Tool,
 )
 from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc
-from threadline.machine.programs import Programs
+from threadline.machine.program_rules import Programs
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.sources import PulseServo, Source, Stepper
 from threadline.machine.stitching import Shaft, Tables

@@ -21,11 +21,11 @@ import re
 from pathlib import Path
 
 from threadline.errors import MachineError, Place
+from threadline.input_files import refuse_special
 from threadline.machine.controllers import PdController
 from threadline.machine.model import Machine
 from threadline.machine.parts import Operator
 from threadline.machine.quantity import Provenance, Quantity
-from threadline.opening import refuse_special
 
 COMMENT_LINES = 3
 MAX_RECORD_EVERY = 32_767  # "where n varies from 1 to 32K"

@@ -1,7 +1,7 @@
 """Paths in axis space: what is programmed, what is planned, how far the two are apart."""
 
 from threadline.path.deviation import PathDeviation, path_deviation
-from threadline.path.plan import (
+from threadline.path.interpolations import (
     BY_LAW,
     CHORDS,
     chord_path,

@@ -10,7 +10,7 @@ from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
-from threadline.path.linear import chord_time_s, velocity_limit_of, with_previous
+from threadline.path.straight import chord_time_s, velocity_limit_of, with_previous
 from threadline.path.types import PieceBlock, ProgrammedPath
 
 MULTIPLICITY = 3  # a point that stands three times in a row is met, at rest

@@ -18,7 +18,7 @@ from threadline.plant.margins import Margins, bandwidth_rad_s, loop_grid, margin
 from threadline.plant.modes import Oscillation, free_modes, locked_modes
 from threadline.plant.nyquist import unstable_count
 from threadline.plant.routh import stable_gains
-from threadline.plant.steps import Step, step_response
+from threadline.plant.step_responses import Step, step_response
 from threadline.plant.values import Values
 from threadline.plant.zeros import chain_of, zeros_of
 

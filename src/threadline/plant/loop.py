@@ -18,9 +18,9 @@ from threadline.arrays import FloatArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.controllers import DigitalFilter, digital_filter
+from threadline.plant.coupled import connected_groups
 from threadline.plant.linear import StateSpace
 from threadline.plant.linear_model import linear_model
-from threadline.plant.parts import connected_groups
 from threadline.plant.sampled import ClosedLoop, SampledPlant, close_loop, sample
 from threadline.plant.values import Values
 

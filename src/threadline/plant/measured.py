@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError
-from threadline.opening import read_text
+from threadline.input_files import read_text
 from threadline.plant.loop import Loop
 
 _COLUMNS = ("frequency_hz", "magnitude_db", "phase_deg")

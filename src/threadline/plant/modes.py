@@ -8,9 +8,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
+from threadline.plant.coupled import Group, connected_groups
 from threadline.plant.linear import StateSpace
 from threadline.plant.linear_model import linear_model
-from threadline.plant.parts import Group, connected_groups
 from threadline.plant.values import Values
 
 _RIGID = 1e-7

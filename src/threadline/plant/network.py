@@ -18,8 +18,8 @@ from threadline.machine import Machine
 from threadline.machine.parts import Eccentric
 from threadline.machine.quantity import Quantity
 from threadline.plant import elements as el
+from threadline.plant.coupled import Group, connected_groups
 from threadline.plant.eccentric import Band, eccentric_play, pieces_needed
-from threadline.plant.parts import Group, connected_groups
 from threadline.plant.values import Values
 
 

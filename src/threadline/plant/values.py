@@ -10,10 +10,10 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray, Locked, read_only
 from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
 from threadline.machine import Machine
 from threadline.machine.numbers import with_numbers
 from threadline.machine.quantity import Quantity
-from threadline.wording import nearest
 
 _TABLES = (
     "bodies", "links", "drives", "sensors", "controllers", "inputs", "cylinders", "contacts",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from threadline.doubts import doubts_of_all
+from threadline.foreign_messages import grouped
 from threadline.pipeline import Proof
 from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
@@ -17,7 +18,6 @@ from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
 from threadline.search import Comparison
 from threadline.verdict import closing_of_all
-from threadline.wording import grouped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

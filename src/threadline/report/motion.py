@@ -7,6 +7,7 @@ from pathlib import Path
 
 from threadline.control import Demand
 from threadline.doubts import doubts
+from threadline.foreign_messages import grouped
 from threadline.jobs.gcode.f_words import of_which
 from threadline.pipeline import Proof
 from threadline.plan import Plan
@@ -24,7 +25,6 @@ from threadline.report.traces import collect
 from threadline.targets import calculate
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
-from threadline.wording import grouped
 
 
 def write_motion(proof: Proof, folder: Path) -> Path:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from threadline.doubts import doubts, doubts_of_all
+from threadline.foreign_messages import grouped
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.document import (
@@ -29,7 +30,6 @@ from threadline.report.style import figure_style
 from threadline.search import Comparison
 from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
-from threadline.wording import grouped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

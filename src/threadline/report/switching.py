@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from threadline.doubts import doubts, doubts_of_all
+from threadline.foreign_messages import grouped
 from threadline.options import OF_AXES, Options
 from threadline.pipeline import Proof, plan_job, prove_plan
 from threadline.plan import Plan
@@ -28,7 +29,6 @@ from threadline.report.switching_figures import (
 from threadline.search import Comparison
 from threadline.targets.schedule_moves import shaping_words
 from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
-from threadline.wording import grouped
 
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "

@@ -21,9 +21,9 @@ from threadline.errors import OptionError
 from threadline.shaping.apart import check_apart, groups
 from threadline.shaping.closed import Train
 from threadline.shaping.combine import convolve
+from threadline.shaping.linear_program import minimise
 from threadline.shaping.newton import newton
 from threadline.shaping.oscillator import prove
-from threadline.shaping.program import minimise
 from threadline.shaping.response import (
     ComplexArray,
     Rows,

@@ -18,9 +18,9 @@ from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.shaping.apart import check_apart
 from threadline.shaping.direct import Requirement
+from threadline.shaping.linear_program import minimise
 from threadline.shaping.newton import newton
 from threadline.shaping.oscillator import prove
-from threadline.shaping.program import minimise
 from threadline.shaping.response import Rows, ZeroOf, pole, zero_rows
 from threadline.shaping.types import Shaper, ShaperError
 

@@ -20,8 +20,8 @@ from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.shaping.direct import Requirement
 from threadline.shaping.direct_unit import switchings_of
+from threadline.shaping.linear_program import minimise
 from threadline.shaping.oscillator import prove
-from threadline.shaping.program import minimise
 from threadline.shaping.response import ComplexArray, pole
 from threadline.shaping.types import Shaper, ShaperError
 from threadline.shaping.vibration import residual_vibration

@@ -21,7 +21,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.laws import Law, law_of_velocity
 from threadline.shaping.law_residual import residual_m
-from threadline.shaping.program import InfeasibleError, minimise
+from threadline.shaping.linear_program import InfeasibleError, minimise
 from threadline.shaping.types import FlexibleMode, ShaperError
 
 RAMPS = 16.0

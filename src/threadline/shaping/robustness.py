@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from threadline.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError
-from threadline.shaping.crossing import crossing
+from threadline.shaping.sign_changes import crossing
 from threadline.shaping.types import FlexibleMode, Shaper
 from threadline.shaping.vibration import residual_vibration, vibration_of
 

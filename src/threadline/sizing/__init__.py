@@ -9,10 +9,10 @@ from threadline.sizing.corner import (
     corner_speed_m_s,
     ramp_acceleration_m_s2,
 )
-from threadline.sizing.demands import Demands
-from threadline.sizing.profile import PROFILES, SpeedProfile
+from threadline.sizing.product import Demands
 from threadline.sizing.result import SizeLine, Sizing
 from threadline.sizing.size import size
+from threadline.sizing.speed_profile import PROFILES, SpeedProfile
 
 __all__ = [
     "PROFILES",

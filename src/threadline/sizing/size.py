@@ -15,9 +15,9 @@ from threadline.sizing.corner import (
     corner_speed_m_s,
     ramp_acceleration_m_s2,
 )
-from threadline.sizing.demands import Demands
-from threadline.sizing.profile import SpeedProfile
+from threadline.sizing.product import Demands
 from threadline.sizing.result import SizeLine, Sizing
+from threadline.sizing.speed_profile import SpeedProfile
 
 _STITCHER = "stitcher thesis"
 _WINDER = "filament winding thesis"

@@ -6,12 +6,12 @@ import re
 from dataclasses import dataclass
 
 from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
 from threadline.machine import Machine
 from threadline.plant.pneumatic import flow_mode
 from threadline.shaping import FlexibleMode, ShaperKind, convolve, design, parse_mode_hz
 from threadline.shaping.designs import DEFAULT_TOLERANCE
 from threadline.targets.schedule_moves import AxisShaping
-from threadline.wording import nearest
 
 UNSHAPED_WORD = "none"
 _REMEDY = 'Write it like "zv", "zv*um-2ei", "zv:3.04Hz:0.17" or "X=zv, Z=none".'

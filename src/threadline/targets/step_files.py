@@ -16,8 +16,8 @@ import numpy as np
 from threadline import __version__
 from threadline.arrays import FloatArray
 from threadline.errors import PlanError
-from threadline.jobs.design.records import UNIT_M
-from threadline.jobs.design.t15 import MOST, t15_bytes
+from threadline.jobs.embroidery.records import UNIT_M
+from threadline.jobs.embroidery.t15 import MOST, t15_bytes
 from threadline.signals import StepPlay
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.step_tables import shortest_s, steps_residual_m

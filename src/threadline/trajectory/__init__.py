@@ -1,10 +1,10 @@
 """Planned path + limits -> time, and the dense check of every limit."""
 
+from threadline.trajectory.at_times import TrajectoryReader
 from threadline.trajectory.averaged import averaged_trajectory, held_trajectory
 from threadline.trajectory.budget import check_budget
 from threadline.trajectory.limits import Peak, check_limits, limit_peaks
-from threadline.trajectory.plan import Pace, plan_trajectory
-from threadline.trajectory.reading import TrajectoryReader
+from threadline.trajectory.path_to_trajectory import Pace, plan_trajectory
 from threadline.trajectory.retime import retime
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 

@@ -13,7 +13,7 @@ from threadline.path.auto import auto_pieces
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
 from threadline.signals import Stream
 from threadline.trajectory.optimal import Limits
-from threadline.trajectory.optimal.blocks import limited_blocks
+from threadline.trajectory.optimal.fastest_motion import limited_blocks
 from threadline.trajectory.types import Trajectory
 
 _NEAR_SHARE = 0.01  # of the tolerance: points nearer to each other are one

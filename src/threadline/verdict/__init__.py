@@ -3,7 +3,8 @@
 from threadline.verdict.each_run import CriterionRow, EachRun
 from threadline.verdict.intended import as_intended
 from threadline.verdict.judge import Judge, judge
-from threadline.verdict.present import (
+from threadline.verdict.registry import needed_channels
+from threadline.verdict.rendering import (
     closing,
     closing_of_all,
     criteria_json,
@@ -12,7 +13,6 @@ from threadline.verdict.present import (
     verdict_json,
     verdict_rows,
 )
-from threadline.verdict.registry import needed_channels
 from threadline.verdict.spec import load_spec
 from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict

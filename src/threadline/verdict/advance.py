@@ -10,7 +10,7 @@ from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory import TrajectoryReader
-from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.nearest import chord_ways
 from threadline.verdict.samples import Block, Setting

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.found import Found, Worst
+from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.nearest import between, vertices_to_path
 from threadline.verdict.samples import Block, Setting

@@ -10,7 +10,7 @@ from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.trajectory.extremes import derivatives, farthest, highest
 from threadline.trajectory.types import TrajectoryBlock
-from threadline.verdict.found import Finding
+from threadline.verdict.finding import Finding
 
 SLACK = 1.001  # limits hold between samples too, to a thousandth
 _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}

@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
-from threadline.verdict.found import Finding
+from threadline.verdict.finding import Finding
 from threadline.verdict.samples import Block
 from threadline.verdict.window import PathWindow
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
-from threadline.verdict.found import Found
+from threadline.verdict.finding import Found
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.types import Criterion
 

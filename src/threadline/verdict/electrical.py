@@ -10,7 +10,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine.controllers import Dac
-from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.largest import add_squares, count_beyond, largest
 from threadline.verdict.measure import Measure
 from threadline.verdict.samples import Block, Setting

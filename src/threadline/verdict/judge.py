@@ -7,19 +7,19 @@ from dataclasses import replace
 from functools import cached_property
 
 from threadline.errors import RecordingError, SpecError
+from threadline.foreign_messages import nearest
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Outcome, Recording
 from threadline.verdict.by_time import OPERATION_BY_TIME
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
 from threadline.verdict.ended import heard, not_beyond, told_end
-from threadline.verdict.found import Finding, Found, joined
+from threadline.verdict.finding import Finding, Found, joined
+from threadline.verdict.intended_runs import open_run
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run
 from threadline.verdict.one_pass import Findings, Key, Pass, read_all
 from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES
-from threadline.verdict.runs import open_run
 from threadline.verdict.types import Criterion, Result, Spec, Verdict
-from threadline.wording import nearest
 
 _KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 from threadline.arrays import IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
-from threadline.verdict.found import Finding, Found
+from threadline.verdict.finding import Finding, Found
 from threadline.verdict.samples import Block
 from threadline.verdict.types import Status
 

@@ -19,9 +19,9 @@ from threadline.verdict.blocks import (
 )
 from threadline.verdict.by_time import Told, with_operation
 from threadline.verdict.coverage import Coverage, Lack
+from threadline.verdict.finding import Finding, Found
 from threadline.verdict.follower import sample_interval_s
 from threadline.verdict.fork import Branch, Fork
-from threadline.verdict.found import Finding, Found
 from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
 from threadline.verdict.samples import Block, Setting

@@ -22,7 +22,7 @@ from threadline.verdict import (
 from threadline.verdict.advance import start_progress
 from threadline.verdict.contour import start_contour
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
-from threadline.verdict.found import Finding
+from threadline.verdict.finding import Finding
 from threadline.verdict.measure import (
     Measure,
     MeasureKind,
@@ -32,8 +32,8 @@ from threadline.verdict.measure import (
     whole,
     whole_runs,
 )
-from threadline.verdict.rise import OPTIONS as RISE_OPTIONS
-from threadline.verdict.rise import start_rise
+from threadline.verdict.rise_to_speed import OPTIONS as RISE_OPTIONS
+from threadline.verdict.rise_to_speed import start_rise
 from threadline.verdict.samples import Setting
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun

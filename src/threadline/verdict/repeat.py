@@ -10,7 +10,7 @@ from hashlib import sha256
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, MeasureOfRuns, Option, Run
 from threadline.verdict.samples import Block, Setting
 

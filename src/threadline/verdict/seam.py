@@ -9,7 +9,7 @@ from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.drawing.line import DrawnLine
-from threadline.verdict.found import Found, Worst
+from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.samples import Block, Setting

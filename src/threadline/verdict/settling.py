@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.verdict.found import Found, Worst
+from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.samples import Block, Setting
 

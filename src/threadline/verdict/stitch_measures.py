@@ -16,7 +16,7 @@ from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.targets.stitched import Stitched
 from threadline.verdict.demands import SLACK
-from threadline.verdict.found import Finding
+from threadline.verdict.finding import Finding
 from threadline.verdict.stitch_run import StitchRun
 
 _MINUTE = 60.0

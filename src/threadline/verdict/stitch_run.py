@@ -17,7 +17,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording, RecordingBlock
 from threadline.verdict.coverage import Coverage
-from threadline.verdict.found import Found
+from threadline.verdict.finding import Found
 from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
 

@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
-from threadline.verdict.found import Finding, Found, Worst
+from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches

@@ -10,7 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.plant.pneumatic import flow_mode
 from threadline.signals import ChannelKind
-from threadline.verdict.found import Finding
+from threadline.verdict.finding import Finding
 from threadline.verdict.switch_run import RunStep, SwitchRun
 
 _LEAST_PERIODS = 0.5  # less does not show both extremes of what rings

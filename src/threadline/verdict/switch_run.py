@@ -21,7 +21,7 @@ from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Event, Recording
 from threadline.targets.schedule import REST_LAGS, ScheduledMove
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.found import Found
+from threadline.verdict.finding import Found
 from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.verdict.found import Found, Worst
+from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.reversals import ReversalScan, Turning
 from threadline.verdict.samples import Block, Setting

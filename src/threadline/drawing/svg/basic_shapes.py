@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from itertools import pairwise
 
+from threadline.drawing.svg.attribute_values import ValueRefused, numbers, pixels
 from threadline.drawing.svg.path_data import Point, Subpath, path_subpaths
-from threadline.drawing.svg.values import ValueRefused, numbers, pixels
 
 SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
 

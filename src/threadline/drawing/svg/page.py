@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.drawing.svg.attribute_values import ValueRefused, numbers, pixels, shown
 from threadline.drawing.svg.tree import Tree
-from threadline.drawing.svg.values import ValueRefused, numbers, pixels, shown
 from threadline.errors import JobError, Place
 from threadline.units import unit_factor
 

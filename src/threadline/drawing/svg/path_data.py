@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.drawing.curves import Pieces
-from threadline.drawing.svg.values import NUMBER, ValueRefused, shown
+from threadline.drawing.svg.attribute_values import NUMBER, ValueRefused, shown
 
 _COUNT = {"M": 2, "Z": 0, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7}
 _NUMBER = re.compile(rf"\s*,?\s*({NUMBER})")

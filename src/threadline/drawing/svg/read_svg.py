@@ -9,11 +9,11 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.drawing.strokes import MAX_LINES, Drawing, Refusal, Stroke
+from threadline.drawing.svg.attribute_values import ValueRefused, colour, pixels, shown, transform
 from threadline.drawing.svg.basic_shapes import SHAPES, shape_subpaths
 from threadline.drawing.svg.page import Page, svg_page
 from threadline.drawing.svg.styles import INHERITED, READ, Styles, resolved
 from threadline.drawing.svg.tree import INKSCAPE, Element, Tree, svg_tree
-from threadline.drawing.svg.values import ValueRefused, colour, pixels, shown, transform
 from threadline.errors import JobError
 
 _GROUPS = ("svg", "g", "a")

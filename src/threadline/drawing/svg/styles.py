@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from threadline.drawing.svg.attribute_values import ValueRefused, shown
 from threadline.drawing.svg.tree import Element, Tree
-from threadline.drawing.svg.values import ValueRefused, shown
 from threadline.errors import JobError
 
 READ = (

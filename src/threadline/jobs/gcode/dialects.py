@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from threadline.machine import Machine
-from threadline.machine.programs import DialectName, FeedRule
+from threadline.machine.program_rules import DialectName, FeedRule
 
 Group = str
 CANCEL = 80

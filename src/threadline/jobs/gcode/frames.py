@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from threadline.jobs.gcode.block import Block, Reading, parse_block
-from threadline.jobs.gcode.programs import Program
 from threadline.jobs.gcode.scan import TAPE
+from threadline.jobs.gcode.subprograms import Program
 from threadline.jobs.gcode.textfile import Chunk, Lines, SourceFile
 
 _KEPT_BYTES = 1 << 21

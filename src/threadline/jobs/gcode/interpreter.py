@@ -12,15 +12,15 @@ from threadline.arrays import FloatArray
 from threadline.errors import JobError
 from threadline.jobs.gcode import plain_blocks as kernel
 from threadline.jobs.gcode.block import Block, Reading
-from threadline.jobs.gcode.curves import CURVED, Curves
+from threadline.jobs.gcode.curved_blocks import CURVED, Curves
 from threadline.jobs.gcode.dialects import CANCEL
 from threadline.jobs.gcode.f_words import FRule
 from threadline.jobs.gcode.frames import Frame, KeptText
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
-from threadline.jobs.gcode.programs import Program, Structure
+from threadline.jobs.gcode.program_zero import Zeros
+from threadline.jobs.gcode.subprograms import Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE
-from threadline.jobs.gcode.zeros import Zeros
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,

@@ -9,8 +9,8 @@ from threadline.jobs.gcode.block import Reading
 from threadline.jobs.gcode.dialects import DIALECTS, Dialect, dialect_of
 from threadline.jobs.gcode.f_words import f_rule, normal_feed_m_s
 from threadline.jobs.gcode.interpreter import PartProgram
-from threadline.jobs.gcode.programs import Structure
 from threadline.jobs.gcode.scan import Scanner
+from threadline.jobs.gcode.subprograms import Structure
 from threadline.jobs.gcode.textfile import SourceFile, identify
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.operations import Job, OperationStream

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.errors import JobError, Place
-from threadline.opening import KnownFile, open_binary
+from threadline.input_files import KnownFile, open_binary
 
 MAX_LINE_BYTES = 4096
 CHUNK_BYTES = 1 << 18

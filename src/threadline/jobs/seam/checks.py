@@ -8,7 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.drawing.contours import Contour, point_text
-from threadline.drawing.crossing import crossings, flatten
+from threadline.drawing.self_crossing import crossings, flatten
 from threadline.errors import JobError, LimitError, Place
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.sewing import SewnContour, StitchBlock

@@ -11,9 +11,9 @@ from typing import Any
 from threadline.drawing.strokes import Drawing, Stroke, decode_text
 from threadline.drawing.written import CONTOUR_KEYS, written_contour
 from threadline.errors import JobError, Place, UnitError
+from threadline.foreign_messages import nearest, toml_fault
 from threadline.jobs.seam.settings import STITCHING_KEYS
 from threadline.units import parse_quantity, unit_factor
-from threadline.wording import nearest, toml_fault
 
 MAX_TOML_BYTES = 64 * 1024 * 1024
 _DRAWING = ("file", "unit", "gap", "origin", "by")

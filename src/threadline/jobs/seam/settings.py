@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from threadline.drawing.offset import Allowance
 from threadline.errors import JobError, Place, UnitError
+from threadline.foreign_messages import nearest
 from threadline.units import parse_quantity
-from threadline.wording import nearest
 
 EXAMPLE = (
     'Write a file NAME.seam.toml with [drawing] file = "..." and [stitching] '

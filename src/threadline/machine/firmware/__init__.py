@@ -1,9 +1,9 @@
 """Settings of firmwares (grbl, FluidNC, Marlin, Klipper) -> a machine file."""
 
-from threadline.machine.firmware.answers import Answers, parse_answers
+from threadline.machine.firmware.axis_settings import AxisSettings, Settings
+from threadline.machine.firmware.machine_text import machine_text
+from threadline.machine.firmware.owner_answers import Answers, parse_answers
 from threadline.machine.firmware.read import read_settings
-from threadline.machine.firmware.settings import AxisSettings, Settings
-from threadline.machine.firmware.write import machine_text
 
 __all__ = [
     "Answers",

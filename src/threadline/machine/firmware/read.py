@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from threadline.errors import MachineError, Place
-from threadline.machine.firmware.settings import Settings
-from threadline.opening import read_text
+from threadline.input_files import read_text
+from threadline.machine.firmware.axis_settings import Settings
 
 _MOST_BYTES = 1_000_000
 _LETTERS = "XYZABCUVW"

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.shaping.crossing import crossing
+from threadline.shaping.linear_program import minimise
 from threadline.shaping.newton import newton
-from threadline.shaping.onoff.model import Command, RestToRest, simulate, travel_rows
+from threadline.shaping.onoff.body_and_modes import Command, RestToRest, simulate, travel_rows
 from threadline.shaping.onoff.rest import conditions
-from threadline.shaping.program import minimise
+from threadline.shaping.sign_changes import crossing
 from threadline.shaping.types import ShaperError
 
 _INTERVALS = 600

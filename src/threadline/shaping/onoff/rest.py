@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.shaping.onoff.model import RestToRest
+from threadline.shaping.onoff.body_and_modes import RestToRest
 from threadline.shaping.response import pole
 
 _SERIES_BELOW = 1.0

@@ -15,7 +15,8 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
-from threadline.shaping.onoff.model import (
+from threadline.shaping.linear_program import InfeasibleError, minimise
+from threadline.shaping.onoff.body_and_modes import (
     Command,
     PerMode,
     RestToRest,
@@ -27,7 +28,6 @@ from threadline.shaping.onoff.model import (
     worst_ringing,
 )
 from threadline.shaping.onoff.optimal import time_optimal
-from threadline.shaping.program import InfeasibleError, minimise
 from threadline.shaping.types import Shaper, ShaperError
 
 _ACCURACY = 1e-4

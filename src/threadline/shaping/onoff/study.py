@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from threadline.errors import OptionError
-from threadline.shaping.onoff.model import Command, PerMode, RestToRest, per_mode
+from threadline.shaping.onoff.body_and_modes import Command, PerMode, RestToRest, per_mode
 from threadline.shaping.onoff.optimal import time_optimal
 from threadline.shaping.onoff.robust import ShapedMove, beside, robust_optimum
 from threadline.shaping.onoff.switched import FrontPoint, residual_front

@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
-from threadline.shaping.onoff.model import (
+from threadline.shaping.onoff.body_and_modes import (
     Command,
     PerMode,
     RestToRest,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from threadline.errors import RecordingError
-from threadline.opening import refuse_special
+from threadline.input_files import refuse_special
 from threadline.signals.commands import TickTable
 from threadline.signals.files.array import read_array, write_array
 from threadline.signals.files.common import Written, clear_errors

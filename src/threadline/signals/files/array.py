@@ -16,7 +16,7 @@ import numpy as np
 
 from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
-from threadline.opening import KnownFile
+from threadline.input_files import KnownFile
 from threadline.signals.commands import TickBlock, TickTable
 from threadline.signals.event import Event
 from threadline.signals.files.common import (

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 
 from threadline.errors import Place, RecordingError, UnitError
+from threadline.foreign_messages import nearest
 from threadline.signals.recording import ChannelKind
 from threadline.units import same_dimension, unit_factor
-from threadline.wording import nearest
 
 AXES = ("A", "B", "C", "U", "V", "W", "X", "Y", "Z")
 TIME = "time"

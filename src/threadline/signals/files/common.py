@@ -17,8 +17,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from threadline.errors import Place, RecordingError, ThreadlineError
 from threadline.escaping import json_line
-from threadline.opening import KnownFile
-from threadline.wording import field_fault
+from threadline.foreign_messages import field_fault
+from threadline.input_files import KnownFile
 from threadline.writing import content_of, staged_file
 
 MAX_LINE_BYTES = 1 << 20

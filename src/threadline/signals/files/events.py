@@ -9,10 +9,10 @@ from typing import Any, get_args
 import numpy as np
 
 from threadline.errors import Place, RecordingError
+from threadline.foreign_messages import nearest
 from threadline.signals.event import Event, EventKind
 from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
 from threadline.signals.files.common import MAX_COUNTS, parse_json
-from threadline.wording import nearest
 
 KINDS: tuple[EventKind, ...] = get_args(EventKind)
 _COLUMNS = {

@@ -16,7 +16,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, RecordingError, UnitError
-from threadline.opening import KnownFile
+from threadline.input_files import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.files.columns import AXES, parse_column
 from threadline.signals.files.common import (

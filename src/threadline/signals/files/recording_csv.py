@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import Place, RecordingError
-from threadline.opening import KnownFile
+from threadline.input_files import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.event import Event
 from threadline.signals.files.channel_units import in_si

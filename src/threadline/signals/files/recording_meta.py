@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline import __version__
 from threadline.errors import Place, RecordingError
-from threadline.opening import KnownFile
+from threadline.input_files import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.files.common import (
     FractionText,

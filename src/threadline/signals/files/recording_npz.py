@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import Place, RecordingError
-from threadline.opening import KnownFile
+from threadline.input_files import KnownFile
 from threadline.signals.files.archive import ColumnArchive, ColumnReader, ColumnSpool
 from threadline.signals.files.channel_units import in_si
 from threadline.signals.files.common import Written, atomic_file, clear_errors, reading, written

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline.arrays import IntArray
 from threadline.errors import Place, RecordingError
-from threadline.opening import KnownFile
+from threadline.input_files import KnownFile
 from threadline.signals.clock import Clock
 from threadline.signals.commands import TickBlock, TickTable
 from threadline.signals.event import Event

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import Place, RecordingError
-from threadline.opening import KnownFile
+from threadline.foreign_messages import nearest
+from threadline.input_files import KnownFile
 from threadline.signals.commands import TickBlock, TickTable
 from threadline.signals.event import Event
 from threadline.signals.files.common import (
@@ -31,7 +32,6 @@ from threadline.signals.files.table import (
     empty_block,
     table_from,
 )
-from threadline.wording import nearest
 
 _LAST = 200  # bytes that the last line is within
 

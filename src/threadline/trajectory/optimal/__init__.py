@@ -1,6 +1,6 @@
 """The fastest motion along a path within velocity, acceleration and jerk."""
 
-from threadline.trajectory.optimal.elements import Elements, elements_of
+from threadline.trajectory.optimal.path_elements import Elements, elements_of
 from threadline.trajectory.optimal.solve import Limits, Solution, fastest
 
 __all__ = ["Elements", "Limits", "Solution", "elements_of", "fastest"]

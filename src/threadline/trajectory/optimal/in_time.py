@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.trajectory.optimal.elements import restricted
+from threadline.trajectory.optimal.path_elements import restricted
 from threadline.trajectory.optimal.solve import Limits, Solution
 from threadline.trajectory.types import TrajectoryBlock
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
-from threadline.trajectory.optimal.elements import Elements
+from threadline.trajectory.optimal.first_guess import even, feasible, used
+from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.rows import assemble, demand_rows
-from threadline.trajectory.optimal.start import even, feasible, used
 from threadline.trajectory.optimal.usage import shares
 
 _COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are made finer

@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import IntEnum, auto
 from typing import NamedTuple
 
-from threadline.twin.schedule import ARRIVE, CONTROL, TICK
+from threadline.twin.timeline import ARRIVE, CONTROL, TICK
 
 
 class Field(IntEnum):

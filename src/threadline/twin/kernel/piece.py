@@ -22,7 +22,7 @@ from threadline.twin.kernel.tables import (
     control_tables,
     plant_tables,
 )
-from threadline.twin.schedule import Schedule, make_schedule
+from threadline.twin.timeline import Schedule, make_schedule
 
 _WATCH_PER_RATE = 1.0
 _CELL_PER_RATE = 0.5

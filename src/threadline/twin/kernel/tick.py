@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from threadline.twin.kernel.code import Value
+from threadline.twin.kernel.controller_profile import profiled
 from threadline.twin.kernel.lanes import Lanes
 from threadline.twin.kernel.names import Action, Do, Field, Row
-from threadline.twin.kernel.profile import profiled
 
 _ENCODER = {"nearest": "floor", "floor": "floor", "truncate": "trunc"}
 """What rounds a position of which the phase has been added, see ``state``."""

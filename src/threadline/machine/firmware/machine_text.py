@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 from threadline.errors import MachineError, OptionError, Place, UnitError
-from threadline.machine.firmware.answers import ASKED, OPTIONAL, Answers
-from threadline.machine.firmware.settings import AxisSettings, Said, Settings
+from threadline.machine.firmware.axis_settings import AxisSettings, Said, Settings
+from threadline.machine.firmware.owner_answers import ASKED, OPTIONAL, Answers
 from threadline.units import parse_quantity
 
 _FULL_STEPS = 200

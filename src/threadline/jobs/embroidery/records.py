@@ -12,8 +12,8 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import JobError, Place
-from threadline.jobs.design.t15 import SUFFIX, read_t15
-from threadline.opening import open_binary
+from threadline.input_files import open_binary
+from threadline.jobs.embroidery.t15 import SUFFIX, read_t15
 
 _READERS = {
     ".dst": "DstReader",

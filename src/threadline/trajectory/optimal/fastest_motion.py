@@ -9,11 +9,11 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
 from threadline.path.types import PieceBlock, PlannedPath
-from threadline.plant.answers import answers_of
+from threadline.plant.closed_loop import answers_of
 from threadline.trajectory.optimal.drives import limits_of
-from threadline.trajectory.optimal.elements import Elements, elements_of
-from threadline.trajectory.optimal.following import Follower, Past, followed
+from threadline.trajectory.optimal.following_error import Follower, Past, followed
 from threadline.trajectory.optimal.in_time import in_time
+from threadline.trajectory.optimal.path_elements import Elements, elements_of
 from threadline.trajectory.optimal.solve import Limits, fastest
 from threadline.trajectory.pieces import factors
 from threadline.trajectory.timed import held_block

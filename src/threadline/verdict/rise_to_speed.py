@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.verdict.found import Finding, Found
+from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting, lanes

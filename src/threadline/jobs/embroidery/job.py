@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from threadline.errors import JobError, Place
-from threadline.jobs.design.records import Act, read_records
+from threadline.jobs.embroidery.records import Act, read_records
 from threadline.jobs.operations import (
     Job,
     MoveRun,

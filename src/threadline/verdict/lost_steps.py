@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from threadline.verdict.found import Found, Worst
+from threadline.verdict.finding import Found, Worst
 from threadline.verdict.largest import largest
 from threadline.verdict.measure import Measure
 from threadline.verdict.samples import Block, Setting

@@ -11,13 +11,13 @@ import numpy as np
 from threadline.errors import BudgetError, OptionError
 from threadline.laws import Law
 from threadline.machine import Machine
-from threadline.path.plan import CHORDS, on_chords
+from threadline.path.interpolations import CHORDS, on_chords
 from threadline.path.types import PieceBlock, PlannedPath, Timing
 from threadline.signals import Stream
 from threadline.trajectory.as_programmed import as_programmed
 from threadline.trajectory.by_law import breaks_jerk, by_law
 from threadline.trajectory.follow import followed_blocks
-from threadline.trajectory.optimal.blocks import MOST_PIECES, fastest_blocks
+from threadline.trajectory.optimal.fastest_motion import MOST_PIECES, fastest_blocks
 from threadline.trajectory.timed import smoothed_blocks, timed_blocks
 from threadline.trajectory.types import Trajectory
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from threadline.errors import MachineError
+from threadline.foreign_messages import field_fault
 from threadline.machine import load_machine
 from threadline.machine.schema import schema
-from threadline.wording import field_fault
 
 BASE = 'base = "lathe-winder"\n'
 

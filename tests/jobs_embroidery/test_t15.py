@@ -12,7 +12,7 @@ from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
 
 from threadline.errors import JobError
 from threadline.jobs import Move, ToolEvent, read_job
-from threadline.jobs.design.t15 import t15_bytes
+from threadline.jobs.embroidery.t15 import t15_bytes
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, write

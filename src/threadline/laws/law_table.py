@@ -9,10 +9,10 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError, Place
+from threadline.input_files import read_text
 from threadline.laws.extremes import measured_law, refuse_descent
 from threadline.laws.forms import Pieces
 from threadline.laws.law import Law
-from threadline.opening import read_text
 from threadline.writing import staged_file
 
 ROWS = 1001

@@ -15,7 +15,7 @@ from math import gcd, lcm
 from threadline.arrays import IntArray, Locked, read_only_int
 from threadline.errors import MachineError
 from threadline.machine import Machine
-from threadline.plant.parts import Group
+from threadline.plant.coupled import Group
 from threadline.signals import common_period_s
 
 TICK, CONTROL, ARRIVE = 0, 1, 2

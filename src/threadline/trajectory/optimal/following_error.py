@@ -10,9 +10,9 @@ from scipy.ndimage import maximum_filter1d
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import PlanError
-from threadline.plant.answers import Answer
-from threadline.trajectory.optimal.elements import Elements
+from threadline.plant.closed_loop import Answer
 from threadline.trajectory.optimal.in_time import in_time
+from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.solve import Limits, Problem, Solution
 from threadline.trajectory.optimal.stray import aligned, blamed, strayed
 from threadline.trajectory.types import TrajectoryBlock

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
 from threadline.machine import Machine
-from threadline.path import bspline, linear
+from threadline.path import bspline, straight
 from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
 from threadline.path.polynomial import polynomial_pieces
@@ -18,7 +19,6 @@ from threadline.path.smoothing import smoothing_for, smoothing_share
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import Stream
-from threadline.wording import nearest
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
@@ -109,7 +109,7 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
         interpolation=interpolation,
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=Stream(linear.chords, programmed),
+        blocks=Stream(straight.chords, programmed),
     )
 
 
@@ -142,7 +142,9 @@ def _historical(
 
 def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     del options
-    return _historical("linear", programmed, Stream(linear.linear_pieces, programmed, machine), {})
+    return _historical(
+        "linear", programmed, Stream(straight.linear_pieces, programmed, machine), {}
+    )
 
 
 def _point_to_point(
@@ -152,7 +154,7 @@ def _point_to_point(
     return _historical(
         "point-to-point",
         programmed,
-        Stream(linear.point_to_point_pieces, programmed, machine),
+        Stream(straight.point_to_point_pieces, programmed, machine),
         {},
     )
 
