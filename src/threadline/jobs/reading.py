@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from threadline.errors import JobError, OptionError, Place
-from threadline.jobs import design
+from threadline.jobs import embroidery
 from threadline.jobs.moves import read_moves
 from threadline.jobs.operations import Job
 from threadline.jobs.programs import read_program
@@ -48,7 +48,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("seam", SUFFIXES, read_seam, STITCHING_KEYS),
     Format("move list", (".toml",), read_moves),
-    Format("embroidery design", design.SUFFIXES, design.read_design),
+    Format("embroidery design", embroidery.SUFFIXES, embroidery.read_design),
 )
 
 

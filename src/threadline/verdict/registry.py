@@ -9,11 +9,11 @@ from threadline.signals import ChannelKind
 from threadline.verdict import (
     demands,
     electrical,
+    lost_steps,
     repeat,
     ripple,
     seam,
     settling,
-    steps,
     stitch_measures,
     stitches,
     switch_measures,
@@ -244,7 +244,7 @@ _KINDS = (
         dimension="ratio",
         per_axis=True,
         of_worst=True,
-        reads=(_moved(steps.start_step_loss, (ChannelKind.TORQUE_SHARE,), follows=False),),
+        reads=(_moved(lost_steps.start_step_loss, (ChannelKind.TORQUE_SHARE,), follows=False),),
     ),
     MeasureKind(
         name="current_peak",
