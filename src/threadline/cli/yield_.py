@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from threadline import __version__
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -31,12 +32,16 @@ from threadline.cli.shared_options import (
     machine_from,
     options_of,
 )
-from threadline.cli.warn import warn
+from threadline.cli.warn import tell, warn
+from threadline.errors import OptionError
 from threadline.pipeline import check_machine, open_job, plan_job
+from threadline.plan import Plan
+from threadline.proof_file import spec_sha256
 from threadline.report.machine_yield import limited_rows, write_yield
 from threadline.search.influence import Influence, influence
 from threadline.search.machine_yield import MachineYield, Worst, Yield, shares_of, worst_toml
-from threadline.verdict import CriterionRow, load_spec
+from threadline.search.yield_state import YieldState
+from threadline.verdict import CriterionRow, Spec, load_spec
 from threadline.verdict.rendering import shown
 from threadline.writing import together
 
@@ -72,6 +77,12 @@ def yield_(
         Path | None,
         typer.Option(help="Write the worst machine that is found to this machine file."),
     ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            help="Keep what came of the machines in this file, and go on from what it has already."
+        ),
+    ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -85,15 +96,27 @@ def yield_(
     Example: threadline yield examples/x-180.prg -m lathe-winder --variants 1000
     """
     chosen = machine_from(machine, par)
-    keep_inputs(worst, job, chosen.file, par, spec)
+    keep_inputs(worst, job, chosen.file, par, spec, resume)
+    keep_inputs(resume, job, chosen.file, par, spec)
     check_outputs(file=worst, folder=report)
+    check_outputs(file=resume)
+    if worst is not None and resume is not None and worst.resolve() == resume.resolve():
+        raise OptionError(
+            f"--worst and --resume are the same file {str(worst)!r}", remedy="Name two files."
+        )
     options = options_of(
         interpolation, feed, tolerance, limits, None, feed_forward, smoothing, None, law
     )
     check_machine(chosen)
     plan = plan_job(open_job(job, chosen, options), chosen, options)
-    judged = MachineYield(plan, load_spec(spec, chosen))
+    asked = load_spec(spec, chosen)
+    judged = MachineYield(plan, asked)
     warn(chosen, plan.job)
+    state = None
+    if resume is not None:
+        state = YieldState(resume, _identity(plan, asked, seed))
+        if state.cut:
+            tell([f"{resume.name}: its last line was cut short, and is worked out again"])
     through = 0
     with progress_bar(not json) as progress:
 
@@ -103,7 +126,7 @@ def yield_(
             if progress is not None:
                 progress("simulating and judging machines", min(through / variants, 1.0))
 
-        found = judged.drawn(variants, seed, done)
+        found = judged.drawn(variants, seed, done, state)
         bad = judged.worst(found)
         hangs = _why(judged, seed) if why else None
         title = f"{plan.job.name} on {chosen.name}: {_words(found)}"
@@ -123,6 +146,18 @@ def yield_(
         if drawn is not None:
             say(f"Report: {drawn}")
     raise typer.Exit(0 if found.passed == found.found.runs else 1)
+
+
+def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
+    """Return what drawn machines hang on: a state of another one is refused."""
+    return {
+        "job": plan.job.sha256,
+        "machine": plan.machine.sha256,
+        "spec": spec_sha256(spec),
+        "plan": plan.commands.rows_sha256(),
+        "seed": str(seed),
+        "version of threadline": __version__,
+    }
 
 
 def _why(judged: MachineYield, seed: int) -> tuple[Influence, np.ndarray, float]:
@@ -181,7 +216,10 @@ def _show(
         head = ["number", "alone", "with others", "yield if halved"]
         print_table(f"what it hangs on; of {_WHY_MACHINES} machines {own:.2%} in spec", head, rows)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
-    say(f"worst machine, {how}: {100.0 * bad.share:.1f} % of {bad.binding}")
+    uses = f"{100.0 * bad.share:.1f} % of {bad.binding}"
+    if not np.isfinite(bad.share):
+        uses = "it cannot be simulated, or never ends what it waits for"
+    say(f"worst machine, {how}: {uses}")
     say(_words(found))
 
 

@@ -43,6 +43,8 @@ class Kind:
     others
         Runs of other machines of the same file, each number at some (k, n) parts of its tolerance
         (``machine/variants.py``), with phases drawn from the generator.
+    together
+        Whether machines that differ in numbers alone are simulated many at once.
     asked
         A specification and options to the specification with what the options ask to be reported.
     release
@@ -62,6 +64,7 @@ class Kind:
     simulate: Callable[[Commands, Machine], Recording]
     days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
     others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
+    together: Callable[[Machine], bool]
     asked: Callable[[Spec, Options], Spec]
     release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]

@@ -12,6 +12,7 @@ from threadline.described import describe
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
+from threadline.kinds.retold import retold
 from threadline.laws import law
 from threadline.machine import Machine
 from threadline.machine.variants import variant
@@ -95,7 +96,8 @@ def _others(
     parts: FloatArray,
     random: np.random.Generator,  # noqa: ARG001
 ) -> Sequence[Recording]:
-    return [_simulate(commands, variant(machine, row)) for row in parts]
+    machines = [variant(machine, row) for row in parts]
+    return [_simulate(retold(commands, one), one) for one in machines]
 
 
 def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
@@ -117,6 +119,7 @@ STEPS = Kind(
     simulate=_simulate,
     days=_days,
     others=_others,
+    together=lambda _: False,
     asked=_asked,
     release=_release,
     compared={

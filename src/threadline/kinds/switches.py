@@ -10,6 +10,7 @@ from threadline.arrays import FloatArray
 from threadline.described import describe
 from threadline.jobs.operations import Job
 from threadline.kinds.kind import Kind
+from threadline.kinds.retold import retold
 from threadline.machine import Machine
 from threadline.machine.variants import variant
 from threadline.machine.vary import vary
@@ -79,7 +80,8 @@ def _others(
     parts: FloatArray,
     random: np.random.Generator,  # noqa: ARG001
 ) -> Sequence[Recording]:
-    return [_simulate(commands, variant(machine, row)) for row in parts]
+    machines = [variant(machine, row) for row in parts]
+    return [_simulate(retold(commands, one), one) for one in machines]
 
 
 def _release(plan: Plan) -> None:
@@ -96,6 +98,7 @@ SWITCHES = Kind(
     simulate=_simulate,
     days=_days,
     others=_others,
+    together=lambda _: False,
     asked=_asked,
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},

@@ -202,6 +202,7 @@ TICKS = Kind(
     simulate=_simulate,
     days=_days,
     others=_others,
+    together=lambda machine: not machine.position_sources,
     asked=_asked,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},

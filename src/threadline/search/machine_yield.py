@@ -10,7 +10,8 @@ import numpy as np
 from scipy.stats import beta
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.errors import MachineError, OptionError, PlanError
+from threadline.errors import OptionError
+from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.machine.variants import (
     MOST_CORNERS,
@@ -19,18 +20,20 @@ from threadline.machine.variants import (
     numbers_at,
     one_at_a_time,
     uncertain,
-    variant,
 )
 from threadline.plan import Plan
 from threadline.plant.values import Values
+from threadline.search.judge_alone import AloneJudge
 from threadline.search.judge_runs import RunsJudge
+from threadline.search.yield_state import YieldState
 from threadline.signals import tick_table
-from threadline.twin import fastest_rates, simulate
-from threadline.verdict import CriterionRow, EachRun, Judge, Spec
+from threadline.twin import fastest_rates
+from threadline.verdict import CriterionRow, EachRun, Spec
 
 CONFIDENCE = 0.95
 AT_ONCE = 4096
-"""Machines from one word of progress to the next; what comes of them does not depend on it."""
+"""Machines of which what came is kept together; it does not depend on how many they are."""
+_AT_ONCE_ALONE = 32
 _STARTS = 4  # samples from which the worst case is looked for
 _ROUNDS = 8
 _COUNTS = "axes.*.counts"
@@ -122,24 +125,11 @@ class MachineYield:
     Raises
     ------
     OptionError
-        If no number of the machine varies, its drives are told positions, or the plan has no path.
+        If no number of the machine varies.
     """
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
-        try:
-            self.plan, axes = plan, plan.motion.axes
-        except PlanError as error:
-            raise OptionError(
-                f"yield draws machines whose axes follow a path, and {plan.machine.name} has none",
-                remedy="Judge drawn machines of it with threadline prove --tolerances.",
-            ) from error
-        told = [axis for axis in axes if plan.machine.source_of(axis) is not None]
-        if told:
-            raise OptionError(
-                f"the drive of axis {told[0]} is told positions: such machines are not simulated "
-                "many at once",
-                remedy="threadline prove --tolerances judges 200 of them.",
-            )
+        self.plan = plan
         self.numbers = uncertain(plan.machine)
         if not self.numbers:
             raise OptionError(
@@ -147,9 +137,11 @@ class MachineYield:
                 place=plan.machine.place,
                 remedy='Write them in the machine file: "111 kg +- 10 %".',
             )
-        extremes = numbers_at(plan.machine, self._fastest_corner())
-        self._judge = RunsJudge(plan, spec, threads=threads, extremes=extremes)
-        self._alone = Judge(plan, spec)
+        self._many: RunsJudge | None = None
+        self._alone = AloneJudge(plan, spec)
+        if kind_of(plan.machine).together(plan.machine):
+            extremes = numbers_at(plan.machine, self._fastest_corner())
+            self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
 
     def _fastest_corner(self) -> FloatArray:
         """Return parts of the machine with every number at the end where it is faster.
@@ -170,10 +162,24 @@ class MachineYield:
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return what comes of machines at (k, n) parts of their tolerances."""
-        return self._judge.judged(numbers_at(self.plan.machine, parts), done=done)
+        if self._many is None:
+            return self._alone.judged(parts, done)
+        return self._many.judged(numbers_at(self.plan.machine, parts), done=done)
 
-    def drawn(self, variants: int, seed: int, done: Done | None = None) -> Yield:
+    def drawn(
+        self,
+        variants: int,
+        seed: int,
+        done: Done | None = None,
+        state: YieldState | None = None,
+    ) -> Yield:
         """Return what comes of the first machines of the sequence of a seed.
+
+        Parameters
+        ----------
+        state
+            What is known of them already, of the same plan, specification and seed; what comes of
+            the others is added to it.
 
         Raises
         ------
@@ -183,9 +189,18 @@ class MachineYield:
         if variants < 1:
             raise OptionError(f"variants must be at least 1, got {variants}")
         found: list[EachRun] = []
-        for at in range(0, variants, AT_ONCE):
-            index: IntArray = np.arange(at, min(at + AT_ONCE, variants))
+        through = 0
+        if state is not None and state.known is not None:
+            through = min(state.known.runs, variants)
+            found.append(state.known.taken(np.arange(through)))
+            if done is not None:
+                done(through)
+        at_once = AT_ONCE if self._many is not None else _AT_ONCE_ALONE
+        for at in range(through, variants, at_once):
+            index: IntArray = np.arange(at, min(at + at_once, variants))
             found.append(self.judged(drawn(self.plan.machine, seed, index), done))
+            if state is not None:
+                state.add(found[-1])
         return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
 
     def worst(self, known: Yield | None = None) -> Worst:
@@ -217,7 +232,7 @@ class MachineYield:
         """Step from one machine to worse ones, a number to an end at a time."""
         shares, binding = shares_of(self.judged(start[None]))
         best, share, bound = start, float(shares[0]), binding[0]
-        for _ in range(_ROUNDS):
+        for _ in range(_ROUNDS if np.isfinite(share) else 0):
             tried = np.repeat(best[None], 2 * len(free), axis=0)
             for row, k in enumerate(free):
                 tried[2 * row, k], tried[2 * row + 1, k] = -1.0, 1.0
@@ -239,12 +254,11 @@ class MachineYield:
 
     def _told_alone(self, parts: FloatArray, share: float, binding: str) -> tuple[float, str]:
         """Return what a machine uses when it is proved by itself; as it was where it cannot be."""
-        try:
-            machine = variant(self.plan.machine, parts)
-            own = self._alone.each(simulate(tick_table(self.plan.commands), machine))
-        except MachineError:
+        if self._many is None:
             return share, binding
-        shares, names = shares_of(own)
+        shares, names = shares_of(self._alone.judged(parts[None]))
+        if not np.isfinite(shares[0]):
+            return share, binding
         return float(shares[0]), names[0]
 
     def halved(self, variants: int, seed: int) -> FloatArray:
