@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -78,6 +79,8 @@ TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
+
+_LONG_S = 1.0  # of simulating: how far it is then worth to be known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -309,18 +312,23 @@ def _parts(machine: Machine, count: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Watched:
-    """The blocks of a recording while somebody watches how far it is; no stream, for he stays."""
+    """The blocks of a recording while somebody watches how far it is; no stream, for he stays.
+
+    How long the motion is may cost a reading of all of it: that is asked only of what takes long.
+    """
 
     blocks: Iterable[RecordingBlock]
     plan: Plan
     progress: Progress
 
     def __iter__(self) -> Iterator[RecordingBlock]:
-        clock, total_s = self.plan.commands.clock, max(self.plan.duration_s, 1e-9)
+        clock, began = self.plan.commands.clock, time.monotonic()
         for block in self.blocks:
             yield block
-            done_s = clock.time_s(block.first_tick.get(clock.name, 0))
-            self.progress("simulating and judging", min(done_s / total_s, 1.0))
+            if time.monotonic() - began > _LONG_S:
+                done_s = clock.time_s(block.first_tick.get(clock.name, 0))
+                fraction = min(done_s / max(self.plan.duration_s, 1e-9), 1.0)
+                self.progress("simulating and judging", fraction)
 
 
 def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:

@@ -7,10 +7,12 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
 
+from threadline import pipeline
 from threadline.cli import output, prove, told
 from threadline.cli.main import main
 from threadline.errors import PlanError
@@ -117,6 +119,31 @@ def test_a_long_run_says_a_word_every_minute(
         while ": simulating" not in heard:
             heard += capsys.readouterr().err
     assert re.search(r"still at work after \d+ s: simulating\n", heard)
+
+
+def test_the_word_of_each_minute_says_how_long_it_will_be(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A quarter done in two hours: six are left. Before anything is known of it, no guess."""
+    now_s = time.monotonic()
+    with told.telling() as telling:
+        told.at_work("simulating", shown=False)
+        assert telling.doing() == "simulating"
+        told.at_work("simulating", 0.25, shown=False)
+        monkeypatch.setattr(time, "monotonic", lambda: now_s + 7200.0)
+        assert telling.doing() == "simulating, 25 % done, about 6 h more"
+    assert not capsys.readouterr().err
+
+
+def test_a_run_without_a_terminal_says_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No bar is drawn there. What is said comes from the run itself, in blocks of it."""
+    monkeypatch.setattr(told, "_EVERY_S", 0.002)
+    monkeypatch.setattr(pipeline, "_LONG_S", 0.0)
+    code, _, err = stopped(capsys, *PROVE, "--feed", "0.05 mm/s")
+    assert code == 0
+    assert re.search(r": simulating and judging, \d+ % done, about [\d.]+ s more\n", err)
 
 
 def test_standard_streams_that_are_closed_or_full() -> None:

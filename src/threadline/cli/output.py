@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -91,10 +92,13 @@ def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> b
 
 
 @contextmanager
-def progress_bar(wanted: bool = True) -> Iterator[ProgressCall | None]:
-    """Give a progress call that draws a bar on a terminal once a second has passed."""
+def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
+    """Give a progress call that draws a bar on a terminal once a second has passed.
+
+    Elsewhere nothing is drawn, and the word of each minute says how far it is.
+    """
     if not wanted or not sys.stderr.isatty():
-        yield None  # it would cost a second reading of the trajectory to know the fraction
+        yield partial(at_work, shown=False)
         return
     bar = Progress(
         TextColumn("{task.description}"),
@@ -113,7 +117,7 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall | None]:
         if not shown and time.monotonic() - began > _SHOW_AFTER_S:
             bar.start()
             shown = True
-        at_work(what, shown=shown)
+        at_work(what, fraction, shown=shown)
         bar.update(task, description=what, completed=fraction)
 
     try:

@@ -34,13 +34,27 @@ class Telling:
         Held until the answer stands.
     stage
         What the command is doing, as its progress calls it; empty where it does not say.
+    since_s
+        When it began to, on the monotonic clock.
+    fraction
+        How much of it is done.
     shown
         Whether a progress bar shows it.
     """
 
     warnings: list[str] = field(default_factory=list)
     stage: str = ""
+    since_s: float = 0.0
+    fraction: float = 0.0
     shown: bool = False
+
+    def doing(self) -> str:
+        """Return what the command is doing, and how long it will be if it goes on like this."""
+        if not self.stage or not self.fraction:
+            return self.stage
+        passed_s = time.monotonic() - self.since_s
+        left_s = passed_s * (1.0 - self.fraction) / self.fraction
+        return f"{self.stage}, {100.0 * self.fraction:.2g} % done, about {_lasting(left_s)} more"
 
 
 _TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)
@@ -68,11 +82,21 @@ def warning(text: str) -> None:
         telling.warnings.append(text)
 
 
-def at_work(stage: str, *, shown: bool) -> None:
-    """Take down what the command is doing, and whether a bar shows it."""
+def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
+    """Take down what the command is doing, how much of it is done, and whether a bar shows it."""
     telling = _TELLING.get()
-    if telling is not None:
-        telling.stage, telling.shown = stage, shown
+    if telling is None:
+        return
+    if stage != telling.stage:
+        telling.since_s = time.monotonic()
+    telling.stage, telling.fraction, telling.shown = stage, fraction, shown
+
+
+def _lasting(seconds: float) -> str:
+    for unit, size_s in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size_s:
+            return f"{seconds / size_s:.2g} {unit}"
+    return f"{seconds:.2g} s"
 
 
 @contextmanager
@@ -93,8 +117,8 @@ def _beat(held: Telling, ended: threading.Event) -> None:
     began = time.monotonic()
     while not ended.wait(_EVERY_S):
         if not held.shown:
-            doing = f": {held.stage}" if held.stage else ""
-            note(f"still at work after {time.monotonic() - began:.0f} s{doing}")
+            doing = held.doing()
+            note(f"still at work after {time.monotonic() - began:.0f} s{doing and ': '}{doing}")
 
 
 def tell_warnings(warnings: Iterable[str]) -> None:

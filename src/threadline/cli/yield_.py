@@ -123,8 +123,7 @@ def yield_(
         def done(count: int) -> None:
             nonlocal through
             through += count
-            if progress is not None:
-                progress("simulating and judging machines", min(through / variants, 1.0))
+            progress("simulating and judging machines", min(through / variants, 1.0))
 
         found = judged.drawn(variants, seed, done, state)
         bad = judged.worst(found)
