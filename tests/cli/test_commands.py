@@ -127,6 +127,19 @@ def test_wrong_options_exit_with_two_and_one_line(
         ("fastest", "strap.seam.toml", ["--margin", "100 %"], ["below 100 %", '"20 %"']),
         ("fastest", "x-180.prg", ["--margin", "1 mm"], ["a percentage is wanted", '"20 %"']),
         ("design", "strap.seam.toml", ["--feed-forward", "--smoothing", ""], ["not a number"]),
+        (
+            "fastest",
+            "x-180.prg",
+            ["--interpolation", "optimal", "--low", "1 mm/s"],
+            ["searches by feed", "Leave them out"],
+        ),
+        ("compare", "x-180.prg", ["--contour", "0.2 mm"], ["linear", "--interpolation optimal"]),
+        (
+            "design",
+            "strap.seam.toml",
+            ["--interpolation", "optimal", "--feed-forward", "--contour", "0.2 mm"],
+            ["--contour", "loads that follow"],
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_refused_before_the_work(
@@ -245,6 +258,26 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     assert json.loads(again)["criteria"] == json.loads(found)["verdict"]["criteria"]
     assert json.loads(found)["command"] == f"threadline {command}"
     assert json.loads(found)["limited_by"] == "range"
+
+
+@pytest.mark.parametrize("extra", [["--contour", "0.4 mm"], ["--feed-forward"]])
+def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
+    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str]
+) -> None:
+    """No feed is searched; the limits alone are said, and the report is that of the plan."""
+    words = ["fastest", examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "optimal"]
+    code, out, _ = run(capsys, *words, *extra, "--json", "--report", tmp_path)
+    found = json.loads(out)
+    assert code == 0
+    assert (tmp_path / "report.html").exists()
+    assert found["tried"] == 1
+    own, driven = found["bounds"]
+    assert own["duration_s"] < driven["duration_s"] < found["duration_s"]
+
+    code, again, _ = run(capsys, *shlex.split(found["command"])[1:], "--json")
+    assert code == 0
+    assert json.loads(again)["duration_s"] == found["duration_s"]
+    assert json.loads(again)["criteria"] == found["verdict"]["criteria"]
 
 
 def test_a_margin_is_kept_free_of_every_limit_of_the_specification(

@@ -14,6 +14,7 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
     DEFAULT_TOLERANCE_TEXT,
+    ContourOption,
     JobArgument,
     JsonOption,
     MachineOption,
@@ -31,6 +32,7 @@ from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.kinds import kind_of
 from threadline.options import DEFAULT_INTERPOLATION, parse_feed
+from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import Proof
 from threadline.report import write_comparison
 from threadline.search import Comparison, Rung
@@ -79,6 +81,7 @@ def compare(
     ] = None,
     spec: SpecOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    contour: ContourOption = None,
     par: ParOption = None,
     fastest: Annotated[bool, typer.Option(help="Also find the fastest of each.")] = True,
     nominal: NominalOption = False,
@@ -118,7 +121,7 @@ def compare(
             load_spec(spec, chosen),
             names,
             feeds,
-            options_of(names[0], None, tolerance),
+            options_of(_of_contour(names, contour), None, tolerance, contour=contour),
             shapers=[None if text == UNSHAPED_WORD else text for text in shapers],
             with_fastest=fastest,
             progress=progress,
@@ -216,6 +219,11 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
             for name, f in found.fastest.items()
         },
     }
+
+
+def _of_contour(names: Sequence[str], contour: str | None) -> str:
+    """Return the interpolation that options are read for: a contour may be of any of them."""
+    return OPTIMAL if contour is not None and OPTIMAL in names else names[0]
 
 
 def _label(proof: Proof, key: str) -> str:

@@ -13,6 +13,7 @@ from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
     FEED_FORWARD,
+    ContourOption,
     FeedForwardOption,
     InterpolationOption,
     JobArgument,
@@ -50,6 +51,7 @@ def design(
     spec: SpecOption = None,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    contour: ContourOption = None,
     over_tolerances: Annotated[
         bool,
         typer.Option(
@@ -104,12 +106,18 @@ def design(
         raise OptionError(f"{job.name} is no seam and has no needle speed")
     plotted = _plotted(plot, tuple(chosen.design.parameters) if chosen.design else None)
     smoothing_s = _widths_s(feed_forward, smoothing)
+    if feed_forward and contour is not None:
+        raise OptionError(
+            f"--contour {contour!r} bounds what loops make of a motion that motors follow, and "
+            "--feed-forward has loads that follow",
+            remedy="Leave one of them out.",
+        )
     with progress_bar(not json) as progress:
         result = search_design(
             job,
             chosen,
             load_spec(spec, chosen),
-            options_of(interpolation, None, tolerance),
+            options_of(interpolation, None, tolerance, contour=contour),
             tolerances=over_tolerances,
             needle_speed=needle,
             plotted=plotted,

@@ -6,12 +6,19 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
+
+_ENDS = {
+    RANGE: "the end of the search (--high)",
+    LIMITS: "the limits of axes and drives",
+    ALLOWED: "what --contour allows",
+}
 
 
 def limit_words(limited_by: str) -> str:
     """Return what ended a search: a criterion by its name, or the search itself."""
-    return "the end of the search (--high)" if limited_by == RANGE else limited_by
+    return _ENDS.get(limited_by, limited_by)
 
 
 def resolution_words(found: Fastest) -> str:

@@ -3,12 +3,14 @@
 from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed, feed_range_m_s
-from threadline.search.gentle import FastestJob, Rung, fastest_job
+from threadline.search.gentle import fastest_job
 from threadline.search.mismatch import Mismatch, feed_over_tolerances, needle_over_tolerances
 from threadline.search.needle import fastest_needle, needle_range_hz
+from threadline.search.rungs import Bound, FastestJob, Rung
 
 __all__ = [
     "PLACEMENT",
+    "Bound",
     "Comparison",
     "Fastest",
     "FastestJob",

@@ -18,7 +18,8 @@ from threadline.pipeline import (
     plan_job,
     prove_plan,
 )
-from threadline.search.gentle import FastestJob, fastest_job
+from threadline.search.gentle import fastest_job
+from threadline.search.rungs import FastestJob
 from threadline.verdict import Spec
 
 PLACEMENT = ("contour_error", "turning_point_error")

@@ -151,13 +151,17 @@ def find_fastest(
         ]
     intervals.reverse()
     if not intervals:
-        closest = min(seen.values(), key=lambda verdict: _worst(verdict)[1])
+        closest = min(seen.values(), key=lambda verdict: worst_criterion(verdict)[1])
         return Fastest(
-            intervals=(), limited_by=_worst(closest)[0], verdict=closest, tried=len(seen), **steps
+            intervals=(),
+            limited_by=worst_criterion(closest)[0],
+            verdict=closest,
+            tried=len(seen),
+            **steps,
         )
     best = intervals[0].high
     above = [feed for feed in seen if feed > best]
-    limited_by = _worst(seen[min(above)])[0] if above else RANGE
+    limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
     return Fastest(
         intervals=tuple(intervals),
         limited_by=limited_by,
@@ -244,7 +248,7 @@ def _held(
     return sorted(found, key=lambda part: part.low)
 
 
-def _worst(verdict: Verdict) -> tuple[str, float]:
+def worst_criterion(verdict: Verdict) -> tuple[str, float]:
     """Return the criterion that exceeds its limit by the largest factor, and the factor.
 
     A required criterion that was not measured, or one whose limit is zero, exceeds it by

@@ -7,37 +7,23 @@ share of the limits are searched together, and the shortest job wins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
+from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job
+from threadline.search.allowance import fastest_allowed
 from threadline.search.fastest import NEAR_POINTS, Fastest
 from threadline.search.feed import fastest_feed
+from threadline.search.rungs import FastestJob, Rung
 from threadline.trajectory import Pace
 from threadline.verdict import Spec
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
 _STEP = 2.0**0.25  # from rung to rung once the best of the ladder is known
 _SCAN_POINTS = 20
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rung:
-    """The best at one share of the limits; ``duration_s`` is None where no feed passes."""
-
-    share: float
-    found: Fastest
-    duration_s: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FastestJob:
-    """What was found: the rung with the shortest job, and all that were tried, by share."""
-
-    best: Rung
-    rungs: tuple[Rung, ...]
 
 
 def fastest_job(
@@ -55,7 +41,7 @@ def fastest_job(
     """Search feed and share of the limits together; the shortest job in spec wins.
 
     Paths and timings that ignore the limits (the 1994 controller's, programmed times) are searched
-    by feed alone.
+    by feed alone. ``optimal`` needs no feed: see ``fastest_allowed``.
 
     Parameters
     ----------
@@ -67,6 +53,10 @@ def fastest_job(
         Which runs a feed is judged by.
     """
     check_loops(machine)
+    if options.interpolation == OPTIMAL:
+        return fastest_allowed(
+            job, machine, spec, options, high=high, progress=progress, actual=actual, trials=trials
+        )
     by_feed = ignores_limits(job, machine, options)
     rungs: dict[float, Rung] = {}
     expected = 1 if by_feed else len(_LADDER) + 4

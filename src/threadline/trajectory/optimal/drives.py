@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from threadline.arrays import FloatArray
@@ -16,6 +18,16 @@ _UNITS = ("V at the controller", "V", "A")
 _CREEP = 1e-12  # m/s: sliding friction has a sign and no size
 
 
+def axis_limits(machine: Machine, axes: tuple[str, ...]) -> Limits:
+    """Return what the axes may do, whatever their drives can give."""
+    column = [machine.axis_names.index(axis) for axis in axes]
+    return Limits(
+        velocity=machine.velocity_limit[column],
+        acceleration=machine.acceleration_limit[column],
+        jerk=machine.jerk_limit[column],
+    )
+
+
 def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
     """Return what the axes may do: their own limits, and what their drives can give.
 
@@ -27,8 +39,8 @@ def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
     PlanError
         If friction and reserve leave a drive nothing to move with.
     """
-    column = [machine.axis_names.index(axis) for axis in axes]
-    acceleration = machine.acceleration_limit[column].copy()
+    own = axis_limits(machine, axes)
+    acceleration = own.acceleration.copy()
     demand = np.zeros((len(_UNITS), len(axes), 2))
     for k, axis in enumerate(axes):
         if machine.source_of(axis) is not None:
@@ -45,12 +57,7 @@ def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
                 )
             demand[m, k] = speed / left, push / left
             acceleration[k] = min(acceleration[k], left / push) if push > 0.0 else acceleration[k]
-    return Limits(
-        velocity=machine.velocity_limit[column],
-        acceleration=acceleration,
-        jerk=machine.jerk_limit[column],
-        demand=demand[demand[:, :, 0].any(axis=1)],
-    )
+    return replace(own, acceleration=acceleration, demand=demand[demand[:, :, 0].any(axis=1)])
 
 
 def _needs(machine: Machine, axis: str) -> list[tuple[float, FloatArray]]:

@@ -46,6 +46,11 @@ def fastest_blocks(
     yield from limited_blocks(path, limits_of(machine, path.axes), follower)
 
 
+def least_time_s(path: PlannedPath, limits: Limits) -> float:
+    """Return the duration of the fastest motion along ``path`` within ``limits``."""
+    return max((block.end_s for block in limited_blocks(path, limits)), default=0.0)
+
+
 def limited_blocks(
     path: PlannedPath, limits: Limits, follower: Follower | None = None
 ) -> Iterator[TrajectoryBlock]:

@@ -1,0 +1,171 @@
+"""``threadline fastest --interpolation optimal``: the fastest plan in spec, and what limits it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+
+from threadline.cli.fastest_by_feed import metres_per_second
+from threadline.cli.found import command_line, limit_words, margin_words, typed
+from threadline.cli.level import level_words
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.warn import warn
+from threadline.errors import OptionError
+from threadline.jobs import Job
+from threadline.machine import Machine
+from threadline.options import NO_CONTOUR, Options
+from threadline.path.interpolations import OPTIMAL
+from threadline.pipeline import Trials, plan_job, prove_plan, with_shaping
+from threadline.report import write_report
+from threadline.search import FastestJob, Rung, fastest_job
+from threadline.search.allowance import options_at
+from threadline.verdict import Spec, closing, criteria_json, verdict_rows
+
+
+def fastest_optimal(
+    job: Path,
+    read: Job,
+    machine: Machine,
+    spec: Spec,
+    margin: float,
+    options: Options,
+    actual: Machine | None,
+    span: tuple[str | None, str | None],
+    mismatch: bool,
+    report: Path | None,
+    asked: dict[str, str | Path | None],
+    trials: Trials,
+    json: bool,
+) -> NoReturn:
+    """Find the fastest plan, say how far it is from what limits alone allow, and leave.
+
+    Parameters
+    ----------
+    span
+        Texts of the lowest and the highest feed; the highest caps the speed.
+    asked
+        Options of the command that proves the answer, but for those that were found.
+    """
+    low, high = span
+    if low is not None or mismatch:
+        raise OptionError(
+            f"--low and --mismatch are of searches by feed, which {OPTIMAL} does not need",
+            remedy="Leave them out; prove --tolerances judges its plan on other machines.",
+        )
+    highest_m_s = None if high is None else metres_per_second(high)
+    spec = with_shaping(spec, machine, options)
+    warn(machine, read)
+    with progress_bar(not json) as progress:
+        found = fastest_job(
+            read,
+            machine,
+            spec,
+            options,
+            high=highest_m_s,
+            progress=progress,
+            actual=actual,
+            trials=trials,
+        )
+    best = found.best
+    again = None
+    if best.found.best is not None:
+        level = level_words(trials)
+        words: dict[str, str | Path | None] = {
+            "--feed": f"{best.found.best!r} m/s",
+            "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
+            "--contour": None if best.contour_m is None else contour_text(best.contour_m),
+            level: "" if level else None,
+        }
+        again = command_line("prove", job, asked | words)
+    page = None
+    if report is not None:
+        plan = plan_job(read, machine, options_at(machine, options, best, highest_m_s))
+        page = write_report(prove_plan(plan, spec, trials=trials, actual=actual), report)
+    if json:
+        told = {"report": str(page)} if page is not None else {}
+        print_json(_content(found) | {"margin": margin, "command": again} | told)
+    else:
+        _show(found, f"{read.name} on {machine.name}, optimal{margin_words(margin)}")
+        if again is not None:
+            say(f"To prove it: {again}")
+        if page is not None:
+            say(f"Report: {page}")
+    raise typer.Exit(0 if best.found.best is not None else 1)
+
+
+def contour_text(contour_m: float) -> str:
+    """Return an allowance as it can be typed."""
+    return NO_CONTOUR if math.isinf(contour_m) else f"{contour_m!r} m"
+
+
+def _content(found: FastestJob) -> dict[str, Any]:
+    best = found.best
+    return {
+        "best": best.found.best,
+        "unit": "m/s",
+        "intervals": [[i.low, i.high] for i in best.found.intervals],
+        "limited_by": best.found.limited_by,
+        "duration_s": best.duration_s,
+        "tried": len(found.rungs),
+        "bounds": [{"within": b.within, "duration_s": b.duration_s} for b in found.bounds],
+        "verdict": {
+            "passed": best.found.verdict.passed,
+            "level": best.found.verdict.level.value,
+            "criteria": criteria_json(best.found.verdict),
+        },
+        "rungs": [_rung_content(rung) for rung in found.rungs],
+        **_allowed(best),
+    }
+
+
+def _rung_content(rung: Rung) -> dict[str, Any]:
+    return {
+        "duration_s": rung.duration_s,
+        "limited_by": None if rung.duration_s is not None else rung.found.limited_by,
+        **_allowed(rung),
+    }
+
+
+def _allowed(rung: Rung) -> dict[str, Any]:
+    contour_m = rung.contour_m
+    return {
+        "limits": rung.share,
+        "contour_m": None if contour_m is None or math.isinf(contour_m) else contour_m,
+    }
+
+
+def _show(found: FastestJob, title: str) -> None:
+    rows = [
+        [
+            _allowance(rung),
+            "" if rung.duration_s is None else f"{rung.duration_s:.3f}",
+            "in spec" if rung.duration_s is not None else f"OUT: {rung.found.limited_by}",
+        ]
+        for rung in found.rungs
+    ]
+    header = ["limits used" if found.best.contour_m is None else "contour mm", "job s", "verdict"]
+    print_table(f"{title}: plans proved", header, rows)
+    best = found.best
+    head, body = verdict_rows(best.found.verdict)
+    if best.duration_s is None:
+        say(f"no plan is in spec ({len(rows)} proved): {best.found.limited_by} fails at all")
+        print_table("verdict where the search came closest", head, body)
+        return
+    say(
+        f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "
+        f"{len(rows)} plans proved"
+    )
+    for bound in found.bounds:
+        over = best.duration_s / bound.duration_s - 1.0
+        say(f"within the limits of {bound.within} alone: {bound.duration_s:.3f} s ({over:+.0%})")
+    print_table("verdict at the fastest", head, body)
+    say(closing(best.found.verdict))
+
+
+def _allowance(rung: Rung) -> str:
+    if rung.contour_m is None:
+        return f"{rung.share:.0%}"
+    return NO_CONTOUR if math.isinf(rung.contour_m) else typed(round(rung.contour_m * 1e3, 6))

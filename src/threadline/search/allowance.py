@@ -1,0 +1,185 @@
+"""The fastest of a planner that needs no feed: what its loads may make of it is searched.
+
+``optimal`` is the fastest within everything that it is told. Without feed-forward it is told how
+far the loads may leave the path; what counts, levels and other days add to that is known after a
+proof only. So a few plans are proved, up to one that fails and back. With feed-forward the motion
+is planned for the loads: a share of the limits is left where all of them are too much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from threadline.errors import LimitError
+from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.machine import Machine
+from threadline.options import LEAST_CONTOUR_M, Options
+from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
+from threadline.search.fastest import Fastest, Interval, worst_criterion
+from threadline.search.feed import feed_range_m_s
+from threadline.search.refused import beyond
+from threadline.search.rungs import Bound, FastestJob, Rung
+from threadline.trajectory.optimal.drives import axis_limits, limits_of
+from threadline.trajectory.optimal.fastest_motion import least_time_s
+from threadline.verdict import Spec, Verdict
+
+LIMITS = "limits"
+"""What limits a plan that passes with everything that axes and drives can do."""
+ALLOWED = "contour"
+"""What limits a plan that passes with the allowance that it was given."""
+_SHARES = (0.95, 0.9, 0.85, 0.75, 0.6, 0.4, 0.2)
+_MOST_PROOFS = 8
+_CLOSE = 1.03  # between the allowances of a plan that passes and one that fails
+_AIM = 0.97  # of a limit
+_LEAST_GROWTH, _MOST_GROWTH = 1.06, 1.5
+_LEAST_FALL = 0.4
+_PLACED = ("contour_error", "turning_point_error", "progress_error")
+
+
+def fastest_allowed(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    high: float | None = None,
+    progress: Progress | None = None,
+    actual: Machine | None = None,
+    trials: Trials = NOMINAL,
+) -> FastestJob:
+    """Return the fastest plan in spec, with how far it is from what limits alone allow.
+
+    Parameters
+    ----------
+    options
+        Of ``optimal``; where they say how far loads may leave the path, only that is proved.
+    high
+        A feed that caps the speed, m/s of the fastest axis; None for all that the axes can do.
+    actual
+        The machine that does the job, where it isn't the one that plans are made for.
+    trials
+        Which runs a plan is judged by.
+    """
+    top = feed_range_m_s(machine)[1] if high is None else high
+    options = replace(options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    by_contour = options.follows_contour
+
+    def proved(amount: float) -> Rung:
+        if progress is not None:
+            progress("proving", len(rungs) / _MOST_PROOFS)
+        chosen = (
+            replace(options, contour_m=amount)
+            if by_contour
+            else replace(options, limit_share=amount)
+        )
+        try:
+            plan = plan_job(job, machine, chosen)
+        except LimitError as error:
+            # The motion of loads that follow breaks a limit by what smooths it.
+            if by_contour or error.quantity == "travel":
+                raise
+            return _rung(chosen, top, beyond(error, machine), None)
+        verdict = try_plan(plan, spec, trials, actual).verdict
+        return _rung(chosen, top, verdict, plan.duration_s)
+
+    rungs: dict[float, Rung] = {}
+    next_one = _next_contour if by_contour else _next_share
+    amount: float | None = options.timing.contour_m if by_contour else options.limit_share
+    while amount is not None:
+        rungs[amount] = proved(amount)
+        alone = by_contour and options.contour_m is not None
+        amount = None if alone or len(rungs) >= _MOST_PROOFS else next_one(rungs)
+    return FastestJob(
+        best=_best(rungs, ALLOWED if by_contour else LIMITS),
+        rungs=tuple(rungs[amount] for amount in sorted(rungs, reverse=True)),
+        bounds=_bounds(job, machine, options),
+    )
+
+
+def options_at(
+    machine: Machine, options: Options, rung: Rung, high: float | None = None
+) -> Options:
+    """Return the options of a plan that was proved by ``fastest_allowed``."""
+    top = feed_range_m_s(machine)[1] if high is None else high
+    return replace(
+        options,
+        feed=Feed(FeedMode.FASTEST_AXIS, top),
+        limit_share=rung.share,
+        contour_m=rung.contour_m,
+    )
+
+
+def _rung(options: Options, feed_m_s: float, verdict: Verdict, duration_s: float | None) -> Rung:
+    passed = verdict.passed
+    found = Fastest(
+        intervals=(Interval(low=feed_m_s, high=feed_m_s),) if passed else (),
+        limited_by=worst_criterion(verdict)[0],
+        verdict=verdict,
+        tried=1,
+    )
+    return Rung(
+        share=options.limit_share,
+        found=found,
+        duration_s=duration_s if passed else None,
+        contour_m=options.timing.contour_m if options.follows_contour else None,
+    )
+
+
+def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
+    """Return the shortest that passes, with what forbids more; else the one that came closest."""
+    passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
+    if not passed:
+        return min(rungs.values(), key=lambda rung: worst_criterion(rung.found.verdict)[1])
+    at = min(passed, key=lambda amount: rungs[amount].duration_s or math.inf)
+    above = [amount for amount, rung in rungs.items() if rung.duration_s is None and amount > at]
+    limited_by = rungs[min(above)].found.limited_by if above else otherwise
+    return replace(rungs[at], found=replace(rungs[at].found, limited_by=limited_by))
+
+
+def _next_contour(rungs: Mapping[float, Rung]) -> float | None:
+    """Return the allowance to try next, None where another would gain little."""
+    passed = [c for c, rung in rungs.items() if rung.duration_s is not None]
+    low = max(passed, default=0.0)
+    high = min((c for c in rungs if c not in passed and c > low), default=math.inf)
+    if math.isinf(low) or high <= _CLOSE * low or high <= LEAST_CONTOUR_M:
+        return None
+    if not passed:
+        excess = worst_criterion(rungs[high].found.verdict)[1]
+        return max(high * max(_AIM / excess, _LEAST_FALL), LEAST_CONTOUR_M)
+    if math.isinf(high):
+        return low * min(max(_AIM / _used(rungs[low]), _LEAST_GROWTH), _MOST_GROWTH)
+    return math.sqrt(low * high)
+
+
+def _used(rung: Rung) -> float:
+    """Return the largest share of a limit of where the loads are."""
+    return max(
+        (
+            abs(result.measured) / result.limit
+            for result in rung.found.verdict.results
+            if result.name in _PLACED and result.limit and result.measured is not None
+        ),
+        default=1.0 / _MOST_GROWTH,
+    )
+
+
+def _next_share(rungs: Mapping[float, Rung]) -> float | None:
+    """Return the next smaller share of the limits, until one passes."""
+    least = min(rungs)
+    if rungs[least].duration_s is not None:
+        return None
+    return next((share for share in _SHARES if share < least), None)
+
+
+def _bounds(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
+    """Return the least time within the limits of the axes, and within those of the drives, too."""
+    freely = replace(options, feed_forward_s=None, contour_m=math.inf)
+    path = plan_job(job, machine, freely).motion.path
+    return (
+        Bound(within="the axes", duration_s=least_time_s(path, axis_limits(machine, path.axes))),
+        Bound(
+            within="axes and drives", duration_s=least_time_s(path, limits_of(machine, path.axes))
+        ),
+    )
