@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,36 @@ def test_json_of_the_published_shaper(capsys: pytest.CaptureFixture[str]) -> Non
     # The misread damping ratio is named with the right one and its cost.
     assert any("0.0089" in w and "24.8 %" in w for w in content["warnings"])
     assert any("amplifies" in w for w in content["warnings"])
+
+
+def test_a_ratio_that_no_eigenvalue_of_a_slow_mode_has_is_not_doubted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A real part of 0.1 1/s is more than the whole modulus of 0.01 Hz, 0.063 1/s.
+
+    The shaped move is proved by the simulated oscillator, as any other is.
+    """
+    asked = ["--mode", "0.01Hz", "--damping", "0.1", "--kind", "zvdd"]
+    code, out, err = run(
+        capsys, "shaper", *asked, "--move", "10 mm", "--acceleration", "1 m/s^2", "--json"
+    )
+    content = json.loads(out)
+    assert (code, err, content["warnings"]) == (0, "", [])
+    assert simulated_vibration(made(content), 0.01, 0.1) < 1e-9
+
+
+def test_a_doubted_ratio_is_that_of_the_named_eigenvalue(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The eigenvalue that the warning prints has the mode's modulus and the printed ratio."""
+    _, out, _ = run(capsys, "shaper", "--mode", "0.1Hz", "--damping", "0.1", "--json")
+    (said,) = json.loads(out)["warnings"]
+    found = re.search(r"eigenvalue (\S+) \+- (\S+)j 1/s has the ratio (\S+),", said)
+    assert found is not None
+    eigenvalue = complex(float(found[1]), float(found[2]))
+    # Both are printed to four digits.
+    assert abs(eigenvalue) == pytest.approx(0.2 * np.pi, rel=2e-4)
+    assert -eigenvalue.real / abs(eigenvalue) == pytest.approx(float(found[3]), abs=1e-4)
 
 
 def test_si_without_a_band_holds_a_fifth_to_either_side(capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,6 +25,7 @@ from threadline.shaping import (
     residual_vibration,
     unit_magnitude_over_bands,
 )
+from threadline.shaping.types import MAX_DAMPING_RATIO
 from threadline.units import without_noise
 
 BANDED = ("si", "um-si")
@@ -238,17 +239,20 @@ def price_content(made: Realised) -> list[dict[str, float]]:
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
-    """Yield a warning for every damping ratio that looks like the real part of an eigenvalue."""
+    """Yield a warning for every damping ratio that may be the real part of an eigenvalue.
+
+    Of a mode so slow that an eigenvalue with that real part would hardly ring, it cannot be.
+    """
     for m in modes:
-        if m.damping_ratio < SUSPICIOUS_DAMPING:
+        modulus = 2.0 * np.pi * m.frequency_hz
+        meant = m.damping_ratio / modulus
+        if m.damping_ratio < SUSPICIOUS_DAMPING or meant >= MAX_DAMPING_RATIO:
             continue
-        omega = 2.0 * np.pi * m.frequency_hz
-        right = FlexibleMode(m.frequency_hz, m.damping_ratio / omega)
-        left = residual_vibration(design("zv", m), m.frequency_hz, right.damping_ratio)
+        left = residual_vibration(design("zv", m), m.frequency_hz, meant)
         yield (
             f"a damping ratio of {m.damping_ratio:g} is high for a mode that rings: an eigenvalue "
-            f"{-m.damping_ratio:g} +- {omega:.4g}j 1/s has the ratio {right.damping_ratio:.4f}, "
-            f"its real part divided by its modulus; if that is meant, a ZV for "
+            f"{-m.damping_ratio:g} +- {modulus * np.sqrt(1.0 - meant**2):.4g}j 1/s has the ratio "
+            f"{meant:.4f}, its real part divided by its modulus; if that is meant, a ZV for "
             f"{m.damping_ratio:g} leaves {float(left) * 100:.1f} %"
         )
 
