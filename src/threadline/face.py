@@ -154,9 +154,7 @@ def fastest(
     kind_of(chosen).check_options(chosen, options)
     read = read_job(job, chosen)
     if read.paced_by == "switchings":
-        if other is not None:
-            raise OptionError(f"actual is of feeds, which {chosen.name} does not have")
-        cycle = fastest_cycle(read, chosen, asked, trials=trials)
+        cycle = fastest_cycle(read, chosen, asked, actual=other, trials=trials)
         return Found(cycle.cycle_s, "s", cycle.limited_by, cycle)
     if read.paced_by == "shaft":
         sewn = fastest_shaft(read, chosen, asked, options, actual=other, trials=trials)

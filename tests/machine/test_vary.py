@@ -50,6 +50,19 @@ def test_derating_touches_acceleration_and_jerk_alone() -> None:
         derate(machine, 1.5)
 
 
+def test_off_tolerance_of_cylinders_are_what_they_push_and_the_air() -> None:
+    """The file's 6 kg +- 5 %, 27 kN/m +- 10 % and 35.7 kN/m +- 30 %."""
+    machine = load_machine("letter-placer")
+    other = off_tolerance(machine, mass=1.0, stiffness=-1.0)
+
+    assert other.bodies["head"].inertia.si == pytest.approx(1.05 * 6.0, rel=1e-12)
+    assert other.links["feet"].stiffness.si == pytest.approx(0.9 * 2.7e4, rel=1e-12)
+    assert other.cylinders["X"].air_stiffness.si == pytest.approx(0.7 * 35.7e3, rel=1e-12)
+    assert other.bodies["table"] == machine.bodies["table"]
+    same = replace(other, bodies=machine.bodies, links=machine.links, cylinders=machine.cylinders)
+    assert same == machine
+
+
 def test_off_tolerance_are_loads_and_links_and_nothing_else() -> None:
     """Of the printed 111 kg +- 10 % and 6.24e5 N/m +- 20 % an end and a quarter of the way."""
     machine = load_machine("stitcher")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from itertools import pairwise
 
@@ -20,8 +21,9 @@ from threadline.report.proof import write_comparison
 from threadline.report.publish import write_document
 from threadline.report.style import AXES, LIMIT, figure_style
 from threadline.report.traces import collect
-from threadline.search import Fastest, Interval, Mismatch, compare
-from threadline.verdict import Verdict, load_spec
+from threadline.search import Mismatch, compare
+from threadline.search.mismatch import CYCLE, NEEDLE
+from threadline.verdict import load_spec
 
 
 def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_path) -> None:
@@ -89,30 +91,37 @@ def test_the_printer_gets_every_column_and_no_scroll_bar(tmp_path) -> None:
     assert "say \\22 a\\22 \\3c /style\\3e " in paper
 
 
+def cell(mass: float, stiffness: float, best: float | None, limited_by: str) -> Mismatch:
+    return Mismatch(mass=mass, stiffness=stiffness, best=best, intervals=(), limited_by=limited_by)
+
+
 def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
     """Nine cells in any order; no speed at all is drawn as 0."""
-    nothing = Verdict(results=(), simulated=True)
     cells = []
     for mass in (1.0, -1.0, 0.0):
         for stiffness in (0.0, 1.0, -1.0):
             high = 50.0 + 10.0 * stiffness - mass
-            best = (Interval(low=1.0, high=high),) if (mass, stiffness) != (1.0, -1.0) else ()
-            found = Fastest(intervals=best, limited_by="range", verdict=nothing, tried=2)
-            cells.append(Mismatch(mass=mass, stiffness=stiffness, found=found))
-    (panel,) = draw_mismatch(cells, "a title").axes
+            best = high if (mass, stiffness) != (1.0, -1.0) else None
+            cells.append(cell(mass, stiffness, best, "range"))
+    (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
     drawn = {line.get_label(): line.get_xydata().tolist() for line in panel.lines}
     assert drawn == {
         "loads: lower end": [[-1.0, 41.0], [0.0, 51.0], [1.0, 61.0]],
         "loads: as in the file": [[-1.0, 40.0], [0.0, 50.0], [1.0, 60.0]],
         "loads: upper end": [[-1.0, 0.0], [0.0, 49.0], [1.0, 59.0]],
     }
+    # The shortest cycle is no cycle of 0 s where none is in spec: its line has a gap.
+    (panel,) = draw_mismatch(cells, "a title", CYCLE).axes
+    heights = {line.get_label(): line.get_ydata()[0] for line in panel.lines}
+    assert heights["loads: lower end"] == 41.0
+    assert math.isnan(heights["loads: upper end"])
+    assert panel.get_ylabel() == "shortest in spec, s"
 
 
 def test_a_picture_without_any_speed_says_so() -> None:
-    nothing = Verdict(results=(), simulated=True)
-    found = Fastest(intervals=(), limited_by="stitch_length_error", verdict=nothing, tried=2)
-    cells = [Mismatch(mass=m, stiffness=k, found=found) for m in (-1.0, 1.0) for k in (-1.0, 1.0)]
-    (panel,) = draw_mismatch(cells, "a title").axes
+    ends = [(m, k) for m in (-1.0, 1.0) for k in (-1.0, 1.0)]
+    cells = [cell(m, k, None, "stitch_length_error") for m, k in ends]
+    (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
     (text,) = panel.texts
     assert text.get_text() == (
         "no needle speed is in spec on any of the 4 machines:\nstitch length error fails at all"

@@ -7,6 +7,7 @@ import json
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ from threadline.search import (
     feed_over_tolerances,
     gentle,
     mismatch,
+    shaft,
 )
 from threadline.search.gentle import ignores_limits
 from threadline.verdict import Verdict, load_spec
@@ -124,6 +126,33 @@ def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) 
     assert ran[0].bodies["x"].inertia.si == pytest.approx(0.95 * 3.606e-4)
     assert ran[8].bodies["x"].inertia.si == pytest.approx(1.05 * 3.606e-4)
     assert {(more["low"], more["high"]) for _, _, more in calls} == {(0.05, 0.2)}
+
+
+def test_the_command_takes_them_for_a_design(
+    examples: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine frames sew with the tables of the file's; speeds are printed in stitches a minute."""
+    calls: list[Any] = []
+    monkeypatch.setattr(shaft, "constant_speeds", canned([]))
+    monkeypatch.setattr(mismatch, "constant_speeds", canned(calls))
+    frame = load_machine("schiffli-frame")
+    words = ["fastest", str(examples / "rosette.dst"), "-m", "schiffli-frame", "--mismatch"]
+    monkeypatch.setattr(shaft, "plan_job", lambda *_: SimpleNamespace(duration_s=1.0))
+    monkeypatch.setattr(shaft, "_schedule", lambda *_: None)
+    out = io.StringIO()
+    with redirect_stdout(out), redirect_stderr(io.StringIO()), pytest.raises(SystemExit) as left:
+        main([*words, "--low", "0.01 stitch/s"])
+    assert left.value.code == 0
+    ran = [more["actual"] for _, _, more in calls]
+    ends = [(mass, stiffness) for mass in (-1, 0, 1) for stiffness in (-1, 0, 1)]
+    assert ran == [off_tolerance(frame, mass=m, stiffness=k) for m, k in ends]
+    assert all(planned == frame for planned, _, _ in calls)
+    # 0.05 stitch/s less a tenth at the first machine: 2.70 stitch/min.
+    assert "fastest stitch/min" in out.getvalue()
+    assert "2.70" in out.getvalue()
+    # A tenth above the constant speed that was found for the file's machine itself.
+    assert [more["high"] for _, _, more in calls] == pytest.approx([1.1 * 0.045] * 9)
+    assert {more["low"] for _, _, more in calls} == {0.01}
 
 
 def test_the_command_takes_them_for_any_job(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,16 @@ from scipy.integrate import solve_ivp
 
 from threadline.cli.main import main
 from threadline.errors import PlanError
-from threadline.jobs import read_job
-from threadline.machine import load_machine
+from threadline.jobs import Job, read_job
+from threadline.machine import Machine, load_machine
+from threadline.machine.vary import off_tolerance
 from threadline.options import Options
-from threadline.pipeline import plan_job, prove
+from threadline.pipeline import plan_job, prove, prove_plan
+from threadline.search import mismatch
+from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.levels import gapped, left_ringing, stepped, time_optimal_s
 from threadline.search.move_list import move_list
-from threadline.verdict import load_spec
+from threadline.verdict import Spec, load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
 PLACER = "letter-placer+whole-scans+own-damping"
@@ -181,6 +185,54 @@ def test_what_it_wrote_proves_the_same(
         return [(c["name"], c["axis"], c.get("step"), c["measured"]) for c in criteria]
 
     assert figures(proved["criteria"]) == figures(found["verdict"]["criteria"])
+
+
+def test_off_its_file_the_cycle_is_found_with_commands_for_the_file() -> None:
+    """Springs at their upper ends: the cycle for the file fails there, the one found passes.
+
+    Both are proved anew, one run each, on the machine that is off its file.
+    """
+    machine = load_machine("letter-placer")
+    spec = load_spec(None, machine)
+    stiff = off_tolerance(machine, stiffness=1.0)
+    job = read_job(CYCLE, machine)
+
+    def passes(found: FastestCycle) -> bool:
+        assert found.job is not None
+        plan = plan_job(found.job, machine, Options())
+        return prove_plan(plan, spec, actual=stiff).verdict.passed
+
+    assert not passes(fastest_cycle(job, machine, spec))
+    assert passes(fastest_cycle(job, machine, spec, actual=stiff))
+
+
+def test_the_command_searches_over_tolerances(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine machines run the cycles, and the plans are made for the file's."""
+    machine = load_machine("letter-placer")
+    spec = load_spec(None, machine)
+    job = read_job(CYCLE, machine)
+    real = fastest_cycle(job, machine, spec)
+    ran: list[Machine] = []
+
+    def canned(_job: Job, planned: Machine, _spec: Spec, *, actual: Machine) -> FastestCycle:
+        assert planned == machine
+        ran.append(actual)
+        return real if len(ran) != 5 else replace(real, job=None)
+
+    monkeypatch.setattr(mismatch, "fastest_cycle", canned)
+    words = ["fastest", CYCLE, "-m", "letter-placer", "--nominal", "--mismatch", "--json"]
+    code, out, err = run(capsys, *words, "--report", tmp_path / "r")
+    cells = json.loads(out)["mismatch"]
+    assert (code, err, len(cells)) == (0, "", 9)
+    assert ran == [
+        off_tolerance(machine, mass=m, stiffness=k) for m in (-1, 0, 1) for k in (-1, 0, 1)
+    ]
+    assert cells[0]["best"] == pytest.approx(real.cycle_s)
+    assert (cells[4]["best"], cells[4]["intervals"]) == (None, [])
+    drawn = (tmp_path / "r" / "tolerances.svg").read_text(encoding="utf-8")
+    assert "shortest in spec, s" in drawn
 
 
 def test_options_of_feeds_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

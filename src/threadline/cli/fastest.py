@@ -10,10 +10,7 @@ import typer
 from threadline.cli.fastest_by_feed import fastest_by_feed
 from threadline.cli.fastest_cycle import fastest_moves
 from threadline.cli.fastest_optimal import fastest_optimal
-from threadline.cli.fastest_seam import (
-    fastest_seam,
-    needle_hz,
-)
+from threadline.cli.fastest_seam import fastest_seam, needle_hz
 from threadline.cli.fastest_shaft import fastest_design
 from threadline.cli.level import NominalOption, TolerancesOption, trials_of
 from threadline.cli.shared_options import (
@@ -126,27 +123,28 @@ def fastest(
         contour=contour,
     )
     kind_of(chosen).check_options(chosen, options)
+    other = None if actual is None else machine_from(actual, par)
+    names: dict[str, str | Path | None] = {
+        "-m": machine,
+        "-s": spec,
+        "--par": par,
+        "--actual": actual,
+    }
     if read.paced_by == "switchings":
-        given = [low, high, actual, report, None if not mismatch else ""]
-        if any(value is not None for value in given):
+        if low is not None or high is not None:
             raise OptionError(
-                "--low, --high, --actual, --mismatch and --report are of feeds, which "
-                f"{chosen.name} does not have",
+                f"--low and --high are of feeds, which {chosen.name} does not have",
                 remedy="Leave them out; its moves and waits are searched.",
             )
-        names = {"-m": machine, "-s": spec, "--par": par}
-        fastest_moves(job, read, chosen, asked, kept_free, out, names, trials, json)
+        fastest_moves(
+            job, read, chosen, asked, kept_free, out, names, other, mismatch, report, trials, json
+        )
     if out is not None:
         raise OptionError(
             "--out is of move lists, which have commands and waits to write",
             remedy="Leave it out; the command that proves the answer is printed.",
         )
     if read.paced_by == "shaft":
-        if mismatch or report is not None:
-            raise OptionError(
-                "--mismatch and --report are of feeds and needles of seams",
-                remedy="Leave them out; prove --report draws the design.",
-            )
         fastest_design(
             job,
             read,
@@ -154,9 +152,11 @@ def fastest(
             asked,
             kept_free,
             options,
-            None if actual is None else machine_from(actual, par),
+            other,
             (low, high),
-            {"-m": machine, "-s": spec, "--par": par, "--actual": actual, "--law": law},
+            {**names, "--law": law},
+            mismatch,
+            report,
             trials,
             json,
         )
@@ -168,7 +168,7 @@ def fastest(
             asked,
             kept_free,
             options,
-            None if actual is None else machine_from(actual, par),
+            other,
             (needle_hz(low), needle_hz(high)),
             mismatch,
             report,
@@ -176,15 +176,12 @@ def fastest(
             json,
         )
     words: dict[str, str | Path | None] = {
-        "-m": machine,
-        "-s": spec,
-        "--par": par,
+        **names,
         "--interpolation": interpolation,
         "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
         "--feed-forward": "" if feed_forward else None,
         "--smoothing": smoothing,
         "--contour": contour,
-        "--actual": actual,
     }
     search = fastest_optimal if options.interpolation == OPTIMAL else fastest_by_feed
     search(
@@ -194,7 +191,7 @@ def fastest(
         asked,
         kept_free,
         options,
-        None if actual is None else machine_from(actual, par),
+        other,
         (low, high),
         mismatch,
         report,

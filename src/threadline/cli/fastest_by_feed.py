@@ -8,7 +8,6 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.fastest_seam import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.found import (
     command_line,
     limit_words,
@@ -18,6 +17,7 @@ from threadline.cli.found import (
     typed,
 )
 from threadline.cli.level import level_words
+from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.doubts import tolerance_warnings
@@ -38,6 +38,7 @@ from threadline.search import (
     feed_over_tolerances,
     feed_range_m_s,
 )
+from threadline.search.mismatch import FEED
 from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 
 
@@ -93,15 +94,13 @@ def fastest_by_feed(
                 progress=progress,
             )
         title = f"{read.name} on {machine.name}{margin_words(margin)}"
-        drawn = None if report is None else write_mismatch(cells, title, report, "mm/s", 1e3)
+        drawn = None if report is None else write_mismatch(cells, title, FEED, report)
     if best.found.best is not None or options.following is Following.MOTOR:
         tell(tolerance_warnings(plan_job(read, machine, _at(options, best))))
     again = None if best.found.best is None else _command(best, job, asked, trials)
     if json:
-        told = {"report": str(drawn)} if drawn is not None else {}
-        print_json(
-            _content(result) | {"margin": margin, "command": again} | mismatch_json(cells) | told
-        )
+        said = {"margin": margin, "command": again}
+        print_json(_content(result) | said | mismatch_json(cells, drawn))
     else:
         ahead = ", feed-forward" if options.following is Following.LOAD else ""
         how = f"{options.interpolation}{ahead}"
@@ -109,7 +108,7 @@ def fastest_by_feed(
         if again is not None:
             say(f"To prove it: {again}")
         if cells:
-            show_mismatch(cells, title, "mm/s", 1e3)
+            show_mismatch(cells, title, FEED)
         if drawn is not None:
             say(f"Report: {drawn}")
     raise typer.Exit(0 if best.found.best is not None else 1)

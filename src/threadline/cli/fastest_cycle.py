@@ -9,15 +9,18 @@ import typer
 
 from threadline.cli.found import command_line, margin_words
 from threadline.cli.level import level_words
+from threadline.cli.mismatch import check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.pipeline import Trials
+from threadline.report.mismatch import write_mismatch
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_forecast import MoveChoice
 from threadline.search.fastest import RANGE
+from threadline.search.mismatch import CYCLE, cycle_over_tolerances
 from threadline.search.move_list import move_list
 from threadline.targets.schedule_options import UNSHAPED_WORD
 from threadline.verdict import Spec, closing, criteria_json, verdict_rows
@@ -32,6 +35,9 @@ def fastest_moves(
     margin: float,
     out: Path | None,
     asked: dict[str, str | Path | None],
+    actual: Machine | None,
+    mismatch: bool,
+    report: Path | None,
     trials: Trials,
     json: bool,
 ) -> NoReturn:
@@ -43,12 +49,20 @@ def fastest_moves(
         Where the move list of the fastest is written; None to write none.
     asked
         Options that name the machine and what is asked of it, for the command that proves it.
+    actual
+        The machine that runs the cycles, where it isn't the one that commands are made for.
+    mismatch, report
+        Whether to search at the ends of the tolerances as well, and the folder of its picture.
     """
     asked = {**asked, level_words(trials): "" if level_words(trials) else None}
     check_outputs(file=out)
+    check_mismatch(mismatch, actual is not None, report)
     warn(machine, read)
     with progress_bar(not json) as progress:
-        found = fastest_cycle(read, machine, spec, progress=progress, trials=trials)
+        found = fastest_cycle(read, machine, spec, progress=progress, actual=actual, trials=trials)
+        cells = cycle_over_tolerances(read, machine, spec, progress=progress) if mismatch else []
+    title = f"{read.name} on {machine.name}{margin_words(margin)}"
+    drawn = None if report is None else write_mismatch(cells, title, CYCLE, report)
     written = None
     if out is not None and found.job is not None:
         with together(out):
@@ -60,11 +74,16 @@ def fastest_moves(
         written = out
     again = _command(found, job, written, asked)
     if json:
-        print_json(_content(found) | {"margin": margin, "command": again})
+        said = {"margin": margin, "command": again}
+        print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
-        _show(found, f"{read.name} on {machine.name}{margin_words(margin)}")
+        _show(found, title)
         if found.job is not None:
             say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
+        if cells:
+            show_mismatch(cells, title, CYCLE)
+        if drawn is not None:
+            say(f"Report: {drawn}")
     raise typer.Exit(0 if found.job is not None else 1)
 
 

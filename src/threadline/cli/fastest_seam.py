@@ -9,8 +9,8 @@ import typer
 
 from threadline.cli.found import limit_words, margin_words, resolution_words, typed
 from threadline.cli.level import level_words
+from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import tell, warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError, UnitError
@@ -21,6 +21,7 @@ from threadline.options import Options
 from threadline.pipeline import Trials, plan_job
 from threadline.report.mismatch import write_mismatch
 from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
+from threadline.search.mismatch import NEEDLE
 from threadline.units import parse_quantity
 from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 
@@ -62,15 +63,12 @@ def fastest_seam(
                 job, machine, spec, options, low=low, high=end, progress=progress
             )
         title = f"{job.name} on {machine.name}{margin_words(margin)}"
-        written = None if report is None else write_mismatch(cells, title, report)
+        written = None if report is None else write_mismatch(cells, title, NEEDLE, report)
     if found.best is not None:
         sewn = read_job(job, machine, needle_speed=f"{found.best!r} stitch/s")
         tell(tolerance_warnings(plan_job(sewn, machine, options)))
     if json:
-        content = _content(found) | {"margin": margin} | mismatch_json(cells)
-        if written is not None:
-            content["report"] = str(written)
-        print_json(content)
+        print_json(_content(found) | {"margin": margin} | mismatch_json(cells, written))
     else:
         _show(found, title)
         if found.best is not None:
@@ -79,51 +77,20 @@ def fastest_seam(
                 f"threadline prove with the same options {level_words(trials)}".rstrip()
             )
         if cells:
-            show_mismatch(cells, title)
+            show_mismatch(cells, title, NEEDLE)
         if written is not None:
             say(f"Report: {written}")
     raise typer.Exit(0 if found.best is not None else 1)
 
 
-ABOVE = 1.1
-"""A machine off its file is rarely faster than by that."""
 _UNKNOWN_HZ = 100.0
-
-
-def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
-    """Refuse --report without --mismatch, which it draws, and --mismatch beside --actual.
-
-    Raises
-    ------
-    OptionError
-        If the options do not go together, or the report cannot be written.
-    """
-    if report is not None and not mismatch:
-        raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
-    if mismatch and actual:
-        raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
-    check_outputs(folder=report)
-
-
-def mismatch_json(cells: list[Mismatch]) -> dict[str, Any]:
-    """Return what is printed of a search over tolerances; nothing where there was none."""
-    found = [
-        {"mass": c.mass, "stiffness": c.stiffness, **_interval_content(c.found)} for c in cells
-    ]
-    return {"mismatch": found} if found else {}
-
-
-def _interval_content(found: Fastest) -> dict[str, Any]:
-    return {
-        "best": found.best,
-        "intervals": [[i.low, i.high] for i in found.intervals],
-        "limited_by": found.limited_by,
-    }
 
 
 def _content(found: Fastest) -> dict[str, Any]:
     return {
-        **_interval_content(found),
+        "best": found.best,
+        "intervals": [[i.low, i.high] for i in found.intervals],
+        "limited_by": found.limited_by,
         "unit": "stitch/s",
         "step": found.step,
         "step_at_edges": found.near_step,
@@ -150,33 +117,6 @@ def _show(found: Fastest, title: str) -> None:
     say(f"needle speeds {resolution_words(found)}")
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
     say(closing(found.verdict))
-
-
-def show_mismatch(
-    cells: list[Mismatch], title: str, unit: str = "stitch/s", per_unit: float = 1.0
-) -> None:
-    """Print the fastest per mass and stiffness, both at the ends of their tolerances.
-
-    Parameters
-    ----------
-    unit
-        In which speeds are printed.
-    per_unit
-        What the searched speeds are multiplied by to be in ``unit``.
-    """
-    names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
-    rows = [
-        [
-            names[cell.mass],
-            names[cell.stiffness],
-            "none" if cell.found.best is None else f"{per_unit * cell.found.best:.2f}",
-            limit_words(cell.found.limited_by),
-        ]
-        for cell in cells
-    ]
-    header = ["mass of loads", "stiffness of links", f"fastest {unit}", "limited by"]
-    done = "sewn" if unit == "stitch/s" else "done"
-    print_table(f"{title}: planned for the file, {done} off its tolerances", header, rows)
 
 
 def needle_hz(text: str | None) -> float | None:

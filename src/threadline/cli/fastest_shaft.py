@@ -9,6 +9,7 @@ import typer
 
 from threadline.cli.found import command_line, limit_words, margin_words, resolution_words
 from threadline.cli.level import level_words
+from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
@@ -17,6 +18,8 @@ from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine
 from threadline.options import Options, parse_feed
 from threadline.pipeline import Trials
+from threadline.report.mismatch import write_mismatch
+from threadline.search.mismatch import SHAFT, shaft_over_tolerances
 from threadline.search.shaft import FastestShaft, fastest_shaft
 from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 
@@ -33,6 +36,8 @@ def fastest_design(
     actual: Machine | None,
     span: tuple[str | None, str | None],
     asked: dict[str, str | Path | None],
+    mismatch: bool,
+    report: Path | None,
     trials: Trials,
     json: bool,
 ) -> NoReturn:
@@ -44,7 +49,10 @@ def fastest_design(
         Texts of the lowest and the highest speed to try.
     asked
         Options that name the machine and what is asked of it, for the command that proves it.
+    mismatch, report
+        Whether to search at the ends of the tolerances as well, and the folder of its picture.
     """
+    check_mismatch(mismatch, actual is not None, report)
     low, high = (None if text is None else _stitches_per_second(text) for text in span)
     warn(machine, read)
     with progress_bar(not json) as progress:
@@ -59,14 +67,27 @@ def fastest_design(
             actual=actual,
             trials=trials,
         )
+        cells = []
+        if mismatch:
+            end = found.constant.best * ABOVE if high is None and found.constant.best else high
+            cells = shaft_over_tolerances(
+                read, machine, spec, options, low=low, high=end, progress=progress
+            )
+    title = f"{read.name} on {machine.name}{margin_words(margin)}"
+    drawn = None if report is None else write_mismatch(cells, title, SHAFT, report)
     level = level_words(trials)
     again = _command(found, job, {**asked, level: "" if level else None})
     if json:
-        print_json(_content(found) | {"margin": margin, "command": again})
+        said = {"margin": margin, "command": again}
+        print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
-        _show(found, f"{read.name} on {machine.name}{margin_words(margin)}")
+        _show(found, title)
         if again is not None:
             say(f"To prove it: {again}")
+        if cells:
+            show_mismatch(cells, title, SHAFT)
+        if drawn is not None:
+            say(f"Report: {drawn}")
     raise typer.Exit(0 if found.duration_s is not None else 1)
 
 

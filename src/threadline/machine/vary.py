@@ -102,20 +102,20 @@ def varied_numbers(
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:
-    """Return ``machine`` with its loads heavier and its links stiffer than the file says.
+    """Return ``machine`` with its loads heavier and its springs stiffer than the file says.
 
     Parameters
     ----------
     mass, stiffness
         In parts of the tolerance of each number: 1 is its upper end, -1 its lower one. Loads are
-        the bodies that carry the work of an axis, of a rigid axis those that its drive turns;
-        links all that are not rigid.
+        the bodies that carry the work of an axis, of a rigid axis those that its drive turns, of a
+        cylinder what it pushes; springs are the links that are not rigid and the air of cylinders.
     """
     loads = {
         body
         for name, axis in machine.axes.items()
         for body in axis.load or machine.drive_of(name).acts_on
-    }
+    } | {cylinder.pushes for cylinder in machine.cylinders.values()}
     bodies = {
         name: replace(body, inertia=_off(body.inertia, mass)) if name in loads else body
         for name, body in machine.bodies.items()
@@ -124,7 +124,11 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
         name: replace(link, stiffness=_off(link.stiffness, stiffness))
         for name, link in machine.links.items()
     }
-    return replace(machine, bodies=bodies, links=links)
+    cylinders = {
+        name: replace(cylinder, air_stiffness=_off(cylinder.air_stiffness, stiffness))
+        for name, cylinder in machine.cylinders.items()
+    }
+    return replace(machine, bodies=bodies, links=links, cylinders=cylinders)
 
 
 def derate(machine: Machine, share: float) -> Machine:

@@ -1,4 +1,4 @@
-"""The picture of how the fastest speed in spec varies over the tolerances of a machine."""
+"""The picture of how the fastest in spec varies over the tolerances of a machine."""
 
 from __future__ import annotations
 
@@ -8,24 +8,14 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from threadline.report.style import AXES, figure_style
-from threadline.search import Mismatch
+from threadline.search.mismatch import Mismatch, Searched
 from threadline.writing import staging_folder
 
 _NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
 
 
-def draw_mismatch(
-    cells: Sequence[Mismatch], title: str, unit: str = "stitch/s", per_unit: float = 1.0
-) -> Figure:
-    """Return a figure: the highest speed in spec over stiffness, a line per mass.
-
-    Parameters
-    ----------
-    unit
-        In which speeds are drawn.
-    per_unit
-        What the searched speeds are multiplied by to be in ``unit``.
-    """
+def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> Figure:
+    """Return a figure: the best in spec over stiffness, a line per mass."""
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
         axes = figure.add_subplot()
@@ -33,41 +23,39 @@ def draw_mismatch(
             row = sorted((c for c in cells if c.mass == mass), key=lambda cell: cell.stiffness)
             axes.plot(
                 [cell.stiffness for cell in row],
-                [per_unit * (cell.found.best or 0.0) for cell in row],
+                [_drawn(cell, searched) for cell in row],
                 marker="o",
                 label=f"loads: {_NAMES[mass]}",
                 **style,
             )
-        axes.set_xticks(list(_NAMES), [f"links: {name}" for name in _NAMES.values()])
+        axes.set_xticks(list(_NAMES), [f"springs: {name}" for name in _NAMES.values()])
         axes.set_ylim(bottom=0.0)
-        axes.set_ylabel(f"fastest in spec, {unit}")
+        axes.set_ylabel(f"{searched.best} in spec, {searched.unit}")
         axes.set_title(title)
-        if any(cell.found.best for cell in cells):
+        if any(cell.best for cell in cells):
             axes.legend(loc="lower center")
         else:
             axes.set_ylim(0.0, 1.0)
             axes.set_yticks([0.0])
-            said = _nothing(cells, "needle speed" if unit == "stitch/s" else "feed")
+            said = _nothing(cells, searched.name)
             axes.text(0.5, 0.5, said, transform=axes.transAxes, ha="center", va="center")
     return figure
 
 
+def _drawn(cell: Mismatch, searched: Searched) -> float:
+    return searched.nothing if cell.best is None else searched.per_unit * cell.best
+
+
 def _nothing(cells: Sequence[Mismatch], what: str) -> str:
-    """Say that no speed is in spec on any of the machines, and what fails."""
-    limits = dict.fromkeys(cell.found.limited_by.replace("_", " ") for cell in cells)
+    """Say that none is in spec on any of the machines, and what fails."""
+    limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
     return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"
 
 
-def write_mismatch(
-    cells: Sequence[Mismatch],
-    title: str,
-    folder: Path,
-    unit: str = "stitch/s",
-    per_unit: float = 1.0,
-) -> Path:
+def write_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched, folder: Path) -> Path:
     """Write the figure into ``folder`` as PNG and SVG; return the path of the PNG."""
-    figure = draw_mismatch(cells, title, unit, per_unit)
+    figure = draw_mismatch(cells, title, searched)
     with staging_folder(folder) as temporary:
         figure.savefig(temporary / "tolerances.png")
         figure.savefig(temporary / "tolerances.svg", metadata={"Date": None})

@@ -69,6 +69,7 @@ def fastest_cycle(
     spec: Spec,
     *,
     progress: Progress | None = None,
+    actual: Machine | None = None,
     trials: Trials = NOMINAL,
 ) -> FastestCycle:
     """Search commands and waits of every move together; the shortest cycle in spec wins.
@@ -79,6 +80,8 @@ def fastest_cycle(
         A move list; what it says itself of its moves is not kept.
     spec
         Its limits of the residual vibration lead the search; the twin is judged by all of it.
+    actual
+        The machine that runs the cycles, where it isn't the one that commands are made for.
     trials
         Which runs a cycle is judged by.
 
@@ -91,8 +94,10 @@ def fastest_cycle(
     """
     _check_one_by_one(job)
     plain = with_choices(job, {}, {})
-    unshaped = try_plan(plan_job(plain, machine, Options()), spec, trials)
-    forecast = CycleForecast(job, machine, spec, unshaped.plan.scheduled)
+    unshaped = try_plan(plan_job(plain, machine, Options()), spec, trials, actual)
+    forecast = CycleForecast(
+        job, machine, spec, unshaped.plan.scheduled, machine if actual is None else actual
+    )
     best: tuple[Job, Proof, Cycle] | None = None
     closest: tuple[float, Proof, Cycle | None] = (_excess(unshaped), unshaped, None)
     limited_by = RANGE if unshaped.verdict.passed else _failing(unshaped)
@@ -115,7 +120,7 @@ def fastest_cycle(
         chosen = forecast.job_of(cycle)
         tried += 1
         try:
-            proof = try_plan(plan_job(chosen, machine, Options()), spec, trials)
+            proof = try_plan(plan_job(chosen, machine, Options()), spec, trials, actual)
         except (PlanError, RecordingError):
             continue  # its valves cannot, or an input that it waits for never comes
         if proof.verdict.passed:

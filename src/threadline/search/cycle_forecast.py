@@ -76,22 +76,40 @@ class _State:
 
 
 class CycleForecast:
-    """Everything that stays from round to round; lives as long as ``fastest_cycle`` runs."""
+    """Everything that stays from round to round; lives as long as ``fastest_cycle`` runs.
 
-    def __init__(self, job: Job, machine: Machine, spec: Spec, base: Scheduled) -> None:
+    Parameters
+    ----------
+    machine
+        The one that commands are made for.
+    base
+        The job without a shaper.
+    actual
+        The machine that runs the cycles, on which what a command leaves ringing is forecast.
+    """
+
+    def __init__(
+        self, job: Job, machine: Machine, spec: Spec, base: Scheduled, actual: Machine
+    ) -> None:
         self._job, self._machine, self._base = job, machine, base
         self._scan_s = float(base.commands.clock.period_s)
         axes = {move.axis for move in base.moves}
-        self._ringing = {axis: step_ringing(machine, axis) for axis in axes}
-        self._turn = {a: complex(np.exp(r.pole * self._scan_s)) for a, r in self._ringing.items()}
+        self._ringing = {axis: step_ringing(actual, axis) for axis in axes}
+        self._turn = self._turns(actual, axes)
         self._limits = [self._limit(spec, move) for move in base.moves]
         self._share = dict.fromkeys(axes, 1.0)
         self._bias = [0j] * len(base.moves)
         self._tried: set[tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]] = set()
-        commands = MoveCommands(job, machine, self._scan_s, self._turn)
+        commands = MoveCommands(job, machine, self._scan_s, self._turns(machine, axes))
         self._commands = [
-            commands.of(move, limit) for move, limit in zip(base.moves, self._limits, strict=True)
+            [command.on(self._turn[move.axis]) for command in commands.of(move, limit)]
+            for move, limit in zip(base.moves, self._limits, strict=True)
         ]
+
+    def _turns(self, machine: Machine, axes: set[str]) -> dict[str, complex]:
+        """Return by what the ringing of each cylinder is multiplied in one scan."""
+        poles = {axis: step_ringing(machine, axis).pole for axis in axes}
+        return {axis: complex(np.exp(pole * self._scan_s)) for axis, pole in poles.items()}
 
     def _limit(self, spec: Spec, move: ScheduledMove) -> float:
         """Return how much may ring behind a move, in steps."""

@@ -9,7 +9,7 @@ because level times duration is the same.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class LevelCommand:
     def scans(self) -> int:
         """Duration in scans."""
         return self.ticks[-1]
+
+    def on(self, turn: complex) -> LevelCommand:
+        """Return the same command with what it leaves on a machine that rings otherwise."""
+        return replace(self, left=left_ringing(self.ticks, self.levels, turn))
 
 
 def left_ringing(ticks: Sequence[int], levels: Sequence[float], turn: complex) -> complex:

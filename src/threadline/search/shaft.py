@@ -81,28 +81,22 @@ def fastest_shaft(
         Which runs a speed is judged by.
     """
     check_machine(machine)
-    assert machine.shaft is not None
-
-    def at_speed(speed_hz: float) -> Options:
-        return replace(options, feed=Feed(FeedMode.SHAFT, speed_hz))
-
-    def judged(speed_hz: float) -> Verdict:
-        plan = plan_job(job, machine, at_speed(speed_hz))
-        return try_plan(plan, spec, trials, actual).verdict
-
-    constant = find_fastest(
-        judged,
-        1.0 / machine.shaft.slowest_turn.si if low is None else low,
-        1.0 / float(machine.shaft.turn_s) if high is None else high,
-        points=_POINTS,
-        near=_NEAR,
-        edge_relative=_EDGE,
+    constant = constant_speeds(
+        job,
+        machine,
+        spec,
+        options,
+        low=low,
+        high=high,
         progress=progress,
+        actual=actual,
+        trials=trials,
     )
     constant_s = None
     if constant.best is not None:
-        constant_s = plan_job(job, machine, at_speed(constant.best)).duration_s
+        constant_s = plan_job(job, machine, _at_speed(options, constant.best)).duration_s
     schedule = None
+    assert machine.shaft is not None
     if machine.shaft.acceleration is not None:
         schedule = _schedule(job, machine, spec, options, actual, trials)
     times = [constant_s, None if schedule is None else schedule.plan.duration_s]
@@ -118,6 +112,55 @@ def fastest_shaft(
         constant_s=constant_s,
         verdict=schedule.verdict if by_schedule and schedule is not None else constant.verdict,
     )
+
+
+def constant_speeds(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    points: int = _POINTS,
+    near: int = _NEAR,
+    progress: Progress | None = None,
+    actual: Machine | None = None,
+    trials: Trials = NOMINAL,
+) -> Fastest:
+    """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does.
+
+    Parameters
+    ----------
+    points, near
+        Speeds of the scan, and those in each of its gaps about an edge.
+    """
+    slowest_hz, fastest_hz = speed_range_hz(machine)
+
+    def judged(speed_hz: float) -> Verdict:
+        plan = plan_job(job, machine, _at_speed(options, speed_hz))
+        return try_plan(plan, spec, trials, actual).verdict
+
+    return find_fastest(
+        judged,
+        slowest_hz if low is None else low,
+        fastest_hz if high is None else high,
+        points=points,
+        near=near,
+        edge_relative=_EDGE,
+        progress=progress,
+        unit="stitch/s",
+    )
+
+
+def speed_range_hz(machine: Machine) -> tuple[float, float]:
+    """Return the lowest and the highest constant speed of the shaft, in stitches a second."""
+    assert machine.shaft is not None
+    return 1.0 / machine.shaft.slowest_turn.si, 1.0 / float(machine.shaft.turn_s)
+
+
+def _at_speed(options: Options, speed_hz: float) -> Options:
+    return replace(options, feed=Feed(FeedMode.SHAFT, speed_hz))
 
 
 def _schedule(

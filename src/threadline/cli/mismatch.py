@@ -1,0 +1,67 @@
+"""``--mismatch`` of ``threadline fastest``: what machines off their file can do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from threadline.cli.found import limit_words
+from threadline.cli.output import print_table
+from threadline.cli.outputs import check_outputs
+from threadline.errors import OptionError
+from threadline.search.mismatch import Mismatch, Searched
+
+ABOVE = 1.1
+"""A machine off its file is rarely faster than by that."""
+
+
+def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
+    """Refuse --report without --mismatch, which it draws, and --mismatch beside --actual.
+
+    Raises
+    ------
+    OptionError
+        If the options do not go together, or the report cannot be written.
+    """
+    if report is not None and not mismatch:
+        raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
+    if mismatch and actual:
+        raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
+    check_outputs(folder=report)
+
+
+def mismatch_json(cells: list[Mismatch], drawn: Path | None) -> dict[str, Any]:
+    """Return what is printed of a search over tolerances; nothing where there was none."""
+    found = [
+        {
+            "mass": cell.mass,
+            "stiffness": cell.stiffness,
+            "best": cell.best,
+            "intervals": [[i.low, i.high] for i in cell.intervals],
+            "limited_by": cell.limited_by,
+        }
+        for cell in cells
+    ]
+    told: dict[str, Any] = {"mismatch": found} if found else {}
+    return told | ({} if drawn is None else {"report": str(drawn)})
+
+
+def show_mismatch(cells: list[Mismatch], title: str, searched: Searched) -> None:
+    """Print the best per mass and stiffness, both at the ends of their tolerances."""
+    names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+    rows = [
+        [
+            names[cell.mass],
+            names[cell.stiffness],
+            "none" if cell.best is None else f"{searched.per_unit * cell.best:.2f}",
+            limit_words(cell.limited_by),
+        ]
+        for cell in cells
+    ]
+    best = f"{searched.best} {searched.unit}"
+    header = ["mass of loads", "stiffness of springs", best, "limited by"]
+    print_table(
+        f"{title}: planned for the file, {searched.done} off its tolerances, one run each",
+        header,
+        rows,
+    )
