@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 import threadline
 from tests.path.builders import job_of, polylines, there_and_back
 from tests.signals.makers import recording_of, table_of
+from tests.with_firmware import winder_with_grbl
 from threadline.errors import JobError, LimitError, Place, RecordingError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
@@ -97,7 +98,7 @@ def job() -> Any:
 
 @pytest.mark.parametrize("name", interpolation_names())
 def test_a_planned_motion_travels(elsewhere: ProcessPoolExecutor, name: str) -> None:
-    machine = load_machine("lathe-winder")
+    machine = winder_with_grbl()
     programmed = programmed_path(job(), machine)
     path = plan_path(programmed, machine, name)
     trajectory = plan_trajectory(path, machine)
@@ -185,7 +186,7 @@ def test_any_path_is_the_same_from_its_pickle(
     drawn: tuple[tuple[str, ...], list[list[float]]], name: str, counts: float
 ) -> None:
     axes, points = drawn
-    machine = load_machine("lathe-winder")
+    machine = winder_with_grbl()
     programmed = programmed_path(
         job_of(points, axes, Feed(FeedMode.COUNT_PER_TICK, counts)), machine
     )

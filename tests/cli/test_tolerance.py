@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from tests.with_firmware import winder_with_grbl_file
 
 from threadline.cli import fastest_seam
 from threadline.cli.main import main
@@ -51,8 +52,9 @@ def test_what_leaves_the_tolerance_is_told(
     job = tmp_path / "corner.prg"
     job.write_text(CORNER)
     code, out, err = run(
-        capsys, "prove", job, "-m", "lathe-winder", "--interpolation", interpolation, "--json"
-    )
+        capsys, "prove", job, "-m", winder_with_grbl_file(tmp_path), "--interpolation",
+        interpolation, "--json",
+    )  # fmt: skip
     deviation = next(
         c["measured"] for c in json.loads(out)["criteria"] if c["name"] == "path_deviation"
     )

@@ -137,6 +137,36 @@ def test_a_firmware_becomes_a_machine(
         assert made.travel[made.axis_names.index(axis), 1] == pytest.approx(value)
 
 
+@pytest.mark.parametrize(
+    ("text", "more", "wanted"),
+    [
+        (GRBL + "$11=0.025\n", ["rotary=A"], {"junction_deviation": 0.025e-3}),
+        (GRBL, ["rotary=A"], {"junction_deviation": 0.01e-3}),  # its default
+        (MARLIN, ["rotary=A", "travel=600 mm"], {"junction_deviation": 0.01e-3, "acceleration": 3}),
+        (FLUIDNC + "junction_deviation_mm: 0.03\n", ["rotary=A"], {"junction_deviation": 0.03e-3}),
+        (KLIPPER + "square_corner_velocity: 8\n", ["rotary=Y"],
+         {"square_corner_velocity": 0.008, "velocity": 0.3, "acceleration": 3.0,
+          "minimum_cruise_ratio": 0.5}),
+    ],
+)  # fmt: skip
+def test_a_firmware_tells_its_planner(
+    tmp_path: Path, text: str, more: list[str], wanted: dict[str, float]
+) -> None:
+    """$11, M205 J and M204 T, junction_deviation_mm, [printer]: in the machine file, in SI."""
+    made = machine(tmp_path, text, *more)
+    for key, value in wanted.items():
+        assert getattr(made.planner, key).si == pytest.approx(value), key
+
+
+def test_jerks_of_marlin_are_jumps_of_its_axes(tmp_path: Path) -> None:
+    """M205 X8 A5: mm/s of an axis along a line, deg/s of one that turns; E has no axis here."""
+    text = MARLIN.replace("J0.01", "X8.00 A5.00")
+    made = machine(tmp_path, text, "rotary=A", "travel=600 mm")
+    jumps = {axis: jump.si for axis, jump in made.planner.jump.items()}
+    assert jumps == pytest.approx({"X": 0.008, "A": math.radians(5.0)})
+    assert made.planner.junction_deviation is None
+
+
 def test_what_moves_counts_at_its_motor(tmp_path: Path) -> None:
     """J = rotor + m r^2: 80 step/mm of 200 x 16 are 40 mm a turn, r 6.366 mm, as GT2 has it."""
     made = machine(tmp_path, FLUIDNC, "rotary=A", "rotor=3e-5 kg m^2")
@@ -171,6 +201,8 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ("$100=250\n$100=200\n", "$100 is 200 here and 250 on line 1"),
         ("$100=250\n$100=250\n$110=-5\n", "$110 is '-5'; it must be a number above 0"),
         ("$100=nan\n", "$100 is 'nan'"),
+        ("$100=250\n$11=-1\n", "$11 is '-1'; it must be a number from 0"),
+        ("$100=250\n$11=0.01\n$11=0.02\n", "$11 is 0.02 here and 0.01 on line 2"),
         ("$100=1e99\n", "$100 is '1e99'"),
         ("$100=\n", "$100 is ''"),
         ("$100=250\nwhat is this\n", "'what is this' is no line of these settings"),

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.with_firmware import winder_with_grbl
+from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.path import interpolation_names
-from threadline.path.interpolations import KEEPING_TOLERANCE
+from threadline.path.interpolations import FIRMWARE, KEEPING_TOLERANCE
 from threadline.pipeline import plan_job
 from threadline.verdict.deviation import measure_path_deviation
 
@@ -38,7 +40,7 @@ def test_each_has_its_row_and_its_paragraph() -> None:
 def test_a_row_says_what_the_planner_does(name: str) -> None:
     """On the printed winder program: duration and deviation to the last digit that is written."""
     _, limits, tolerance, _, figures = ROWS[name]
-    machine = load_machine("lathe-winder")
+    machine = winder_with_grbl()
     job = read_job(ROOT / "examples" / "cone-dome-cylinder.prg", machine)
     plan = plan_job(job, machine, Options(interpolation=name))
     path = plan.motion.path
@@ -54,3 +56,10 @@ def test_a_row_says_what_the_planner_does(name: str) -> None:
     assert plan.motion.trajectory.duration_s == pytest.approx(float(seconds), abs=0.051)
     digits = len(millimetres.partition(".")[2])
     assert deviation_m * 1e3 == pytest.approx(float(millimetres), abs=0.6 * 10**-digits)
+
+
+def test_a_machine_without_a_firmware_is_told_so() -> None:
+    machine = load_machine("lathe-winder")
+    job = read_job(ROOT / "examples" / "x-180.prg", machine)
+    with pytest.raises(OptionError, match=r"has no firmware that plans .* \[planner\]"):
+        plan_job(job, machine, Options(interpolation=FIRMWARE))

@@ -10,6 +10,7 @@ import math
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from threadline.cli.main import main
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
+from threadline.machine.motion_planner import GrblPlanner
+from threadline.machine.quantity import parse_machine_quantity
 from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, write
 from threadline.plan import Plan
@@ -119,6 +122,21 @@ def test_a_change_of_feed_ends_a_block(tmp_path: Path, xya: Machine) -> None:
     assert found[0][1] <= 600.0 * 1.001 and found[0][0]["X"] == pytest.approx(10.0, abs=0.2)
     assert {round(f, -1) for _, f in found} >= {600.0, 1200.0}
     assert len(found) <= 12
+
+
+def test_the_time_of_the_firmware_s_own_planner_is_told(tmp_path: Path, xya: Machine) -> None:
+    """One move of 20 mm at 10 mm/s: L / v + v / a, of a machine that has that planner."""
+    deviation = parse_machine_quantity("0.01 mm exact, assumed", ("m",))
+    own = replace(xya, planner=GrblPlanner(kind="grbl", junction_deviation=deviation))
+    made = plan(tmp_path, own, "G1 X20 F600\nM30\n")
+    (file,) = write(made, "grbl", tmp_path / "out.gcode")
+    told = " ".join(file.warnings)
+    acceleration = own.acceleration_limit[own.axis_names.index("X")]
+    found = re.search(r"([\d.]+) s as the planner of grbl runs it", told)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(2.0 + 0.01 / acceleration, rel=2e-3)
+    (file,) = write(made, "marlin", tmp_path / "out2.gcode")
+    assert "which the firmware makes itself" in file.warnings[0]
 
 
 def test_what_is_not_the_plan_is_not_written(

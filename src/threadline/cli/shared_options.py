@@ -35,8 +35,8 @@ ParOption = Annotated[
 InterpolationOption = Annotated[
     str,
     typer.Option(
-        help="auto, optimal, point-to-point, linear, parabolic, cubic, quintic, b-spline, "
-        "b-spline-pulled, law:NAME."
+        help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
+        "b-spline, b-spline-pulled, law:NAME."
     ),
 ]
 LawOption = Annotated[

@@ -14,6 +14,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import Place
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
+from threadline.machine.motion_planner import FirmwarePlanner
 from threadline.machine.parts import (
     STRICT,
     Axis,
@@ -63,6 +64,8 @@ class Machine:
         Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
     programs
         How its controller reads part programs.
+    planner
+        Of a firmware that plans the motion between blocks by itself.
     shaft, tables
         Of an embroidery machine: its main shaft, and what plays step tables between its stitches.
     design
@@ -98,6 +101,7 @@ class Machine:
     tool: Tool | None = None
     operator: Operator | None = None
     programs: Programs = Field(default_factory=Programs)
+    planner: FirmwarePlanner | None = None
     design: Design | None = None
     tolerances: Tolerances = Field(default_factory=Tolerances)
     sha256: str = ""

@@ -29,6 +29,8 @@ CHORDS = "chords"
 BY_LAW = "law:"
 """Begins the name of the interpolations that follow each chord by a motion law."""
 OPTIMAL = "optimal"
+FIRMWARE = "firmware"
+"""The chords as the machine's own firmware times them."""
 KEEPING_TOLERANCE = ("auto", OPTIMAL, "parabolic")
 """Interpolations that stay within the tolerance everywhere; the others report what they do."""
 
@@ -214,6 +216,25 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
     return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
 
 
+def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    del options
+    if machine.planner is None:
+        raise OptionError(
+            f"{machine.name} has no firmware that plans motion by itself",
+            place=machine.place,
+            remedy="Write [planner] into the machine file (docs/machines.md), or choose another "
+            "interpolation.",
+        )
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=FIRMWARE,
+        timing=Timing.FIRMWARE,
+        historical=True,
+        blocks=Stream(straight.chords, programmed),
+    )
+
+
 def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     smoothing = smoothing_for(machine, programmed.axes)
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
@@ -266,6 +287,7 @@ def _polynomial(name: str) -> Planner:
 _PLANNERS: dict[str, Planner] = {
     "auto": _auto,
     OPTIMAL: _optimal,
+    FIRMWARE: _firmware,
     "point-to-point": _point_to_point,
     "linear": _linear,
     "parabolic": _parabolic,

@@ -16,6 +16,7 @@ class Timing(StrEnum):
     TIME = "time"  # the piece lasts nominal_s and its parameter runs evenly in time
     GEOMETRIC = "geometric"  # only the shape is settled; the trajectory finds the timing
     FASTEST = "fastest"  # the same, and the timing is the fastest within all limits
+    FIRMWARE = "firmware"  # the same, and the machine's own firmware finds the timing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

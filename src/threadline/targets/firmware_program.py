@@ -26,8 +26,11 @@ from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Dwell, Feed, Job, Move, Operation, Stop, ToolEvent
 from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
+from threadline.path import plan_path, programmed_path
+from threadline.path.interpolations import FIRMWARE
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
+from threadline.trajectory import plan_trajectory
 from threadline.trajectory.types import Trajectory
 
 _DECIMALS = 4  # of a millimetre or a degree
@@ -48,6 +51,8 @@ class Board:
         Characters a second that its port takes; 0 where it reads files.
     pause
         The word of a dwell, and how many of its units a second has.
+    planner
+        Kind of the ``[planner]`` of machines with this firmware; empty where none is known.
     """
 
     begin: tuple[str, ...]
@@ -55,13 +60,21 @@ class Board:
     longest: int
     bytes_s: int = 0
     pause: tuple[str, int] = ("P", 1)
+    planner: str = ""
 
 
 BOARDS: Mapping[str, Board] = {
-    "grbl": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520),
-    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254),
+    "grbl": Board(
+        begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
+    ),
+    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254, planner="grbl"),
     "marlin": Board(
-        begin=("G21", "G90"), end=("M400",), longest=95, bytes_s=11_520, pause=("P", 1000)
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=95,
+        bytes_s=11_520,
+        pause=("P", 1000),
+        planner="marlin",
     ),
     "linuxcnc": Board(begin=("G21 G90 G94 G17", "G64 P0.01"), end=("M2",), longest=255),
     "fanuc": Board(
@@ -349,9 +362,18 @@ def _read_back(
         )
     return (
         f"{count} blocks, read back: within {1e3 * worst_m:.2g} mm of the plan, "
-        f"{by_f_s:.4g} s by F alone, {planned_s:.4g} s as planned with its ramps, which the "
-        f"firmware makes itself{slow}"
+        f"{by_f_s:.4g} s by F alone, {planned_s:.4g} s as planned with its ramps, "
+        f"{_by_planner(target, again, machine)}{slow}"
     )
+
+
+def _by_planner(target: str, job: Job, machine: Machine) -> str:
+    """Return how long the planner of the firmware takes over ``job``, in words."""
+    if machine.planner is None or machine.planner.kind != BOARDS[target].planner:
+        return "which the firmware makes itself"
+    path = plan_path(programmed_path(job, machine), machine, FIRMWARE)
+    own_s = plan_trajectory(path, machine).duration_s
+    return f"{own_s:.4g} s as the planner of {machine.planner.kind} runs it"
 
 
 def _not_the_plan(target: str, what: str, off_m: float) -> PlanError:

@@ -16,6 +16,7 @@ from threadline.path.types import PieceBlock, PlannedPath, Timing
 from threadline.signals import Stream
 from threadline.trajectory.as_programmed import as_programmed
 from threadline.trajectory.by_law import breaks_jerk, by_law
+from threadline.trajectory.firmware import firmware_blocks
 from threadline.trajectory.follow import followed_blocks
 from threadline.trajectory.optimal.fastest_motion import MOST_PIECES, fastest_blocks
 from threadline.trajectory.timed import smoothed_blocks, timed_blocks
@@ -97,6 +98,12 @@ def plan_trajectory(
             axes=path.axes,
             historical=path.historical,
             blocks=Stream(timed_blocks, path),
+        )
+    if path.timing is Timing.FIRMWARE and machine.planner is not None:
+        return Trajectory(
+            axes=path.axes,
+            historical=True,
+            blocks=Stream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
         blocks = Stream(fastest_blocks, path, machine, contour_m)

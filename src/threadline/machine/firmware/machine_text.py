@@ -12,6 +12,19 @@ from threadline.units import parse_quantity
 
 _FULL_STEPS = 200
 _DIALECTS = {"klipper": "marlin"}
+_PLANNERS = {"grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper"}
+_PLANNER_KEYS = {
+    "grbl": {"junction_deviation": ("mm", "0.01 mm")},
+    "marlin": {"junction_deviation": ("mm", "0.013 mm"), "acceleration": ("mm/s^2", "")},
+    "klipper": {
+        "velocity": ("mm/s", ""),
+        "acceleration": ("mm/s^2", ""),
+        "square_corner_velocity": ("mm/s", "5 mm/s"),
+        "minimum_cruise_ratio": ("", "0.5"),
+    },
+}
+"""Unit of each key of [planner], and what the firmware takes where its settings are silent."""
+_KLIPPER_WORDS = {"velocity": "max_velocity", "acceleration": "max_accel"}
 _DEFAULTS = {"rotor": "3.2e-5 kg m^2", "friction": "0.03 N m"}
 _UNITS = {
     "torque": "N*m", "current": "A", "resistance": "ohm", "inductance": "H", "supply": "V",
@@ -62,6 +75,7 @@ def machine_text(settings: Settings, answers: Answers, name: str) -> str:
         "[programs]",
         f'dialect = "{dialect}"',
     ]
+    parts += ["", *_planner(settings, turning)]
     if turning:
         parts += ["", "[tool]", f'radius = "{answers.of("radius", "")} exact, assumed: the owner"']
     for axis, said in settings.axes.items():
@@ -121,6 +135,41 @@ def _missing(settings: Settings, answers: Answers) -> Iterator[tuple[str, tuple[
             yield f"travel.{axis}", OPTIONAL["travel"]
     if answers.rotary and "radius" not in answers.given:
         yield "radius", ASKED["radius"]
+
+
+def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
+    """Yield the lines of [planner]; Klipper's limits have no default of their own."""
+    said = settings.planner
+    firmware = settings.firmware
+    yield "[planner]"
+    yield f'kind = "{_PLANNERS[firmware]}"'
+    jumps = {key: value for key, value in said.items() if key.startswith("jump.")}
+    if firmware == "marlin" and jumps and "junction_deviation" not in said:
+        texts = (
+            f'{key.removeprefix("jump.")} = "'
+            + _of_planner(value, "deg/s" if key[-1] in turning else "mm/s", firmware)
+            + '"'
+            for key, value in jumps.items()
+            if key.removeprefix("jump.") in settings.axes
+        )
+        yield f"jump = {{ {', '.join(texts)} }}"
+    for key, (unit, default) in _PLANNER_KEYS[_PLANNERS[firmware]].items():
+        if key == "junction_deviation" and jumps and key not in said:
+            continue
+        if key in said:
+            yield f'{key} = "{_of_planner(said[key], unit, firmware)}"'
+        elif default:
+            yield f'{key} = "{default} exact, assumed: the default of {firmware}"'
+        elif firmware == "klipper":
+            raise MachineError(
+                f"[printer] does not say {_KLIPPER_WORDS[key]}",
+                place=Place(settings.file),
+                remedy="Give the printer.cfg whole: Klipper itself asks for it.",
+            )
+
+
+def _of_planner(said: Said, unit: str, firmware: str) -> str:
+    return f"{said.value!r} {unit}".rstrip() + f" exact, checked: {firmware}, line {said.line}"
 
 
 def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -> Iterator[str]:

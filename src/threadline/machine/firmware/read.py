@@ -17,6 +17,7 @@ from threadline.machine.firmware.axis_settings import Settings
 _MOST_BYTES = 1_000_000
 _LETTERS = "XYZABCUVW"
 _GRBL_AXES = "XYZABC"
+_GRBL_DEVIATION = 11
 _GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
 _GRBL_LINE = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(]*)\s*(?:\(.*)?$")
 _GRBL_OTHER = re.compile(r"(?:ok|>|\$\$|\$[A-Za-z]\S*|\[.*\]|<.*>|[Gg]rbl.*|;.*)?$")
@@ -25,6 +26,11 @@ _MARLIN = {92: "steps", 203: "rate", 201: "acceleration"}
 _FLUIDNC = {
     "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
     "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
+}  # fmt: skip
+_KLIPPER = {
+    "max_velocity": "velocity", "max_accel": "acceleration",
+    "square_corner_velocity": "square_corner_velocity",
+    "minimum_cruise_ratio": "minimum_cruise_ratio",
 }  # fmt: skip
 
 
@@ -71,6 +77,8 @@ def _grbl(lines: list[str], file: str) -> Settings:
                 raise _unknown(line, file, number, "$110=5000.000")
             continue
         code = int(match[1])
+        if code == _GRBL_DEVIATION:
+            settings.say_of_planner("junction_deviation", match[2], number, f"${code}")
         what = _GRBL.get(code - code % 10)
         if what is not None and code % 10 < len(_GRBL_AXES):
             settings.say(_GRBL_AXES[code % 10], what, match[2], number, f"${code}")
@@ -87,9 +95,16 @@ def _marlin(lines: list[str], file: str) -> Settings:
             raise _unknown(line, file, number, "echo:  M92 X80.00 Y80.00")
         code = int(match[1] or 0)
         for letter, text in re.findall(r"([A-Z])(-?[0-9.]+)", match[2] or ""):
+            name = f"M{code} {letter}"
+            if code == 205 and letter == "J":
+                settings.say_of_planner("junction_deviation", text, number, name)
+            elif code == 205 and letter in _LETTERS and letter != "B":  # B: least segment time
+                settings.say_of_planner(f"jump.{letter}", text, number, name)
+            elif code == 204 and letter == "T":
+                settings.say_of_planner("acceleration", text, number, name)
             if code in _MARLIN and letter in _LETTERS:
                 written = _times(text, 60.0) if code == 203 else text  # mm/s there
-                settings.say(letter, _MARLIN[code], written, number, f"M{code} {letter}")
+                settings.say(letter, _MARLIN[code], written, number, name)
     return settings
 
 
@@ -126,6 +141,8 @@ def _fluidnc(lines: list[str], file: str) -> Settings:
             if letter in _LETTERS:
                 name = f"axes.{above[1]}.{key.strip()}"
                 settings.say(letter, _FLUIDNC[key.strip()], value.strip(), number, name)
+        elif not above and key.strip() == "junction_deviation_mm":
+            settings.say_of_planner("junction_deviation", value.strip(), number, key.strip())
     return settings
 
 
@@ -157,6 +174,10 @@ def _klipper(lines: list[str], file: str) -> Settings:
             raise _unknown(line, file, number, "rotation_distance: 40")
         section[match[1].lower()] = match[2].strip(), number
     printer = sections.get("printer", {})
+    for key, ours in _KLIPPER.items():
+        if key in printer:
+            text, number = printer[key]
+            settings.say_of_planner(ours, text, number, f"[printer] {key}")
     for name, keys in sections.items():
         found = re.match(r"stepper_([a-z])$", name)
         if found is None or found[1].upper() not in _LETTERS:

@@ -1,0 +1,100 @@
+"""The motion planner inside a firmware: what it makes of the blocks of a program by itself."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT
+from threadline.machine.quantity import Quantity, Units
+
+_RING = 16  # BLOCK_BUFFER_SIZE, as grbl 1.1 and Marlin 2.1 come
+_CRUISE_RATIO = 0.5  # Klipper's own default
+
+Deviation = Annotated[Quantity, Units(("m",), not_negative=True)]
+Speed = Annotated[Quantity, Units(("m/s",), not_negative=True)]
+Jump = Annotated[Quantity, Units(("m/s", "rad/s"), not_negative=True)]
+Acceleration = Annotated[Quantity, Units(("m/s^2",), positive=True)]
+Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class GrblPlanner:
+    """Grbl's and FluidNC's: trapezoids, and corners by their junction deviation.
+
+    ``blocks`` is the size of the ring in which blocks wait, 16 when left out; one of them is
+    always empty.
+    """
+
+    kind: Literal["grbl"]
+    junction_deviation: Deviation
+    blocks: Ring | None = None
+
+    @property
+    def look_ahead(self) -> int:
+        """How many blocks are planned together, the one under way included."""
+        return (_RING if self.blocks is None else round(self.blocks.si)) - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class MarlinPlanner:
+    """Marlin's: trapezoids, and corners by junction deviation or by jumps of speed ("jerk").
+
+    ``jump`` is the step that the speed of an axis may make at a corner (``M205 X Y Z``), for axes
+    by letter; ``acceleration`` that of every move (``M204 T``), where it is less than the axes'.
+    """
+
+    kind: Literal["marlin"]
+    junction_deviation: Deviation | None = None
+    jump: dict[str, Jump] = Field(default_factory=dict)
+    acceleration: Acceleration | None = None
+    blocks: Ring | None = None
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> MarlinPlanner:
+        if (self.junction_deviation is None) != bool(self.jump):
+            raise ValueError(
+                "corners are taken by junction_deviation (M205 J) or by jump (M205 X Y Z): give "
+                "one of them"
+            )
+        return self
+
+    @property
+    def look_ahead(self) -> int:
+        """How many blocks are planned together; the one under way keeps the end that it has."""
+        return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class KlipperPlanner:
+    """Klipper's: trapezoids with a least cruise, corners by their square corner velocity.
+
+    ``velocity`` and ``acceleration`` are ``max_velocity`` and ``max_accel`` of ``[printer]``;
+    ``minimum_cruise_ratio`` is 50 % when left out, as there.
+    """
+
+    kind: Literal["klipper"]
+    velocity: Annotated[Quantity, Units(("m/s",), positive=True)]
+    acceleration: Acceleration
+    square_corner_velocity: Speed
+    minimum_cruise_ratio: Annotated[Quantity, Units(("",), not_negative=True)] | None = None
+
+    @model_validator(mode="after")
+    def _below_one(self) -> KlipperPlanner:
+        if self.cruise_ratio >= 1.0:
+            raise ValueError(
+                f"minimum_cruise_ratio is {self.cruise_ratio:g}; it must be below 1 (100 %)"
+            )
+        return self
+
+    @property
+    def cruise_ratio(self) -> float:
+        """The least share of a move that is at constant speed."""
+        return _CRUISE_RATIO if self.minimum_cruise_ratio is None else self.minimum_cruise_ratio.si
+
+
+FirmwarePlanner = Annotated[
+    GrblPlanner | MarlinPlanner | KlipperPlanner, Field(discriminator="kind")
+]

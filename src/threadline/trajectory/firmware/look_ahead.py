@@ -1,0 +1,100 @@
+"""What a firmware knows of the moves ahead: the squares of speed at the start of every move.
+
+Grbl and Marlin hold a number of blocks and always could stop at the end of the last (grbl wiki,
+"Grbl v1.1 Overview", planner). Klipper looks as far as its plan could still change
+(docs/Kinematics.md, "Look-ahead" and "Minimum cruise ratio").
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def entries_of_ring(most, gain, ring, begin):
+    """Return the (n + 1,) squares of speed at the ends of n moves, for a ring of blocks.
+
+    Parameters
+    ----------
+    most : (n,)
+        Greatest v^2 at the start of each move.
+    gain : (n,)
+        2 a s: how much v^2 can change along each move.
+    ring : int
+        Moves that are planned together; the machine could stop at the end of the last of them.
+    begin : float
+        v^2 at the start of the first move.
+    """
+    count = len(most)
+    found = np.zeros(count + 1)
+    found[0] = begin
+    for i in range(count - 1):
+        end = min(count, i + ring)
+        able = 0.0
+        for j in range(end - 1, i, -1):
+            able = min(most[j], able + gain[j])
+        found[i + 1] = min(able, found[i] + gain[i])
+    return found
+
+
+@njit(cache=True)
+def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
+    """Plan moves so that none speeds up only to slow down at once.
+
+    A second plan with the lower acceleration of ``smooth`` says which greatest speed a stretch of
+    moves is worth: half way between what it can come from and what it can go to. No move of
+    the stretch is faster.
+
+    Parameters
+    ----------
+    most : (n,)
+        Greatest v^2 at the start of each move, from the corners.
+    top : (n,)
+        Greatest v^2 of each move.
+    gain, smooth : (n,)
+        How much v^2 can change along each move, in the plan and in the second plan.
+    start, smooth_start : float
+        v^2 at the start of the first move, in both.
+    cruise : float
+        Greatest v^2 of the move before.
+
+    Returns
+    -------
+    enter, leave, peak : (n,)
+        v^2 at both ends of each move and its greatest.
+    fixed : int
+        So many of the first moves stay as they are, whatever comes after the last.
+    first, second : (n,)
+        The greatest v^2 at each start when nothing has to stop ahead, in both plans.
+    """
+    count = len(most)
+    first, second = np.empty(count), np.empty(count)
+    first[0], second[0] = start, smooth_start
+    for i in range(1, count):
+        first[i] = min(most[i], top[i], top[i - 1], first[i - 1] + gain[i - 1])
+        second[i] = min(first[i], second[i - 1] + smooth[i - 1])
+    enter, leave, peak = np.empty(count), np.empty(count), np.empty(count)
+    worth, waiting, fixed = 0.0, 0, 0
+    ahead, smooth_ahead = 0.0, 0.0
+    free = False  # whether what comes after the last move does not count any more
+    for i in range(count - 1, -1, -1):
+        able, smooth_able = ahead + gain[i], smooth_ahead + smooth[i]
+        enter[i], leave[i], peak[i] = min(first[i], able), ahead, -1.0
+        here = min(second[i], smooth_able)
+        waiting += 1
+        if here < smooth_able:
+            if here + smooth[i] > smooth_ahead or waiting > 1:
+                if not free and worth > 0.0:
+                    free, fixed = True, i + waiting
+                worth = 0.5 * (here + smooth_able)
+            peak[i] = min(0.5 * (enter[i] + able), top[i], worth)
+            waiting = 0
+        ahead, smooth_ahead = enter[i], here
+    for i in range(count):
+        if peak[i] < 0.0:
+            peak[i] = min(cruise, enter[i])
+        cruise = peak[i]
+        enter[i], leave[i] = min(enter[i], cruise), min(leave[i], cruise)
+    return enter, leave, peak, fixed, first, second

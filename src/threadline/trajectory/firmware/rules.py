@@ -1,0 +1,143 @@
+"""Each firmware's own rules: what its moves are, how they meet, and how far it looks ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.machine.motion_planner import (
+    FirmwarePlanner,
+    GrblPlanner,
+    KlipperPlanner,
+    MarlinPlanner,
+)
+from threadline.trajectory.firmware.firmware_moves import Moves
+from threadline.trajectory.firmware.junctions import (
+    along_axes,
+    by_jumps,
+    by_junction_deviation,
+    by_square_corner,
+)
+
+MM = 1e3  # firmwares count in mm and degrees
+_LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
+_INSTANT = 1.0  # mm/s or deg/s: Klipper's own default for axes beside X Y Z
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rules:
+    """A firmware's planner on the axes of a path.
+
+    Parameters
+    ----------
+    planner
+        What the machine file says of it.
+    axes
+        Names, in the order of all columns.
+    scale
+        (axes,) mm or degrees in a m or rad.
+    velocity, acceleration
+        (axes,) limits in mm and degrees.
+    """
+
+    planner: FirmwarePlanner
+    axes: tuple[str, ...]
+    scale: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+    @classmethod
+    def of(cls, planner: FirmwarePlanner, machine: Machine, axes: tuple[str, ...]) -> Rules:
+        """Return the rules of ``planner`` on ``axes`` of ``machine``."""
+        column = [machine.axis_names.index(axis) for axis in axes]
+        turns = np.array([axis in machine.rotary for axis in axes])
+        scale = np.where(turns, np.degrees(1.0), MM)
+        return cls(
+            planner,
+            axes,
+            scale,
+            machine.velocity_limit[column] * scale,
+            machine.acceleration_limit[column] * scale,
+        )
+
+    def moves(self, way: FloatArray, nominal_s: FloatArray) -> Moves:
+        """Return (n, axes) displacements, m and rad, as the firmware's moves.
+
+        ``nominal_s`` is the time at the programmed feed, 0 for a rapid move.
+        """
+        way = way * self.scale
+        length = self._length(way)
+        direction = way / length[:, None]
+        fastest = along_axes(self.velocity, direction)
+        acceleration = along_axes(self.acceleration, direction)
+        most = np.inf
+        planner = self.planner
+        if isinstance(planner, KlipperPlanner):
+            most = planner.acceleration.si * MM
+            plain = (direction * self._plane != 0.0).any(axis=1)
+            fastest = np.where(plain, np.minimum(fastest, planner.velocity.si * MM), fastest)
+            acceleration = np.where(plain, np.minimum(acceleration, most), acceleration)
+        elif isinstance(planner, MarlinPlanner) and planner.acceleration is not None:
+            acceleration = np.minimum(acceleration, planner.acceleration.si * MM)
+        with np.errstate(divide="ignore"):
+            asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
+        return Moves(length, direction, np.minimum(asked, fastest), acceleration, most)
+
+    def corners(self, moves: Moves) -> FloatArray:
+        """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""
+        planner = self.planner
+        if isinstance(planner, MarlinPlanner) and planner.jump:
+            jumps = np.array(
+                [
+                    planner.jump[axis].si * scale if axis in planner.jump else np.inf
+                    for axis, scale in zip(self.axes, self.scale, strict=True)
+                ]
+            )
+            return by_jumps(moves, jumps)
+        if isinstance(planner, KlipperPlanner):
+            between = by_square_corner(moves, self._plane, planner.square_corner_velocity.si * MM)
+            plain = (moves.direction * self._plane != 0.0).any(axis=1)
+            between = np.minimum(between, self._beside(moves))
+            between = np.where(plain[1:] & plain[:-1], between, 0.0)
+        elif isinstance(planner, GrblPlanner):
+            deviation = planner.junction_deviation.si * MM
+            between = by_junction_deviation(moves, self.acceleration, deviation)
+        else:
+            assert planner.junction_deviation is not None
+            between = by_junction_deviation(
+                moves,
+                self.acceleration,
+                planner.junction_deviation.si * MM,
+                most=moves.acceleration,
+                arcs=True,
+            )
+        top = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
+        return np.concatenate(([0.0], np.minimum(between, top)))
+
+    @property
+    def _plane(self) -> FloatArray:
+        return np.array([float(axis in _LINEAR) for axis in self.axes])
+
+    def _beside(self, moves: Moves) -> FloatArray:
+        """Return the (n - 1,) greatest v^2 at which the axes beside X Y Z may change their share.
+
+        Klipper, docs/Config_Reference.md, ``instantaneous_corner_velocity``.
+        """
+        change = np.abs(np.diff(moves.direction, axis=0) * (1.0 - self._plane)).max(axis=1)
+        with np.errstate(divide="ignore"):
+            return np.asarray((_INSTANT / change) ** 2)
+
+    def _length(self, way: FloatArray) -> FloatArray:
+        if isinstance(self.planner, GrblPlanner):
+            return np.asarray(np.linalg.norm(way, axis=1))
+        found = np.zeros(len(way))
+        plain = isinstance(self.planner, KlipperPlanner)
+        for group in [_LINEAR] if plain else [_LINEAR, _SECOND, _TURNING]:
+            column = [axis in group for axis in self.axes]
+            here = np.linalg.norm(way[:, column], axis=1)
+            found = np.where(found > 0.0, found, here)
+        # Klipper: a move of other axes alone is as long as the longest of them.
+        return np.where(found > 0.0, found, np.abs(way).max(axis=1))

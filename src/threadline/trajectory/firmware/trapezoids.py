@@ -1,0 +1,163 @@
+"""Chords and their corners -> the motion that the firmware makes of them by itself.
+
+Every move is sped up, held and braked at the acceleration that its axes allow. At a corner the
+speed of an axis steps: that is what these planners do, and the twin shows what comes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.machine import Machine
+from threadline.machine.motion_planner import FirmwarePlanner, KlipperPlanner
+from threadline.path.types import PieceBlock, PlannedPath
+from threadline.trajectory.firmware.firmware_moves import Moves
+from threadline.trajectory.firmware.look_ahead import entries_of_ring, speeds_with_cruise
+from threadline.trajectory.firmware.rules import Rules
+from threadline.trajectory.types import TrajectoryBlock
+
+_AT_ONCE = 16_384  # moves in hand before some are planned; more where fewer are not settled
+
+
+def firmware_blocks(
+    path: PlannedPath, machine: Machine, planner: FirmwarePlanner
+) -> Iterator[TrajectoryBlock]:
+    """Yield the motion along the chords of ``path`` as ``planner`` of ``machine`` times it.
+
+    The firmware is taken to have as many blocks in hand as it can: its link keeps up.
+    """
+    under_way = _Run(Rules.of(planner, machine, path.axes))
+    for block in path:
+        edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
+        for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
+            if first < stop:
+                ends = bool(block.rest_after[stop - 1])
+                yield from under_way.extend(block, slice(first, stop), ends=ends)
+
+
+@dataclass(slots=True)
+class _Run:
+    """The moves since the last rest whose speeds may still change."""
+
+    rules: Rules
+    begin_s: float = 0.0
+    start: list[FloatArray] = field(default_factory=list)
+    way: list[FloatArray] = field(default_factory=list)
+    nominal_s: list[FloatArray] = field(default_factory=list)
+    operation: list[IntArray] = field(default_factory=list)
+    waiting: int = 0
+    begun: bool = False  # the first move in hand goes on from one that is out
+    speed: float = 0.0  # v^2 at which the first move in hand begins
+    smooth: float = 0.0  # the same in Klipper's second plan
+    cruise: float = 0.0  # the greatest v^2 of the move that is out
+
+    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
+        """Take in moves and yield what they settle; all, and the dwell, where the run ends."""
+        start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
+        moves = way.any(axis=1)
+        self.start.append(start[moves])
+        self.way.append(way[moves])
+        self.nominal_s.append(block.nominal_s[rows][moves])
+        self.operation.append(block.operation[rows][moves])
+        self.waiting += int(moves.sum())
+        if self.waiting and (ends or self.waiting >= _AT_ONCE):
+            yield from self._settle(ends)
+        if not ends:
+            return
+        dwell = float(block.dwell_s[rows][-1])
+        if dwell > 0.0:
+            held = np.zeros((1, 3, way.shape[1]))
+            held[0, 0] = start[-1] + way[-1]
+            yield TrajectoryBlock(
+                start_s=np.array([self.begin_s]),
+                duration_s=np.array([dwell]),
+                coefficients=held,
+                operation=block.operation[rows][-1:],
+            )
+            self.begin_s += dwell
+        self._keep(self.waiting)
+        self.begun, self.speed, self.smooth, self.cruise = False, 0.0, 0.0, 0.0
+
+    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+        self._join()
+        moves = self.rules.moves(self.way[0], self.nominal_s[0])
+        most = self.rules.corners(moves)
+        if not self.begun:
+            self.speed = most[0]
+        gain = 2.0 * moves.acceleration * moves.length
+        planner = self.rules.planner
+        if isinstance(planner, KlipperPlanner):
+            slow = (1.0 - planner.cruise_ratio) * moves.most_acceleration
+            smooth = np.minimum(2.0 * slow * moves.length, gain)
+            enter, leave, peak, fixed, first, second = speeds_with_cruise(
+                most, moves.speed**2, gain, smooth, self.speed, self.smooth, self.cruise
+            )
+        else:
+            ends_at = entries_of_ring(most, gain, planner.look_ahead, self.speed)
+            enter, leave = ends_at[:-1], ends_at[1:]
+            peak = np.minimum(moves.speed**2, 0.5 * (enter + leave + gain))
+            fixed = len(moves) - planner.look_ahead
+            first = second = ends_at
+        out = len(moves) if ends else min(fixed, len(moves) - 1)
+        if out <= 0:
+            return
+        yield from self._trapezoids(moves, enter, leave, peak, out)
+        self.begun = True
+        if out < len(moves):
+            self.speed, self.smooth = float(first[out]), float(second[out])
+        self.cruise = float(peak[out - 1])
+        self._keep(out)
+
+    def _trapezoids(
+        self, moves: Moves, enter: FloatArray, leave: FloatArray, peak: FloatArray, count: int
+    ) -> Iterator[TrajectoryBlock]:
+        rows = slice(0, count)
+        length, rate = moves.length[rows], moves.acceleration[rows]
+        v0, v1, top = (np.sqrt(v[rows]) for v in (enter, leave, peak))
+        up = (peak[rows] - enter[rows]) / (2.0 * rate)
+        down = (peak[rows] - leave[rows]) / (2.0 * rate)
+        level = np.maximum(length - up - down, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            time_s = np.stack(
+                [
+                    np.where(up > 0.0, (top - v0) / rate, 0.0),
+                    np.where(level > 0.0, level / top, 0.0),
+                    np.where(down > 0.0, (top - v1) / rate, 0.0),
+                ],
+                axis=1,
+            )
+        # Along the move, as shares of its way: where each part begins, its speed and acceleration.
+        ends = np.stack([np.zeros(count), up, up + level], axis=1) / length[:, None]
+        speed = np.stack([v0, top, top], axis=1) / length[:, None]
+        bend = np.stack([rate, np.zeros(count), -rate], axis=1) / length[:, None]
+        way, start = self.way[0][rows], self.start[0][rows]
+        shares = np.stack([ends, speed * time_s, 0.5 * bend * time_s**2], axis=2)
+        coefficients = shares[:, :, :, None] * way[:, None, None, :]
+        coefficients[:, :, 0] += start[:, None]
+        lasts = time_s.reshape(-1) > 0.0
+        duration = time_s.reshape(-1)[lasts]
+        begin = self.begin_s + np.concatenate(([0.0], np.cumsum(duration)))
+        self.begin_s = float(begin[-1])
+        yield TrajectoryBlock(
+            start_s=begin[:-1],
+            duration_s=duration,
+            coefficients=coefficients.reshape(3 * count, 3, -1)[lasts],
+            operation=np.repeat(self.operation[0][rows], 3)[lasts],
+        )
+
+    def _join(self) -> None:
+        for kept in (self.start, self.way, self.nominal_s):
+            kept[:] = [np.concatenate(kept)]
+        self.operation = [np.concatenate(self.operation)]
+
+    def _keep(self, done: int) -> None:
+        """Let go of the moves that are out."""
+        self._join()
+        for kept in (self.start, self.way, self.nominal_s):
+            kept[:] = [kept[0][done:]]
+        self.operation = [self.operation[0][done:]]
+        self.waiting -= done

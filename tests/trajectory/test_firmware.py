@@ -1,0 +1,217 @@
+"""What firmwares make of chords: closed forms, and the times of their own planners.
+
+The figures of ``GRBL_S`` are those of grbl 1.1h's own ``planner.c`` (commit bfb67f0c), compiled for
+this machine, its buffer kept full; those of ``KLIPPER_S`` of Klipper's own ``toolhead.py`` (commit
+84104bbb), its look-ahead queue flushed as its host does. Grbl computes with numbers of 24 bits:
+1e-5 of a time. Klipper's and ours are double: 1e-12.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from threadline.machine.motion_planner import (
+    FirmwarePlanner,
+    GrblPlanner,
+    KlipperPlanner,
+    MarlinPlanner,
+)
+from threadline.machine.quantity import parse_machine_quantity
+from threadline.path.types import PieceBlock
+from threadline.trajectory.firmware import trapezoids
+from threadline.trajectory.firmware.rules import Rules
+
+
+def number(text: str, unit: str):
+    return parse_machine_quantity(f"{text} exact, assumed", (unit,))
+
+
+GRBL = GrblPlanner(kind="grbl", junction_deviation=number("0.02 mm", "m"))
+MARLIN = MarlinPlanner(kind="marlin", junction_deviation=number("0.013 mm", "m"))
+KLIPPER = KlipperPlanner(
+    kind="klipper",
+    velocity=number("150 mm/s", "m/s"),
+    acceleration=number("900 mm/s^2", "m/s^2"),
+    square_corner_velocity=number("5 mm/s", "m/s"),
+)
+
+
+def planned(
+    planner: FirmwarePlanner,
+    points,
+    speed,
+    *,
+    acceleration=(1e9, 1e9, 100.0),
+    velocity=(1e9, 1e9, 20.0),
+    axes=("X", "Y", "Z"),
+):
+    """Return the pieces of the motion through ``points``, mm, at ``speed``, mm/s (0: rapid)."""
+    points = np.vstack([np.zeros(len(axes)), points]) / 1e3
+    way = np.diff(points, axis=0)
+    length = np.linalg.norm(way, axis=1)
+    speed = np.broadcast_to(np.asarray(speed, dtype=float), length.shape) / 1e3
+    count = len(way)
+    rest = np.zeros(count, dtype=int)
+    rest[-1] = 1
+    block = PieceBlock(
+        coefficients=np.stack([points[:-1], way], axis=1),
+        operation=np.arange(count),
+        nominal_s=np.where(speed > 0, length / np.where(speed > 0, speed, 1.0), 0.0),
+        rest_after=rest,
+        dwell_s=np.zeros(count),
+        line=np.arange(count),
+    )
+    rules = Rules(
+        planner,
+        axes,
+        np.full(len(axes), 1e3),
+        np.array(velocity[: len(axes)], dtype=float),
+        np.array(acceleration[: len(axes)], dtype=float),
+    )
+    return list(trapezoids._Run(rules).extend(block, slice(0, count), ends=True))
+
+
+def times(blocks, count):
+    """Return how long each of the moves takes."""
+    found = np.zeros(count)
+    for block in blocks:
+        np.add.at(found, block.operation, block.duration_s)
+    return found
+
+
+def helix(count: int):
+    turn = np.linspace(0.0, 20.0, count + 1)[1:]
+    points = np.stack([30.0 * np.cos(turn) - 30.0, 30.0 * np.sin(turn), 0.1 * turn], axis=1)
+    return np.round(points, 4)
+
+
+def zigzag(count: int):
+    k = np.arange(1, count + 1)
+    return np.stack([2.0 * k + (k % 3), (-1.0) ** k * (k % 7), 0.1 * (k % 5)], axis=1)
+
+
+JOBS = {
+    "helix": (helix(200), 80.0),
+    "zigzag": (zigzag(60), 120.0),
+    "slow and fast": (zigzag(40), np.where(np.arange(40) % 4 < 2, 8.0, 90.0)),
+    "rapid": (zigzag(25), 0.0),
+}
+"""Points in mm from 0, and speeds in mm/s."""
+ON_GRBL = {"acceleration": (800.0, 700.0, 100.0), "velocity": (200.0, 180.0, 20.0)}
+GRBL_S = {"helix": 7.5985201, "zigzag": 10.3452722, "slow and fast": 19.8970916, "rapid": 4.2793812}
+KLIPPER_S = {
+    "helix": 7.585805679874329,
+    "zigzag": 10.229918597306852,
+    "slow and fast": 19.851004162898523,
+}
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_grbl_takes_the_time_of_its_own_planner(job: str) -> None:
+    points, speed = JOBS[job]
+    found = times(planned(GRBL, points, speed, **ON_GRBL), len(points)).sum()
+    assert found == pytest.approx(GRBL_S[job], rel=1e-5)
+
+
+@pytest.mark.parametrize("job", [name for name in JOBS if name != "rapid"])
+def test_klipper_takes_the_time_of_its_own_host(job: str) -> None:
+    points, speed = JOBS[job]
+    found = times(planned(KLIPPER, points, speed), len(points)).sum()
+    assert found == pytest.approx(KLIPPER_S[job], rel=1e-12)
+
+
+@pytest.mark.parametrize("planner", [GRBL, MARLIN, KLIPPER], ids=["grbl", "marlin", "klipper"])
+def test_moves_in_parts_are_those_of_the_whole(
+    planner: FirmwarePlanner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many moves are in hand at once, every piece is the same."""
+    points, speed = zigzag(400), np.where(np.arange(400) % 11 < 6, 30.0, 140.0)
+    whole = times(planned(planner, points, speed, **ON_GRBL), 400)
+    monkeypatch.setattr(trapezoids, "_AT_ONCE", 1)
+    run = trapezoids._Run(
+        Rules(planner, ("X", "Y", "Z"), np.full(3, 1e3), np.array([200.0, 180.0, 20.0]),
+              np.array([800.0, 700.0, 100.0]))
+    )  # fmt: skip
+    path = np.vstack([np.zeros(3), points]) / 1e3
+    way = np.diff(path, axis=0)
+    parts = []
+    for k in range(400):
+        block = PieceBlock(
+            coefficients=np.stack([path[k : k + 1], way[k : k + 1]], axis=1),
+            operation=np.array([k]),
+            nominal_s=np.array([np.linalg.norm(way[k]) * 1e3 / speed[k]]),
+            rest_after=np.array([int(k == 399)]),
+            dwell_s=np.zeros(1),
+            line=np.array([k]),
+        )
+        parts += list(run.extend(block, slice(0, 1), ends=k == 399))
+    assert len(parts) > 10  # they do come in parts
+    np.testing.assert_allclose(times(parts, 400), whole, rtol=1e-9)
+
+
+@pytest.mark.parametrize("planner", [GRBL, MARLIN], ids=["grbl", "marlin"])
+def test_one_move_is_a_trapezoid(planner: FirmwarePlanner) -> None:
+    """v / a + L / v where it reaches its speed, 2 sqrt(L / a) where not."""
+    for length, wanted in ((100.0, 50.0 / 800.0 + 100.0 / 50.0), (2.0, 2 * np.sqrt(2.0 / 800.0))):
+        blocks = planned(planner, [[length, 0.0, 0.0]], 50.0, **ON_GRBL)
+        assert times(blocks, 1).sum() == pytest.approx(wanted, rel=1e-12)
+
+
+def corner_speed(planner: FirmwarePlanner, degrees: float, **limits) -> float:
+    """Return the speed, mm/s, at which two long moves meet that turn by ``degrees``."""
+    turn = np.radians(degrees)
+    points = [[50.0, 0.0, 0.0], [50.0 + 50.0 * np.cos(turn), 50.0 * np.sin(turn), 0.0]]
+    (block,) = planned(planner, points, 100.0, **limits)
+    begins = np.flatnonzero(block.operation == 1)[0]
+    slope = block.coefficients[begins, 1] / block.duration_s[begins]
+    return 1e3 * float(np.linalg.norm(slope))
+
+
+def test_klipper_takes_a_square_corner_at_its_velocity() -> None:
+    assert corner_speed(KLIPPER, 90.0) == pytest.approx(5.0, rel=1e-9)
+    assert corner_speed(KLIPPER, 180.0) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("planner", [GRBL, MARLIN], ids=["grbl", "marlin"])
+def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
+    """v^2 / r = a with the circle that comes within the junction deviation of the corner.
+
+    The circle touches both moves: its centre is r + d from the corner and r from the moves, so that
+    sin(theta / 2) = r / (r + d) with theta between them.
+    """
+    limits = {"acceleration": (500.0, 500.0, 500.0), "velocity": (500.0, 500.0, 500.0)}
+    assert planner.junction_deviation is not None
+    deviation = 1e3 * planner.junction_deviation.si
+    for turn in (30.0, 90.0, 135.0):
+        sine = np.sin(np.radians(0.5 * (180.0 - turn)))
+        radius = deviation * sine / (1.0 - sine)
+        # The circle's acceleration points along the corner's bisector: the axes allow more there.
+        bend = np.array([np.cos(np.radians(turn)) - 1.0, np.sin(np.radians(turn))])
+        allowed = 500.0 / np.abs(bend / np.linalg.norm(bend)).max()
+        if planner is MARLIN:
+            # Nor more than the second move itself may have.
+            along = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
+            allowed = min(allowed, 500.0 / np.abs(along).max())
+        wanted = np.sqrt(allowed * radius)
+        assert corner_speed(planner, turn, **limits) == pytest.approx(wanted, rel=1e-9)
+
+
+def test_marlin_keeps_its_jumps() -> None:
+    """A corner of 90 degrees at v steps X and Y by v each; rest to motion is a step as well."""
+    jumps = {"X": number("8 mm/s", "m/s"), "Y": number("6 mm/s", "m/s")}
+    planner = MarlinPlanner(kind="marlin", jump=jumps)
+    limits = {"acceleration": (500.0,) * 3, "velocity": (500.0,) * 3}
+    assert corner_speed(planner, 90.0, **limits) == pytest.approx(6.0, rel=1e-9)
+    (block,) = planned(planner, [[50.0, 0.0, 0.0]], 100.0, **limits)
+    first = 1e3 * block.coefficients[0, 1, 0] / block.duration_s[0]
+    assert first == pytest.approx(8.0, rel=1e-9)
+
+
+def test_short_blocks_are_no_faster_than_the_ring_can_stop() -> None:
+    """Of blocks of 0.1 mm in a line the ring holds 1.5 mm: v^2 = 2 a s of what it can see."""
+    points = np.stack([0.1 * np.arange(1, 201), np.zeros(200), np.zeros(200)], axis=1)
+    blocks = planned(GRBL, points, 100.0, **ON_GRBL)
+    peak = max(float((1e3 * np.abs(b.coefficients[:, 1, 0]) / b.duration_s).max()) for b in blocks)
+    # A block begins at what 14 more can stop from, and gains within itself half of a block's worth.
+    assert np.sqrt(2 * 800.0 * 1.4) <= peak <= np.sqrt(2 * 800.0 * 1.5)
