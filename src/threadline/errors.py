@@ -14,6 +14,7 @@
         PlanError          [PLAN]           a job that this machine cannot do
           LimitError       [PLAN-LIMIT]     a planned motion beyond a limit of the machine
           BudgetError      [PLAN-BUDGET]    more work than the machine file allows
+        CommandError       [COMMAND]        a command that a machine cannot take in its state
       LinkFaultError       [FAULT]          the machine or its link: the program exits with 3
 """
 
@@ -158,6 +159,12 @@ class BudgetError(PlanError):
     """More ticks, operations or memory than the machine file allows."""
 
     code = "PLAN-BUDGET"
+
+
+class CommandError(InputError):
+    """A command that a machine cannot take in the state in which it is."""
+
+    code = "COMMAND"
 
 
 class LinkFaultError(ThreadlineError):

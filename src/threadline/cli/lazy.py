@@ -40,6 +40,7 @@ COMMANDS = {
     "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
+    "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),

@@ -130,7 +130,7 @@ def prove(
         proof = prove_job(job, chosen, asked, options, progress, trials, other)
         with together(recording, proof_file):
             if recording is not None:
-                write_recording(proof.recording, recording, plot_every=_plot_every(chosen))
+                write_recording(proof.recording, recording, plot_every=plot_every(chosen))
             if proof_file is not None:
                 write_proof(proof, proof_file)
             written = None if report is None else write_report(proof, report)
@@ -151,7 +151,7 @@ def prove(
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
 
-def _plot_every(machine: Machine) -> int | None:
+def plot_every(machine: Machine) -> int | None:
     """Return the ticks from line to line of a plot file: the operator's setting."""
     return None if machine.operator is None else round(machine.operator.record_every.si)
 

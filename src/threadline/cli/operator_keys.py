@@ -1,0 +1,102 @@
+"""What an operator does while a machine runs: keys of the terminal, and signals."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from types import FrameType
+
+from threadline.cli.told import note
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.states import Cause, State
+from threadline.pipeline import Progress
+
+_KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
+"""Any other key stops."""
+
+
+@contextmanager
+def at_the_keys(
+    desk: Desk, duration_s: float, progress: Progress | None
+) -> Iterator[Callable[[Executor], None]]:
+    """Let keys and signals reach the desk; yield what is called after each step of a run.
+
+    Parameters
+    ----------
+    desk
+        Where commands go.
+    duration_s
+        Of the run as it was planned.
+    progress
+        Called with how far it is; None where nobody looks.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(_signals(desk))
+        terminal = stack.enter_context(_terminal())
+        watched = _Watched(desk, duration_s, progress, terminal)
+        yield watched.step
+
+
+class _Watched:
+    """What is looked at after each step."""
+
+    def __init__(
+        self, desk: Desk, duration_s: float, progress: Progress | None, terminal: int | None
+    ) -> None:
+        self._desk, self._progress, self._terminal = desk, progress, terminal
+        self._duration_s = max(duration_s, 1e-9)
+        self._state = State.RUNNING
+
+    def step(self, executor: Executor) -> None:
+        """Take keys; tell how far it is, and a change of state."""
+        if self._terminal is not None and select.select([self._terminal], [], [], 0.0)[0]:
+            for key in os.read(self._terminal, 16).decode("utf-8", "replace"):
+                self._desk.ask(_KEYS.get(key, Cause.STOP))
+        if executor.state is not self._state and self._terminal is not None:
+            self._state = executor.state
+            if self._state is State.HOLDING:
+                note("holding: r goes on, any other key stops")
+        if self._progress is not None:
+            self._progress("running", min(executor.time_s / self._duration_s, 1.0))
+
+
+@contextmanager
+def _signals(desk: Desk) -> Iterator[None]:
+    """Answer a first interrupt by a stop along the path, a second one by leaving."""
+    came: list[int] = []
+
+    def answer(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
+        desk.ask(Cause.STOP)
+        if len(came) > 1:
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, answer) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _terminal() -> Iterator[int | None]:
+    """Give the terminal with keys that need no return; None where there is no terminal."""
+    if not sys.stdin.isatty():
+        yield None
+        return
+    import termios
+    import tty
+
+    number = sys.stdin.fileno()
+    before = termios.tcgetattr(number)
+    tty.setcbreak(number)
+    try:
+        yield number
+    finally:
+        termios.tcsetattr(number, termios.TCSADRAIN, before)

@@ -1,0 +1,196 @@
+"""``threadline run``: prove, execute, record, judge."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from contextlib import closing as closed
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
+from threadline.cli.operator_keys import at_the_keys
+from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.prove import plot_every
+from threadline.cli.shared_options import (
+    DEFAULT_INTERPOLATION_TEXT,
+    DEFAULT_LIMITS_TEXT,
+    DEFAULT_TOLERANCE_TEXT,
+    ContourOption,
+    DialectOption,
+    FeedForwardOption,
+    FeedModeOption,
+    FeedOption,
+    InterpolationOption,
+    JobArgument,
+    JsonOption,
+    LawOption,
+    LimitsOption,
+    MachineOption,
+    ParOption,
+    RadiusOption,
+    RecordingOption,
+    ShaperOption,
+    SmoothingOption,
+    SpecOption,
+    ToleranceOption,
+    keep_inputs,
+    machine_from,
+    options_of,
+)
+from threadline.cli.warn import tell
+from threadline.doubts import doubts
+from threadline.errors import LinkFaultError, OptionError
+from threadline.live.desk import Desk
+from threadline.live.kept import Kept
+from threadline.live.sim_process import REAL_TIME, sim_link
+from threadline.live.supervised import (
+    check_halts,
+    check_machine_runs,
+    check_override,
+    check_runnable,
+    run_table,
+)
+from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
+from threadline.plan import Plan
+from threadline.proof_file import write_proof
+from threadline.signals import Ended
+from threadline.signals.files import write_recording
+from threadline.verdict import Verdict, closing, judge, load_spec, verdict_json, verdict_rows
+
+LINKS = ("sim",)
+_MOST_SPEED = 1e6
+
+
+def run(
+    job: JobArgument,
+    machine: MachineOption,
+    spec: SpecOption = None,
+    link: Annotated[
+        str, typer.Option(help="Which machine: sim, the simulated one, in a process of its own.")
+    ] = "sim",
+    speed: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=_MOST_SPEED,
+            help="Of sim: its seconds in a second; 1 is real time, 0 as fast as it can.",
+        ),
+    ] = REAL_TIME,
+    proof_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--proof",
+            help="Run by this proof (prove --proof FILE), which must be of what there is now; "
+            "default: the job is proved first.",
+        ),
+    ] = None,
+    override: Annotated[
+        str | None,
+        typer.Option(help="Why it is run out of specification; kept with the run."),
+    ] = None,
+    pass_stops: Annotated[
+        bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
+    ] = False,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    law: LawOption = None,
+    feed: FeedOption = None,
+    dialect: DialectOption = None,
+    feed_mode: FeedModeOption = None,
+    radius: RadiusOption = None,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    contour: ContourOption = None,
+    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    shaper: ShaperOption = None,
+    feed_forward: FeedForwardOption = False,
+    smoothing: SmoothingOption = None,
+    par: ParOption = None,
+    recording: RecordingOption = None,
+    nominal: NominalOption = False,
+    repeats: RepeatsOption = None,
+    tolerances: TolerancesOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Run JOB on the machine: prove it, execute it, record what happens, and judge that.
+
+    Ctrl-C brakes along the path and stands; a second one leaves the machine to its own braking.
+    On a terminal: h holds on the path, r goes on, any other key stops. This stop is no emergency
+    stop: that is a circuit of the machine.
+
+    Exit status: 0 in spec, 1 out of spec or stopped, 2 wrong input, 3 a fault of machine or link.
+
+    Example: threadline run examples/x-180.prg -m lathe-winder --link sim --speed 0
+    """
+    if link not in LINKS:
+        raise OptionError(f"unknown link {link[:40]!r}", remedy=f"Use {' or '.join(LINKS)}.")
+    check_override(override)
+    trials = trials_of(nominal, repeats, tolerances)
+    chosen = machine_from(machine, par)
+    check_machine_runs(chosen)
+    keep_inputs(recording, job, chosen.file, par, spec, proof_file)
+    check_outputs(file=recording)
+    options = options_of(
+        interpolation,
+        feed,
+        tolerance,
+        limits,
+        shaper,
+        feed_forward,
+        smoothing,
+        feed_mode,
+        law,
+        dialect,
+        radius,
+        contour,
+    )
+    asked = with_shaping(load_spec(spec, chosen), chosen, options)
+    check_machine(chosen)
+    kept = Kept()
+    with progress_bar(not json) as progress, tempfile.TemporaryDirectory() as folder:
+        plan = plan_job(open_job(job, chosen, options), chosen, options)
+        check_halts(plan, answered=pass_stops or sys.stdin.isatty())
+        if proof_file is None:
+            proof_file = Path(folder) / f"{job.stem}.proof.json"
+            proof = prove_plan(plan, asked, progress, trials)
+            tell(doubts(proof))
+            write_proof(proof, proof_file)
+        table = check_runnable(proof_file, plan, asked, override)
+        with closed(Desk()) as desk, at_the_keys(desk, plan.duration_s, progress) as watch:
+            ended, text, _ = run_table(
+                table,
+                chosen,
+                sim_link(chosen, table.start_counts, speed),
+                desk,
+                kept,
+                speed=speed,
+                pass_stops=pass_stops,
+                watch=watch,
+            )
+    told = {"link": link, **({"override": override} if override else {})}
+    happened = kept.recording(plan, told)
+    if recording is not None:
+        write_recording(happened, recording, plot_every=plot_every(chosen))
+    verdict = judge([happened], plan, asked)
+    if ended is Ended.FAULT:
+        if not json:
+            _show(verdict, plan, link)
+        raise LinkFaultError(text, remedy="The machine has braked; look at it, then home it.")
+    if json:
+        print_json({**verdict_json(verdict, plan), **told, "ended": ended.value})
+    else:
+        _show(verdict, plan, link)
+    raise typer.Exit(0 if verdict.passed else 1)
+
+
+def _show(verdict: Verdict, plan: Plan, link: str) -> None:
+    header, rows = verdict_rows(verdict)
+    print_table(f"{plan.job.name} run on {plan.machine.name}, link {link}", header, rows)
+    say(closing(verdict))
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("run")(run)

@@ -1,0 +1,167 @@
+"""Coming to rest along the path and starting again on it, within the limits of every axis.
+
+A run goes along its table at a *rate*: rows for each tick, 1 when undisturbed. Braking lets the
+rate fall to 0 along a smooth curve, so that the axes stay on the path and slow down together; the
+rise is its mirror and ends on a whole row, so that from there on the rows are those of the table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import Protocol
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+
+_DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
+"""Ticks that braking may take; the first that keeps every limit is taken."""
+MOST_PLACES = ceil(_DURATIONS[-1]) + 2
+"""Rows that braking and rising may have to know of beyond the place where they begin."""
+_ROUNDED = (0.5, 1.0, 2.0, 4.0)
+"""What rows of whole counts add to a position and to its first, second and third difference, which
+are velocity, acceleration and jerk: half a count, and twice that with each difference."""
+
+
+class Path(Protocol):
+    """What can be gone along."""
+
+    def counts(self, places: FloatArray) -> FloatArray:
+        """Return (n, axes) counts at (n,) places."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CountLimits:
+    """Limits of the axes in counts and ticks.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk
+        (axes,) counts per tick, per tick^2, per tick^3; infinite where there is none.
+    low, high
+        (axes,) counts from the position zero; infinite where the axis is endless.
+    """
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, machine: Machine) -> CountLimits:
+        """Return the limits of a machine."""
+        tick_s = float(machine.tick_clock.period_s)
+        scale = machine.counts_per_unit
+        axes = machine.axes.values()
+        jerk = np.array([np.inf if axis.jerk is None else axis.jerk.si for axis in axes])
+        low = [-np.inf if axis.travel is None else axis.travel[0].si for axis in axes]
+        high = [np.inf if axis.travel is None else axis.travel[1].si for axis in axes]
+        return cls(
+            velocity=machine.velocity_limit * scale * tick_s,
+            acceleration=machine.acceleration_limit * scale * tick_s**2,
+            jerk=jerk * scale * tick_s**3,
+            low=np.array(low) * scale,
+            high=np.array(high) * scale,
+        )
+
+    def excess(self, counts: FloatArray, own: FloatArray) -> float:
+        """Return by how much a motion exceeds its limits: at most 1 where it keeps them.
+
+        Parameters
+        ----------
+        counts
+            (n, axes) positions at consecutive ticks.
+        own
+            (m, axes) the rows that they are made from: a table that asks for more than a limit,
+            as historical interpolations do, sets that limit itself.
+        """
+        worst = 0.0
+        limits = (self.velocity, self.acceleration, self.jerk)
+        for order, limit in enumerate(limits, start=1):
+            asked = np.abs(np.diff(counts, order, axis=0)).max(axis=0, initial=0.0)
+            told = np.abs(np.diff(own, order, axis=0)).max(axis=0, initial=0.0)
+            worst = max(worst, float((asked / (np.maximum(limit, told) + _ROUNDED[order])).max()))
+        return worst
+
+
+def _fallen(share: FloatArray) -> FloatArray:
+    """Return how far one goes in a share of the time while the rate falls from 1 to 0.
+
+    The integral of 1 - 3 u^2 + 2 u^3, which begins and ends without a kink; the whole is 1/2.
+    """
+    return np.asarray(share - share**3 + 0.5 * share**4)
+
+
+def _risen(share: FloatArray) -> FloatArray:
+    """Return how far one goes while the rate rises from 0 to 1: the mirror of ``_fallen``."""
+    return np.asarray(share**3 - 0.5 * share**4)
+
+
+def _fall(before: float, place: float, ticks: float) -> FloatArray:
+    """Return the places at the ticks after ``place`` while the rate falls to 0 in ``ticks``."""
+    rate = place - before
+    k = np.arange(1, ceil(ticks) + 1)
+    return np.asarray(place + rate * ticks * _fallen(np.minimum(k / ticks, 1.0)))
+
+
+def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -> FloatArray:
+    """Return the (n,) places at the ticks after now at which a run comes to rest along its path.
+
+    Parameters
+    ----------
+    path
+        Known for ``MOST_PLACES`` beyond now, or to its end.
+    before
+        Places two ticks ago, one tick ago, and now.
+    limits
+        Of the axes. Where no duration keeps them the one that exceeds them least is taken.
+    """
+    second, first, now = before
+    if now <= first:
+        return np.empty(0)
+    best, least = np.empty(0), np.inf
+    own = path.counts(np.arange(floor(second), floor(now) + MOST_PLACES, dtype=np.float64))
+    for ticks in _DURATIONS:
+        places = _fall(first, now, ticks)
+        # Two ticks of rest after it: stopping counts, too.
+        whole = np.concatenate([before, places, places[-1:], places[-1:]])
+        excess = limits.excess(path.counts(whole), own)
+        if excess < least:
+            best, least = places, excess
+        if excess <= 1.0:
+            break
+    return best
+
+
+def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
+    """Return the (n,) places at the ticks after now at which a run starts again from rest.
+
+    The last of them is a whole number, and from there on a row is played at each tick.
+
+    Parameters
+    ----------
+    path
+        Known for ``MOST_PLACES`` beyond ``place``, or to its end.
+    place
+        Where it rests.
+    limits
+        As for ``brake``.
+    """
+    best, least = np.empty(0), np.inf
+    own = path.counts(np.arange(floor(place), floor(place) + MOST_PLACES + 2, dtype=np.float64))
+    beyond = 2.0 * (place - floor(place))  # place + ticks/2 + the rest of a tick is whole then
+    for wanted in _DURATIONS:
+        ticks = beyond + 2.0 * max(ceil((wanted - beyond) / 2.0), 0 if beyond else 1)
+        k = np.arange(1, ceil(ticks) + 1)
+        share = np.minimum(k / ticks, 1.0)
+        places = np.asarray(place + ticks * _risen(share) + np.maximum(k - ticks, 0.0))
+        whole = np.concatenate([[place] * 3, places, places[-1] + np.arange(1, 4)])
+        excess = limits.excess(path.counts(whole), own)
+        if excess < least:
+            best, least = places, excess
+        if excess <= 1.0:
+            break
+    return np.concatenate([best[:-1], np.rint(best[-1:])])

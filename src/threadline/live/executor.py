@@ -1,0 +1,401 @@
+"""The executor: it owns one machine, takes proved plans, and sees to it that every run can stop.
+
+It sends rows at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
+the next refill replaces that tail: whoever dies, the machine comes to rest within its limits.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import CommandError, LimitError, LinkFaultError
+from threadline.live.ahead import Ahead, ticks_in
+from threadline.live.desk import Desk
+from threadline.live.states import MOVING, Cause, State, next_state
+from threadline.live.wire import PROTOCOL, Connection, Message, event_of
+from threadline.machine import Machine
+from threadline.signals import (
+    Channel,
+    ChannelKind,
+    Clock,
+    Ended,
+    Event,
+    RecordingBlock,
+    TickTable,
+)
+
+DEPTH_S = 0.1
+"""Rows are sent no further ahead than this, s."""
+SETTLE_S = 0.5
+"""How long the machine is recorded after the last row, s: as long as it is simulated."""
+_ANSWER_S = 60.0  # a machine may have to be built first
+_STEPPED_S = 60.0  # silence of a machine whose time waits for us
+_LEAD_S = 0.02
+"""How far ahead of the last report a stop begins in real time, s: what is under way then."""
+
+
+class Sink(Protocol):
+    """Who keeps what happens."""
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        """Keep the description of what follows."""
+
+    def block(self, block: RecordingBlock) -> None:
+        """Keep samples, and the events among them."""
+
+    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
+        """Keep that the executor went to a state."""
+
+
+class Executor:
+    """Runs tables of counts on a machine at the end of a link.
+
+    Parameters
+    ----------
+    link
+        The link to the machine, which has not greeted yet.
+    machine
+        The machine that the link must lead to.
+    desk
+        Where commands come from.
+    sink
+        Who keeps what happens.
+    speed
+        Seconds of the machine in a second; 1 is real time.
+    """
+
+    def __init__(
+        self, link: Connection, machine: Machine, desk: Desk, sink: Sink, *, speed: float
+    ) -> None:
+        self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
+        self._real_time = speed == 1.0
+        self.state = State.DISABLED
+        self.tick = 0  # of the machine, as it was last told
+        self.late_ticks = 0
+        self.ended: tuple[Ended, str] | None = None
+        self.over = False  # the run has ended and the machine has settled
+        self._homed = False
+        self._stands = np.zeros(len(machine.axes), dtype=np.int64)
+        self._began = self._stands  # where the run began
+        self._ahead: Ahead | None = None
+        self._depth = ticks_in(DEPTH_S, machine)
+        self._settle = ticks_in(SETTLE_S, machine) + 1
+        self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
+        self._rest: int | None = None  # the tick from which on nothing is commanded any more
+        self._owes_go = self._brake_again = False
+        self._clock = ""
+        self._channels: tuple[Channel, ...] = ()
+        self._nothing: dict[str, FloatArray] = {}
+
+    # --- commands before a run -------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Hear who is at the other end.
+
+        Raises
+        ------
+        LinkFaultError
+            If nobody answers.
+        CommandError
+            If it is another machine, or speaks another protocol.
+        """
+        hello = self._expect("hello")
+        told, machine = hello.head, self._machine
+        if told["protocol"] != PROTOCOL:
+            raise CommandError(
+                f"the link speaks protocol {told['protocol']}, this program {PROTOCOL}",
+                remedy="Use the same version at either end.",
+            )
+        if told["machine_sha256"] != machine.sha256:
+            raise CommandError(
+                f"the link leads to {told['machine']} (sha256 {told['machine_sha256'][:12]}), the "
+                f"plan is for {machine.name} ({machine.sha256[:12]})",
+                remedy="Give the machine file of the machine that is there.",
+            )
+        clock = Clock(str(told["clock"]), Fraction(told["period"]))
+        self._clock = clock.name
+        self._channels = tuple(
+            Channel(
+                name=c["name"], kind=ChannelKind(c["kind"]), unit=c["unit"], axis=c["axis"],
+                stride=int(c["stride"]), clock=clock,
+            )
+            for c in told["channels"]
+        )  # fmt: skip
+        self._nothing = {channel.name: np.empty(0) for channel in self._channels}
+        self._sink.begin(self._channels, bool(told["simulated"]))
+
+    def enable(self) -> None:
+        """Switch the drives on."""
+        self._go(Cause.ENABLE)
+        self._link.send(Message("enable"))
+        self._expect("enabled")
+
+    def disable(self) -> None:
+        """Switch the drives off, where nothing moves; home before the next run."""
+        self._go(Cause.DISABLE)
+        self._homed = False
+        self._link.send(Message("disable"))
+
+    def reset(self) -> None:
+        """Leave a fault: the drives are off then, nothing moves and nothing is homed.
+
+        Raises
+        ------
+        CommandError
+            If there is no fault, or the link is gone: that takes a new one.
+        """
+        if self._link.lost:
+            raise CommandError("the link is gone", remedy="Connect again.")
+        if self.state is State.FAULT and not self.over:
+            raise CommandError("the machine is still braking", remedy="Wait until it stands.")
+        self._go(Cause.RESET)
+        self._homed = False
+        self._link.send(Message("disable"))
+
+    def close(self) -> None:
+        """Leave the machine: it brakes by what it holds, if it moves."""
+        self._link.send(Message("leave"))
+
+    def home(self) -> None:
+        """Let the machine find where it is."""
+        self._go(Cause.HOME)
+        self._link.send(Message("home"))
+        self._stands = np.array(self._expect("homed").head["position"], dtype=np.int64)
+        self._homed = True
+        self._go(Cause.HOMED)
+
+    def start(self, table: TickTable, *, pass_stops: bool = False) -> None:
+        """Begin a run. The caller has checked the proof; the limits of each row are checked here.
+
+        Parameters
+        ----------
+        table
+            The rows.
+        pass_stops
+            Go on at stops of the program without waiting for anybody.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle.
+        LimitError
+            If the first rows break a limit; nothing has moved then.
+        """
+        next_state(self.state, Cause.START)  # refused before anything is sent
+        self._check_start(table)
+        self.tick, self.ended, self.over, self._rest = 0, None, False, None
+        self._ahead = Ahead(table, self._machine, pass_stops=pass_stops)
+        first = self._ahead.extend(self._depth)
+        self._go(Cause.START)
+        self._began = table.start_counts
+        self._link.send(Message("begin"))
+        self._link.send(first)
+        self._owes_go = not self._real_time
+
+    def _expect(self, kind: str) -> Message:
+        message = self._link.receive(_ANSWER_S)
+        while message is not None and message.kind == "report":  # of the run before
+            message = self._link.receive(_ANSWER_S)
+        if message is None:
+            raise LinkFaultError(
+                f"the machine did not answer: {kind!r} was due",
+                remedy="Look whether it is switched on and connected.",
+            )
+        if message.kind != kind:
+            why = message.head.get("why", f"it answered {message.kind!r}")
+            raise LinkFaultError(f"the machine refused: {why}")
+        return message
+
+    def _check_start(self, table: TickTable) -> None:
+        scale, names = self._machine.counts_per_unit, self._machine.axis_names
+        for k, (stands, begins) in enumerate(zip(self._stands, table.start_counts, strict=True)):
+            if stands != begins:
+                raise CommandError(
+                    f"axis {names[k]} stands at {stands / scale[k]:.5g}, the run begins at "
+                    f"{begins / scale[k]:.5g}",
+                    remedy="Home the machine, or move it there.",
+                )
+
+    @property
+    def time_s(self) -> float:
+        """Of the machine since the beginning of the run."""
+        return self.tick * float(self._machine.tick_clock.period_s)
+
+    # --- a run -----------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Wait for the machine or for a command, and do what is due; ``over`` ends it."""
+        if self._owes_go:  # the machine's time waits for us: what was asked comes before it
+            self.obey()
+            self._owes_go = False
+            self._link.send(Message("go"))
+        if not self._link.waiting:
+            silence_s = self._silence_s()
+            waited = [self._desk.fileno(), self._link.fileno()]
+            ready, _, _ = select.select(waited, [], [], silence_s)
+            if self._desk.fileno() in ready:
+                self._desk.woken()
+            elif not ready:
+                self._lost(f"the machine was silent for {silence_s:g} s")
+                return
+        if self._real_time:
+            self.obey()
+        try:
+            message = self._link.receive(0.0)
+        except LinkFaultError as error:
+            self._lost(error.message)
+            return
+        if message is not None:
+            self._hear(message)
+        elif self._link.lost:
+            self._lost("the link is gone")
+
+    def _silence_s(self) -> float:
+        return 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
+
+    def obey(self) -> None:
+        """Do what was asked for at the desk; what is not possible now is told and left."""
+        while (cause := self._desk.take()) is not None:
+            try:
+                self._command(cause)
+            except CommandError as error:
+                self._sink.state(self.tick, self.state, cause, error.message)
+
+    def _command(self, cause: Cause) -> None:
+        moving = self.state in MOVING
+        self._go(cause)
+        if cause is Cause.STOP and moving:
+            self.ended = self.ended or (Ended.STOPPED, "stopped by the operator")
+            self._brake()
+        elif cause is Cause.HOLD:
+            self._brake()
+        elif cause is Cause.RESUME:
+            self._start_again()
+
+    def _go(self, cause: Cause, text: str = "") -> None:
+        self.state = next_state(self.state, cause)
+        self._sink.state(self.tick, self.state, cause, text)
+
+    def _brake(self) -> None:
+        """Replace what the machine holds by coming to rest along the path."""
+        ahead = self._ahead
+        if ahead is not None and self._rest is None and ahead.end > self.tick:
+            self._link.send(ahead.cut(self.tick + self._lead))
+
+    def _start_again(self) -> None:
+        ahead = self._ahead
+        assert ahead is not None
+        ahead.rest_until(self.tick + self._lead)
+        if ahead.halt is not None:
+            ahead.pass_halt()  # its rows begin from rest by themselves
+        else:
+            ahead.start_again()
+        if self.tick + self._depth > ahead.end:
+            self._link.send(ahead.extend(self.tick + self._depth))
+
+    def _hear(self, message: Message) -> None:
+        if message.kind == "refused":
+            self._refused(message)
+        elif message.kind == "report":
+            self._keep(message)
+            head = message.head
+            self.tick = int(head["now"])
+            self._stands = self._began + np.array(head["position"], dtype=np.int64)
+            self.late_ticks += int(head["late"])
+            inputs = {name: values[-1] for name, values in message.arrays.items() if len(values)}
+            if head["starved"] and self.state in {State.RUNNING, State.HOLDING}:
+                self._fault("refills came too late: the machine has braked by itself")
+            try:
+                self._go_on(inputs, standing=not head["held"])
+            except LimitError as error:
+                self._fault(error.message)
+            self._owes_go = not self._real_time and not self.over
+
+    def _refused(self, message: Message) -> None:
+        what, why = message.head.get("what"), message.head.get("why")
+        if what == "refill" and self._ahead is not None and self._ahead.undo():
+            # Braking was to begin at a tick that was past; the next report says which is not.
+            self._lead, self._brake_again = max(2 * self._lead, 1), True
+        elif self.state is not State.FAULT:
+            self._fault(f"the machine refused a {what}: {why}")
+
+    def _keep(self, message: Message) -> None:
+        """Hand on samples and events, up to the end of settling."""
+        first = int(message.head["tick"])
+        last = None if self._rest is None else max(self._rest + self._settle - first, 0)
+        events = tuple(event_of(told) for told in message.head["events"])
+        samples = {
+            name: np.asarray(values[:last], dtype=np.float64)
+            for name, values in message.arrays.items()
+        }
+        self._sink.block(
+            RecordingBlock(first_tick={self._clock: first}, samples=samples, events=events)
+        )
+
+    def _go_on(self, now: Mapping[str, float], *, standing: bool) -> None:
+        """Do what is due after a report: extend the rows, stand at a halt, end."""
+        ahead = self._ahead
+        if ahead is None:
+            return
+        ahead.forget(self.tick)
+        if self._rest is not None:
+            if self.tick >= self._rest + self._settle:
+                self._leave()
+            return
+        if self._brake_again:
+            self._brake_again = False
+            self._brake()
+        played = standing and self.tick >= ahead.end
+        if self.ended is not None:
+            if played:
+                ended, text = self.ended
+                self._link.send(Message("finish", {"ended": ended.value, "text": text}))
+                self._rest = self.tick
+        elif self.state is State.RUNNING and ahead.complete:
+            if played:
+                self.ended, self._rest = (Ended.COMPLETED, ""), ahead.end
+        elif self.state is State.RUNNING and ahead.halt is not None:
+            if played:
+                self._go(Cause.HOLD, f"{ahead.halt.kind} {ahead.halt.name}".strip())
+        elif self.state is State.HOLDING and played and _met(ahead.halt, now):
+            self._command(Cause.RESUME)
+        elif self.state is State.RUNNING and self.tick + self._depth > ahead.end:
+            self._link.send(ahead.extend(self.tick + self._depth))
+
+    # --- ends ------------------------------------------------------------------------------
+
+    def _leave(self) -> None:
+        self.over = True
+        if self.state is State.STOPPING:
+            self._go(Cause.AT_REST if self._homed else Cause.AT_REST_UNHOMED)
+        elif self.state is State.RUNNING:
+            self._go(Cause.COMPLETED)
+
+    def _fault(self, text: str) -> None:
+        """Brake for a fault: what the machine holds is replaced by coming to rest."""
+        self.ended = (Ended.FAULT, text)
+        self._homed = False
+        self._go(Cause.FAULT, text)
+        self._brake()
+
+    def _lost(self, text: str) -> None:
+        """Record that the machine cannot be heard: it brakes by what it holds."""
+        self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
+        self._go(Cause.FAULT, text)
+        fault = Event(tick=self.tick, kind="fault", operation=-1, name=text)
+        self._sink.block(
+            RecordingBlock(
+                first_tick={self._clock: self.tick}, samples=self._nothing, events=(fault,)
+            )
+        )
+
+
+def _met(halt: Event | None, now: Mapping[str, float]) -> bool:
+    """Say whether the run stands at a wait whose input is there."""
+    return halt is not None and halt.kind == "wait" and now.get(halt.name) == halt.value

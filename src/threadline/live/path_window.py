@@ -1,0 +1,116 @@
+"""A window on the rows of a tick table: where the axes are at any place along it.
+
+A place is a number of rows, whole or not: at place 7.25 a quarter of row 7 has been travelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.signals import Event, TickBlock, TickTable
+
+HALTS = frozenset(("stop", "wait"))
+"""Kinds of events at which a run stands until somebody or something answers."""
+
+
+class PathWindow:
+    """The rows around the place where a run is, read as they are needed and forgotten behind.
+
+    Parameters
+    ----------
+    table
+        What is run; it is read once.
+    pass_stops
+        Whether stops of the program halt nothing.
+    """
+
+    def __init__(self, table: TickTable, *, pass_stops: bool = False) -> None:
+        self._halting = HALTS - {"stop"} if pass_stops else HALTS
+        self._blocks: Iterator[TickBlock] = iter(table)
+        axes = len(table.axes)
+        self._first = 0  # row of the first kept place
+        self._travelled = np.zeros((1, axes), dtype=np.int64)  # counts at the places kept
+        self._operation = np.zeros(0, dtype=np.int64)
+        self._events: list[Event] = []
+        self._all = False
+
+    def reach(self, place: float) -> int:
+        """Read on until ``place`` is known; return the last place that is, the end or beyond."""
+        while not self._all and self._last < place:
+            block = next(self._blocks, None)
+            if block is None:
+                self._all = True
+                break
+            ends = self._travelled[-1] + np.cumsum(block.counts, axis=0)
+            self._travelled = np.concatenate([self._travelled, ends])
+            self._operation = np.concatenate([self._operation, block.operation])
+            self._events.extend(block.events)
+        return self._last
+
+    @property
+    def _last(self) -> int:
+        return self._first + len(self._operation)
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the last row has been read."""
+        return self._all
+
+    def forget(self, place: float) -> None:
+        """Keep nothing before ``place``."""
+        gone = min(int(place) - self._first, len(self._operation))
+        if gone > 0:
+            self._travelled = self._travelled[gone:].copy()
+            self._operation = self._operation[gone:].copy()
+            self._first += gone
+
+    def counts(self, places: FloatArray) -> FloatArray:
+        """Return (n, axes) counts from the start at (n,) places, not rounded.
+
+        Between two rows of the table they lie on the straight line between them.
+        """
+        at = np.clip(places - self._first, 0.0, float(len(self._operation)))
+        low = np.minimum(at.astype(np.int64), max(len(self._operation) - 1, 0))
+        high = np.minimum(low + 1, len(self._operation))
+        begin = self._travelled[low]
+        share = (at - low)[:, None]
+        return np.asarray(begin + (self._travelled[high] - begin) * share)
+
+    def rounded(self, places: FloatArray) -> IntArray:
+        """Return (n, axes) whole counts from the start at (n,) places."""
+        return np.rint(self.counts(places)).astype(np.int64)
+
+    def operations(self, places: FloatArray) -> IntArray:
+        """Return (n,) operations of the rows that are under way at (n,) places."""
+        if not len(self._operation):
+            return np.zeros(len(places), dtype=np.int64)
+        at = places.astype(np.int64) - self._first
+        return self._operation[np.clip(at, 0, len(self._operation) - 1)]
+
+    def halt(self) -> Event | None:
+        """Return the next stop or wait that is known of and not passed."""
+        return next((event for event in self._events if event.kind in self._halting), None)
+
+    def pass_halt(self) -> None:
+        """Let the next stop or wait be passed."""
+        halt = self.halt()
+        if halt is not None:
+            self._events.remove(halt)
+
+    def take_events(self, place: float) -> tuple[Event, ...]:
+        """Return the events up to ``place``, but for stops and waits; each is given once."""
+        due = [e for e in self._events if e.tick <= place and e.kind not in HALTS]
+        if due:
+            self._events = [e for e in self._events if e.tick > place or e.kind in HALTS]
+        return tuple(due)
+
+    def put_back(self, events: Sequence[Event]) -> None:
+        """Let events be given again."""
+        self._events = sorted([*events, *self._events], key=_tick)
+
+
+def _tick(event: Event) -> int:
+    return event.tick

@@ -1,0 +1,181 @@
+"""A job run on a machine: the proof checked, the machine started, the run watched to its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from threadline.errors import OptionError, Place, PlanError, ProofError
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor, Sink
+from threadline.live.states import State
+from threadline.live.wire import Connection
+from threadline.machine import Machine
+from threadline.plan import Plan
+from threadline.proof_file import ProofFile, check_proof, read_proof
+from threadline.signals import Ended, TickTable, tick_table
+from threadline.verdict import Spec
+
+
+def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | None) -> TickTable:
+    """Return the rows that may be run: those that the proof is a proof of, and none else.
+
+    Parameters
+    ----------
+    proof_file
+        The proof; it is read and its hashes are compared with the plan here.
+    plan, spec
+        What is to be run, and what it is asked to keep.
+    override
+        Why a plan that is out of specification is run in spite of that; None where it is not.
+
+    Raises
+    ------
+    ProofError
+        If it is no proof of this, or is out of specification and nothing overrides that.
+    OptionError
+        If nothing has to be overridden, or the machine is not one whose rows can be sent.
+    """
+    table = tick_table(plan.commands)
+    check_machine_runs(plan.machine)
+    proof = read_proof(proof_file)
+    place = Place(str(proof_file))
+    differences = check_proof(proof, plan, spec)
+    if differences:
+        raise ProofError(
+            f"it is no proof of what is to be run: {'; '.join(map(str, differences))}",
+            place=place,
+            remedy="Prove the job again.",
+        )
+    if not proof.passed and not override:
+        raise ProofError(
+            f"the job is out of specification: {_failed(proof)}",
+            place=place,
+            remedy="Lower the feed (threadline fastest finds it), or run it all the same with "
+            '--override "why", which is kept with the run.',
+        )
+    if proof.passed and override is not None:
+        raise OptionError(
+            "there is nothing to override: the job is in specification", remedy="Leave it out."
+        )
+    return table
+
+
+def check_machine_runs(machine: Machine) -> None:
+    """Refuse a machine that no link can run yet, before anything is planned.
+
+    Raises
+    ------
+    OptionError
+        Naming what it is commanded by.
+    """
+    if not machine.axes or machine.position_sources:
+        raise OptionError(
+            f"{machine.name} cannot be run yet: the executor sends counts per tick to controllers "
+            "with loops",
+            remedy="threadline prove simulates it.",
+        )
+
+
+def check_halts(plan: Plan, *, answered: bool) -> None:
+    """Refuse a job that would stand somewhere for ever; reads the commands once.
+
+    Parameters
+    ----------
+    answered
+        Whether somebody, or an option, answers the stops of the program.
+
+    Raises
+    ------
+    PlanError
+        Naming the line: of a wait for an input that the machine lacks, of a stop that nobody
+        answers.
+    """
+    table = tick_table(plan.commands)
+    rows = table.tick_count()
+    for block in table:
+        for event in block.events:
+            lacking = event.kind == "wait" and event.name not in plan.machine.inputs
+            if not lacking and (event.kind != "stop" or answered or event.tick >= rows):
+                continue
+            line = plan.intent.lines_of(plan.job, [event.operation]).get(event.operation, 0)
+            raise PlanError(
+                f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
+                if lacking
+                else "the program stops after this, and nobody is at the keys to let it go on",
+                place=Place(plan.job.file, line),
+                remedy="Take the wait out, or run it where there is such an input."
+                if lacking
+                else "Run it from a terminal, or with --pass-stops.",
+            )
+
+
+def check_override(override: str | None) -> None:
+    """Refuse an override that gives no reason.
+
+    Raises
+    ------
+    OptionError
+        If it is empty.
+    """
+    if override is not None and not override.strip():
+        raise OptionError(
+            "--override gives no reason", remedy='Say why: --override "test of the brake".'
+        )
+
+
+def run_table(
+    table: TickTable,
+    machine: Machine,
+    link: AbstractContextManager[Connection],
+    desk: Desk,
+    sink: Sink,
+    *,
+    speed: float,
+    pass_stops: bool = False,
+    watch: Callable[[Executor], None] | None = None,
+) -> tuple[Ended, str, int]:
+    """Run a checked table from enabling the drives to the end of settling.
+
+    Parameters
+    ----------
+    table
+        What ``check_runnable`` returned.
+    link
+        To the machine.
+    pass_stops
+        Go on at stops of the program without waiting for anybody.
+    watch
+        Called after each step, for progress.
+
+    Returns
+    -------
+    tuple
+        How it ended, why, and the ticks that came late.
+    """
+    with link as connection:
+        executor = Executor(connection, machine, desk, sink, speed=speed)
+        executor.connect()
+        executor.enable()
+        executor.home()
+        assert executor.state is State.IDLE
+        executor.start(table, pass_stops=pass_stops)
+        while not executor.over:
+            executor.step()
+            if watch is not None:
+                watch(executor)
+        executor.close()
+    assert executor.ended is not None
+    ended, text = executor.ended
+    return ended, text, executor.late_ticks
+
+
+def _failed(proof: ProofFile) -> str:
+    """Return the criteria that are not passed, as the proof lists them."""
+    found = [
+        f"{criterion['name']} {criterion['axis'] or ''}".strip()
+        for criterion in proof.content["verdict"]["criteria"]
+        if criterion["status"] in {"failed", "not-measured"}
+    ]
+    return ", ".join(found[:4]) or "its verdict is not passed"

@@ -1,0 +1,187 @@
+"""Messages between an executor and a machine: a length, a head of JSON, and arrays.
+
+A message is four bytes of length, four bytes of the length of its head, the head (JSON, UTF-8),
+and the bytes of its arrays in the order in which the head names them; integers are little-endian.
+Nothing in a message is code, and nothing is longer than ``MOST_BYTES``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import select
+import socket
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, get_args
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import LinkFaultError
+from threadline.signals import Event
+from threadline.signals.event import EventKind
+
+PROTOCOL = 1
+MOST_BYTES = 1 << 24
+_LENGTHS = struct.Struct("<II")
+_TYPES = {"<i8": np.int64, "<f8": np.float64}
+_AT_ONCE = 1 << 16
+_EVENT_KINDS = get_args(EventKind)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """What one side tells the other.
+
+    Parameters
+    ----------
+    kind
+        What it is about.
+    head
+        Its values, of JSON.
+    arrays
+        Its arrays, of int64 or float64, by name.
+    """
+
+    kind: str
+    head: Mapping[str, Any] = field(default_factory=dict)
+    arrays: Mapping[str, IntArray | FloatArray] = field(default_factory=dict)
+
+    def encoded(self) -> bytes:
+        """Return the bytes of the message."""
+        parts = {
+            name: np.ascontiguousarray(a, "<i8" if a.dtype.kind == "i" else "<f8")
+            for name, a in self.arrays.items()
+        }
+        named = [[name, a.dtype.str, list(a.shape)] for name, a in parts.items()]
+        content = {"kind": self.kind, "head": dict(self.head), "arrays": named}
+        head = json.dumps(content, allow_nan=False, ensure_ascii=False).encode()
+        body = b"".join(a.tobytes() for a in parts.values())
+        return _LENGTHS.pack(len(head) + len(body) + 4, len(head)) + head + body
+
+
+def _refuse(why: str) -> LinkFaultError:
+    return LinkFaultError(f"the link sent something that is no message: {why}")
+
+
+def decoded(content: bytes) -> Message:
+    """Return the message in ``content``, which begins with the length of the head.
+
+    Raises
+    ------
+    LinkFaultError
+        If it is none.
+    """
+    try:
+        (size,) = struct.unpack_from("<I", content)
+        told = json.loads(content[4 : 4 + size])
+        kind, head, named = str(told["kind"]), dict(told["head"]), list(told["arrays"])
+        arrays: dict[str, IntArray | FloatArray] = {}
+        at = 4 + size
+        for name, dtype, shape in named:
+            count = math.prod(int(n) for n in shape)
+            if count < 0 or min(shape, default=0) < 0:
+                raise _refuse(f"an array of shape {shape}")
+            values: Any = np.frombuffer(content, _TYPES[dtype], count, at)
+            arrays[str(name)] = values.reshape(shape)
+            at += values.nbytes
+    except (ValueError, KeyError, TypeError, struct.error, RecursionError) as error:
+        raise _refuse(str(error)[:80] or type(error).__name__) from error
+    if at != len(content):
+        raise _refuse(f"{len(content) - at} bytes are left over")
+    return Message(kind, head, arrays)
+
+
+def event_told(event: Event) -> list[Any]:
+    """Return an event as it stands in the head of a message."""
+    return [event.tick, event.kind, event.operation, event.name, event.value]
+
+
+def event_of(told: Any) -> Event:
+    """Return the event that ``event_told`` wrote.
+
+    Raises
+    ------
+    LinkFaultError
+        If it is none.
+    """
+    try:
+        tick, kind, operation, name, value = told
+        if kind not in _EVENT_KINDS:
+            raise _refuse(f"an event {str(kind)[:20]!r}")
+        return Event(
+            tick=int(tick), kind=kind, operation=int(operation), name=str(name), value=float(value)
+        )
+    except (TypeError, ValueError) as error:
+        raise _refuse(str(error)[:80]) from error
+
+
+class Connection:
+    """One end of a link: whole messages, over a stream socket.
+
+    Parameters
+    ----------
+    end
+        The socket; the connection closes it.
+    """
+
+    def __init__(self, end: socket.socket) -> None:
+        self._socket = end
+        self._bytes = bytearray()
+        self.lost = False  # the other side is gone
+
+    def fileno(self) -> int:
+        """Return the number to wait on; a message may be here already, see ``waiting``."""
+        return self._socket.fileno()
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a whole message has been read and not been taken."""
+        return len(self._bytes) >= 4 and len(self._bytes) >= 4 + self._length()
+
+    def _length(self) -> int:
+        (length,) = struct.unpack_from("<I", self._bytes)
+        if not 4 <= length <= MOST_BYTES:
+            raise _refuse(f"a length of {length} bytes")
+        return int(length)
+
+    def send(self, message: Message) -> None:
+        """Send a message; where the other side is gone, ``lost`` says so and nothing is raised."""
+        try:
+            self._socket.sendall(message.encoded())
+        except OSError:
+            self.lost = True
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        """Return the next message; None when none came in time, or when the other side is gone.
+
+        Raises
+        ------
+        LinkFaultError
+            If what comes is no message.
+        """
+        while not self.waiting:
+            if self.lost or not self._readable(timeout_s):
+                return None
+            try:
+                more = self._socket.recv(_AT_ONCE)
+            except OSError:
+                more = b""
+            if not more:
+                self.lost = True
+            self._bytes += more
+        length = self._length()
+        content = bytes(self._bytes[4 : 4 + length])
+        del self._bytes[: 4 + length]
+        return decoded(content)
+
+    def _readable(self, timeout_s: float | None) -> bool:
+        waited = None if timeout_s is None else max(timeout_s, 0.0)
+        return bool(select.select([self._socket], [], [], waited)[0])
+
+    def close(self) -> None:
+        """Close it: the other side finds it lost."""
+        self.lost = True
+        self._socket.close()

@@ -1,0 +1,198 @@
+"""Nothing moves but what a proof is a proof of, and what is run is judged as it was proved."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from threadline import proof_file
+from threadline.cli.main import main
+from threadline.errors import CommandError, LimitError, OptionError, PlanError, ProofError
+from threadline.live.supervised import check_halts, check_override, check_runnable
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.proof_file import write_proof
+from threadline.signals import Stream, TickBlock, tick_table
+from threadline.signals.files import read_recording
+from threadline.verdict import load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(scope="module")
+def proof() -> Proof:
+    options = Options(interpolation="linear")
+    plan = plan_job(open_job(EXAMPLES / "x-180.prg", winder(), options), winder(), options)
+    return prove_plan(plan, load_spec(None, winder()))
+
+
+@pytest.fixture
+def written(proof: Proof, tmp_path: Path) -> Path:
+    write_proof(proof, tmp_path / "a.proof.json")
+    return tmp_path / "a.proof.json"
+
+
+def _changed(block: TickBlock, row: int) -> Iterator[TickBlock]:
+    counts = block.counts.copy()
+    counts[row, 1] += 1
+    yield replace(block, counts=counts)
+
+
+def test_one_changed_row_is_refused(proof: Proof, written: Path) -> None:
+    assert check_runnable(written, proof.plan, proof.spec, None) is proof.plan.commands
+    table = tick_table(proof.plan.commands)
+    (block,) = table
+    for row in (0, 700, len(block) - 1):
+        other = replace(table, blocks=Stream(_changed, block, row))
+        plan = replace(proof.plan, commands=other)
+        with pytest.raises(ProofError, match="commands 'ticks' has the sha256"):
+            check_runnable(written, plan, proof.spec, None)
+
+
+def test_another_job_machine_spec_or_version_is_refused(
+    proof: Proof, written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = load_machine("lathe-winder+physical")
+    for plan, spec, what in (
+        (replace(proof.plan, job=replace(proof.plan.job, sha256="0" * 64)), proof.spec, "job"),
+        (replace(proof.plan, machine=other), proof.spec, "machine"),
+        (proof.plan, replace(proof.spec, lag_s=0.5), "spec"),
+    ):
+        with pytest.raises(ProofError, match=f"{what} '"):
+            check_runnable(written, plan, spec, "all the same")
+    monkeypatch.setattr(proof_file, "__version__", "0.0.1")
+    with pytest.raises(ProofError, match=r"threadline is version 0\.0\.1"):
+        check_runnable(written, proof.plan, proof.spec, None)
+
+
+def test_out_of_specification_takes_a_reason(proof: Proof, tmp_path: Path) -> None:
+    spec = proof.spec
+    tight = replace(
+        spec,
+        criteria=tuple(
+            replace(c, limit=1e-9) if c.name == "contour_error" else c for c in spec.criteria
+        ),
+    )
+    file = tmp_path / "tight.proof.json"
+    write_proof(prove_plan(proof.plan, tight), file)
+    with pytest.raises(ProofError, match=r"out of specification: contour_error.*--override"):
+        check_runnable(file, proof.plan, tight, None)
+    assert check_runnable(file, proof.plan, tight, "test of the brake")
+    with pytest.raises(OptionError, match="gives no reason"):
+        check_override("  ")
+
+
+def test_there_must_be_something_to_override(proof: Proof, written: Path) -> None:
+    with pytest.raises(OptionError, match="nothing to override"):
+        check_runnable(written, proof.plan, proof.spec, "I feel like it")
+
+
+def test_other_kinds_of_machines_are_refused(proof: Proof, written: Path) -> None:
+    machine = load_machine("letter-placer")
+    options = Options()
+    plan = plan_job(open_job(EXAMPLES / "letter-cycle.toml", machine, options), machine, options)
+    with pytest.raises(OptionError, match="table of counts is needed"):
+        check_runnable(written, plan, proof.spec, None)
+
+
+def test_a_stop_that_nobody_answers_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "stop.prg"
+    file.write_text("%\nO 1;\nN 10 G01 F 2160;\nG91;\nX 5;\nM00;\nX -5;\nM30;\n%\n", "utf-8")
+    options = Options(interpolation="linear")
+    plan = plan_job(open_job(file, winder(), options), winder(), options)
+    with pytest.raises(PlanError, match=r"stop.prg:5: the program stops after this.*--pass-stops"):
+        check_halts(plan, answered=False)
+    check_halts(plan, answered=True)
+
+    for passed in (True, False):
+        bench = Bench().ready()
+        bench.executor.start(tick_table(plan.commands), pass_stops=passed)
+        bench.go_on(1500 if not passed else None)
+        assert bench.executor.state == ("idle" if passed else "holding")
+
+
+def test_rows_beyond_travel_or_speed_are_never_sent() -> None:
+    """Whatever they come from: the executor looks at each row itself."""
+    start = np.array([0, 27000, 0])  # 12 mm before the end of X
+    bench = Bench(start=start).ready()
+    rows = np.zeros((400, 3), np.int64)
+    rows[:, 1] = 4
+    table = table_of_counts(rows, start=start)
+    bench.executor.start(table)
+    bench.go_on()
+    assert bench.executor.state == "fault"
+    assert "beyond its travel, which ends at 0.5" in bench.executor.ended[1]
+    assert 27000 < bench.commanded()[-1, 1] <= 0.5 * winder().counts_per_unit[1] + 2
+
+    rows = np.zeros((400, 3), np.int64)
+    rows[:, 2] = 400
+    bench = Bench().ready()
+    with pytest.raises(LimitError, match="400 counts in a tick, the limit is 311"):
+        bench.executor.start(table_of_counts(rows))
+    assert bench.executor.state == "idle"
+    assert not [message for message in bench.wire.sent if message.kind == "refill"]
+
+
+def test_another_machine_or_start_is_refused() -> None:
+    with pytest.raises(CommandError, match="the plan is for lathe-winder"):
+        Bench(other=load_machine("lathe-winder+physical"))
+    bench = Bench(start=np.array([0, 55, 0])).ready()
+    with pytest.raises(CommandError, match=r"axis X stands at 0\.00099.*, the run begins at 0"):
+        bench.executor.start(table_of_counts(there_and_back()))
+    assert bench.executor.state == "idle"
+
+
+def test_the_command_runs_what_it_proves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The machine in its own process; a run and a proof record the same to the bit."""
+    job, proof = EXAMPLES / "x-180.prg", tmp_path / "p.json"
+    how = ("-m", "lathe-winder", "--interpolation", "linear")
+    proved, ran = tmp_path / "proved.npz", tmp_path / "ran.npz"
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", str(job), *how, "--nominal", "--recording", str(proved), "--proof",
+              str(proof)])  # fmt: skip
+    assert ended.value.code in (None, 0)
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(job), *how, "--link", "sim", "--speed", "0", "--json", "--proof",
+              str(proof), "--recording", str(ran)])  # fmt: skip
+    assert ended.value.code in (None, 0)
+    content = json.loads(capsys.readouterr().out)
+    assert content["passed"]
+    assert (content["ended"], content["link"], content["late_ticks"]) == ("completed", "sim", 0)
+    first, second = read_recording(proved), read_recording(ran)
+    assert first.channels == second.channels
+    for channel in first.channels:
+        assert np.array_equal(first.samples(channel.name), second.samples(channel.name))
+    assert second.origin["link"] == "sim"
+    assert second.simulated
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("x-180.prg", "-m", "letter-placer"), "letter-placer cannot be run yet"),
+        (("x-180.prg", "-m", "lathe-winder", "--link", "hal"), "unknown link 'hal'"),
+        (("x-180.prg", "-m", "lathe-winder", "--speed", "-1"), "speed"),
+        (("x-180.prg", "-m", "lathe-winder", "--proof", "none.json"), "none.json"),
+        (("x-180.prg", "-m", "lathe-winder", "--override", ""), "gives no reason"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(EXAMPLES / arguments[0]), *arguments[1:]])
+    assert ended.value.code == 2
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert len(captured.err.strip().splitlines()) == 1
+    assert captured.out == ""
