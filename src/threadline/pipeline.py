@@ -16,6 +16,7 @@ from threadline.jobs import read_job
 from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
+from threadline.kinds.rejects import rejects
 from threadline.machine import Machine
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import drawn, one_at_a_time, uncertain
@@ -47,6 +48,7 @@ __all__ = [
     "try_plan",
     "with_shaping",
     "write",
+    "yielding",
 ]
 
 REPEAT_SEED = 1994
@@ -67,15 +69,25 @@ class Trials:
     machines
         Other machines within the tolerances of the file: each number at either end of its
         tolerance alone, and the rest drawn over all of them from a fixed seed.
+    wished
+        The yield that is asked for, a share: of the machines, all of them drawn, so many must be
+        in spec. None asks for every one of them.
     """
 
     repeats: int = 1
     machines: int = 0
+    wished: float | None = None
 
 
 NOMINAL = Trials()
 REPEATED = Trials(repeats=REPEATED_RUNS)
 TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
+
+
+def yielding(share: float) -> Trials:
+    """Return the trials that ask for a yield, as a share."""
+    return Trials(repeats=REPEATED_RUNS, machines=1000, wished=share)
+
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
@@ -272,15 +284,23 @@ def prove_plan(
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
     recordings = kind.days(plan.commands, machine, trials.repeats, random)
     others: Sequence[Recording] = ()
-    if trials.machines:
+    if trials.machines and trials.wished is None:
         others = kind.others(plan.commands, machine, _parts(machine, trials.machines), random)
     if progress is not None:
         recordings = [_watched(one, plan, progress) for one in recordings]
         others = [_watched(one, plan, progress) for one in others]
+    judge = Judge(plan, spec)
+    verdict = judge.verdict(recordings, others)
+    if trials.wished is not None:
+        _check_uncertain(machine)
+        parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
+        of_them = plan if actual is None else replace(plan, machine=machine)
+        found, tried = rejects(kind, of_them, judge, parts, trials.wished, random)
+        verdict = replace(verdict, results=(*verdict.results, found), machines=tried)
     return Proof(
         plan=plan,
         recording=replace(kind.simulate(plan.commands, machine), origin=origin),
-        verdict=Judge(plan, spec).verdict(recordings, others),
+        verdict=verdict,
         spec=spec,
         runs=trials.repeats,
         actual=actual,
@@ -300,14 +320,18 @@ def try_plan(
 
 def _parts(machine: Machine, count: int) -> FloatArray:
     """Return (count, n) parts of the tolerances: either end of each number alone, then drawn."""
+    _check_uncertain(machine)
+    ends = one_at_a_time(machine)[:count]
+    return np.concatenate([ends, drawn(machine, VARIANT_SEED, np.arange(count - len(ends)))])
+
+
+def _check_uncertain(machine: Machine) -> None:
     if not uncertain(machine):
         raise OptionError(
             f"no number of {machine.name} has a tolerance that may vary",
             place=machine.place,
             remedy='Write them in the machine file: "111 kg +- 10 %".',
         )
-    ends = one_at_a_time(machine)[:count]
-    return np.concatenate([ends, drawn(machine, VARIANT_SEED, np.arange(count - len(ends)))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,11 +21,12 @@ from threadline.pipeline import open_job, plan_job
 from threadline.plan import Plan
 from threadline.search import judge_runs, machine_yield
 from threadline.search.influence import influence
-from threadline.search.machine_yield import MachineYield, clopper_pearson
+from threadline.search.machine_yield import MachineYield
 from threadline.search.yield_state import YieldState
 from threadline.signals import tick_table
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge, load_spec
+from threadline.verdict.binomial import clopper_pearson
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.level import YieldOption, parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -58,6 +59,7 @@ def design(
             "--over-tolerances", help="It must hold at every corner of the parameters' tolerances."
         ),
     ] = False,
+    wished: YieldOption = None,
     needle: Annotated[
         str | None, typer.Option(help='Replaces the needle speed of a seam: "75 stitch/s".')
     ] = None,
@@ -119,6 +121,7 @@ def design(
             load_spec(spec, chosen),
             options_of(interpolation, None, tolerance, contour=contour),
             tolerances=over_tolerances,
+            wished=None if wished is None else parse_yield(wished),
             needle_speed=needle,
             plotted=plotted,
             smoothing_s=smoothing_s,

@@ -12,7 +12,7 @@ from threadline.cli.fastest_cycle import fastest_moves
 from threadline.cli.fastest_optimal import fastest_optimal
 from threadline.cli.fastest_seam import fastest_seam, needle_hz
 from threadline.cli.fastest_shaft import fastest_design
-from threadline.cli.level import NominalOption, TolerancesOption, trials_of
+from threadline.cli.level import NominalOption, TolerancesOption, YieldOption, trials_of
 from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_TOLERANCE_TEXT,
@@ -73,6 +73,7 @@ def fastest(
     ] = False,
     nominal: NominalOption = False,
     tolerances: TolerancesOption = False,
+    wished: YieldOption = None,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -109,7 +110,7 @@ def fastest(
     Of an on/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer
     -o best.toml
     """
-    trials = trials_of(nominal, None, tolerances)
+    trials = trials_of(nominal, None, tolerances, wished)
     chosen, kept_free = machine_from(machine, par), parse_margin(margin)
     asked = load_spec(spec, chosen).with_margin(kept_free)
     read = read_job(job, chosen)

@@ -16,7 +16,7 @@ from threadline.cli.found import (
     resolution_words,
     typed,
 )
-from threadline.cli.level import level_words
+from threadline.cli.level import level_option
 from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
@@ -115,7 +115,6 @@ def fastest_by_feed(
 
 
 def _command(best: Rung, job: Path, asked: dict[str, str | Path | None], trials: Trials) -> str:
-    level = level_words(trials)
     return command_line(
         "prove",
         job,
@@ -123,7 +122,7 @@ def _command(best: Rung, job: Path, asked: dict[str, str | Path | None], trials:
         | {
             "--feed": f"{best.found.best!r} m/s",
             "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
-            level: "" if level else None,
+            **level_option(trials),
         },
     )
 

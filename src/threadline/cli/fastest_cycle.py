@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.found import command_line, margin_words
-from threadline.cli.level import level_words
+from threadline.cli.level import level_option
 from threadline.cli.mismatch import check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -54,7 +54,7 @@ def fastest_moves(
     mismatch, report
         Whether to search at the ends of the tolerances as well, and the folder of its picture.
     """
-    asked = {**asked, level_words(trials): "" if level_words(trials) else None}
+    asked = {**asked, **level_option(trials)}
     check_outputs(file=out)
     check_mismatch(mismatch, actual is not None, report)
     warn(machine, read)

@@ -10,7 +10,7 @@ import typer
 
 from threadline.cli.fastest_by_feed import metres_per_second
 from threadline.cli.found import command_line, limit_words, margin_words, typed
-from threadline.cli.level import level_words
+from threadline.cli.level import level_option
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
@@ -72,12 +72,11 @@ def fastest_optimal(
     best = found.best
     again = None
     if best.found.best is not None:
-        level = level_words(trials)
         words: dict[str, str | Path | None] = {
             "--feed": f"{best.found.best!r} m/s",
             "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
             "--contour": None if best.contour_m is None else contour_text(best.contour_m),
-            level: "" if level else None,
+            **level_option(trials),
         }
         again = command_line("prove", job, asked | words)
     page = None

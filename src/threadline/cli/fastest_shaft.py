@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.found import command_line, limit_words, margin_words, resolution_words
-from threadline.cli.level import level_words
+from threadline.cli.level import level_option
 from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
@@ -75,8 +75,7 @@ def fastest_design(
             )
     title = f"{read.name} on {machine.name}{margin_words(margin)}"
     drawn = None if report is None else write_mismatch(cells, title, SHAFT, report)
-    level = level_words(trials)
-    again = _command(found, job, {**asked, level: "" if level else None})
+    again = _command(found, job, {**asked, **level_option(trials)})
     if json:
         said = {"margin": margin, "command": again}
         print_json(_content(found) | said | mismatch_json(cells, drawn))

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from threadline.errors import OptionError
-from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials
+from threadline.options import parse_number
+from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, yielding
 
 NominalOption = Annotated[
     bool,
@@ -32,29 +33,80 @@ TolerancesOption = Annotated[
 ]
 
 
-def level_words(trials: Trials) -> str:
-    """Return the option that asks for a level again; empty for the one that is meant anyway."""
+YieldOption = Annotated[
+    str | None,
+    typer.Option(
+        "--yield",
+        help='So many of the machines within the +- of the machine file must be in spec: "99 %", '
+        "by the lower end of the exact 95 % interval of 1000 of them.",
+    ),
+]
+
+
+def level_option(trials: Trials) -> dict[str, str]:
+    """Return the option that asks for a level again, with its value; none for the usual one."""
     if trials == REPEATED:
-        return ""
+        return {}
+    if trials.wished is not None:
+        return {"--yield": f"{100.0 * trials.wished:.12g} %"}
     if trials.machines:
-        return "--tolerances"
-    return "--nominal" if trials == NOMINAL else f"--repeats {trials.repeats}"
+        return {"--tolerances": ""}
+    if trials == NOMINAL:
+        return {"--nominal": ""}
+    return {"--repeats": f"{trials.repeats}"}
 
 
-def trials_of(nominal: bool, repeats: int | None, tolerances: bool) -> Trials:
+def level_words(trials: Trials) -> str:
+    """Return the option that asks for a level again, as it is typed; empty for the usual one.
+
+    >>> level_words(yielding(0.99))
+    '--yield "99 %"'
+    """
+    words = [f'{name} "{value}"' if " " in value else f"{name} {value}".strip()
+             for name, value in level_option(trials).items()]  # fmt: skip
+    return " ".join(words)
+
+
+def trials_of(
+    nominal: bool, repeats: int | None, tolerances: bool, wished: str | None = None
+) -> Trials:
     """Return which runs are asked for.
 
     Raises
     ------
     OptionError
-        If more than one level is.
+        If more than one level is, or the wished yield is no share.
     """
-    given = {"--nominal": nominal, "--repeats": repeats is not None, "--tolerances": tolerances}
+    given = {
+        "--nominal": nominal,
+        "--repeats": repeats is not None,
+        "--tolerances": tolerances,
+        "--yield": wished is not None,
+    }
     asked = [name for name, value in given.items() if value]
     if len(asked) > 1:
         raise OptionError(
             f"{' and '.join(asked)} ask for different levels", remedy="Give one of them."
         )
+    if wished is not None:
+        return yielding(parse_yield(wished))
     if repeats is not None:
         return Trials(repeats=repeats)
     return NOMINAL if nominal else TOLERANCES if tolerances else REPEATED
+
+
+def parse_yield(text: str) -> float:
+    """Return a wished yield such as ``"99 %"`` as a share.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and below 100 %: no number of machines proves 100 %.
+    """
+    value = parse_number("yield", text, "", "99 %")
+    if not 0.0 < value < 1.0:
+        raise OptionError(
+            f"yield {text!r} must be above 0 % and below 100 %",
+            remedy='99 of 100 machines in spec is "99 %"; no number of machines proves 100 %.',
+        )
+    return value

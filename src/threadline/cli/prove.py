@@ -7,7 +7,13 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
+from threadline.cli.level import (
+    NominalOption,
+    RepeatsOption,
+    TolerancesOption,
+    YieldOption,
+    trials_of,
+)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -88,6 +94,7 @@ def prove(
     nominal: NominalOption = False,
     repeats: RepeatsOption = None,
     tolerances: TolerancesOption = False,
+    wished: YieldOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
@@ -105,7 +112,7 @@ def prove(
     On an on/off machine: threadline prove examples/letter-cycle.toml
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
-    trials = trials_of(nominal, repeats, tolerances)
+    trials = trials_of(nominal, repeats, tolerances, wished)
     chosen = machine_from(machine, par)
     for output in (recording, proof_file):
         keep_inputs(output, job, chosen.file, par, spec)

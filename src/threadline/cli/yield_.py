@@ -9,6 +9,8 @@ import numpy as np
 import typer
 
 from threadline import __version__
+from threadline.cli.cheapest import set_content, show_set
+from threadline.cli.level import parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -38,6 +40,7 @@ from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
 from threadline.report.machine_yield import limited_rows, write_yield
+from threadline.search.cheapest_set import cheapest_set
 from threadline.search.influence import Influence, influence
 from threadline.search.machine_yield import MachineYield, Worst, Yield, shares_of, worst_toml
 from threadline.search.yield_state import YieldState
@@ -73,6 +76,13 @@ def yield_(
             "yield if its tolerance were halved.",
         ),
     ] = False,
+    at_least: Annotated[
+        str | None,
+        typer.Option(
+            help='A yield that is wished for, "99 %": where the lower end of the interval is below '
+            "it, the cheapest set of tolerances that reaches it is looked for."
+        ),
+    ] = None,
     worst: Annotated[
         Path | None,
         typer.Option(help="Write the worst machine that is found to this machine file."),
@@ -91,10 +101,12 @@ def yield_(
     All get the commands of JOB as planned for the machine as its file says. Encoders, friction and
     supply are nominal but for their own tolerances.
 
-    Exit status: 0 when every machine that was drawn is in spec, 1 when one is not, 2 wrong input.
+    Exit status: 0 when every machine that was drawn is in spec (with --at-least: when so many are),
+    1 when not, 2 wrong input.
 
     Example: threadline yield examples/x-180.prg -m lathe-winder --variants 1000
     """
+    wished = None if at_least is None else parse_yield(at_least)
     chosen = machine_from(machine, par)
     keep_inputs(worst, job, chosen.file, par, spec, resume)
     keep_inputs(resume, job, chosen.file, par, spec)
@@ -112,11 +124,7 @@ def yield_(
     asked = load_spec(spec, chosen)
     judged = MachineYield(plan, asked)
     warn(chosen, plan.job)
-    state = None
-    if resume is not None:
-        state = YieldState(resume, _identity(plan, asked, seed))
-        if state.cut:
-            tell([f"{resume.name}: its last line was cut short, and is worked out again"])
+    state = None if resume is None else _opened(resume, plan, asked, seed)
     through = 0
     with progress_bar(not json) as progress:
 
@@ -128,6 +136,8 @@ def yield_(
         found = judged.drawn(variants, seed, done, state)
         bad = judged.worst(found)
         hangs = _why(judged, seed) if why else None
+        enough = found.passed == variants if wished is None else found.interval[0] >= wished
+        better = None if wished is None or enough else cheapest_set(judged, wished, seed)
         title = f"{plan.job.name} on {chosen.name}: {_words(found)}"
         drawn = None
         with together(worst):
@@ -136,15 +146,27 @@ def yield_(
             if report is not None:
                 drawn = write_yield(found, title, report)
     if json:
-        told = {} if drawn is None else {"report": str(drawn)}
+        told: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
+        if better is not None:
+            told |= {"cheapest": set_content(better, judged)}
         print_json(_content(found, bad, judged, hangs) | told)
     else:
         _show(found, bad, judged, hangs, title)
+        if better is not None:
+            show_set(better, judged, at_least or "")
         if worst is not None:
             say(f"Worst machine: {worst}")
         if drawn is not None:
             say(f"Report: {drawn}")
-    raise typer.Exit(0 if found.passed == found.found.runs else 1)
+    raise typer.Exit(0 if enough else 1)
+
+
+def _opened(file: Path, plan: Plan, spec: Spec, seed: int) -> YieldState:
+    """Return what is known already of the machines of a yield; say what was lost of it."""
+    state = YieldState(file, _identity(plan, spec, seed))
+    if state.cut:
+        tell([f"{file.name}: its last line was cut short, and is worked out again"])
+    return state
 
 
 def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:

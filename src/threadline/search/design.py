@@ -15,7 +15,7 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
-from threadline.pipeline import Progress, check_loops, plan_job, simulate
+from threadline.pipeline import Progress, check_loops, plan_job, simulate, try_plan, yielding
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_region import Region, region_of
 from threadline.search.design_search import (
@@ -149,6 +149,7 @@ def design(
     options: Options,
     *,
     tolerances: bool = False,
+    wished: float | None = None,
     needle_speed: str | None = None,
     plotted: tuple[str, str] | None = None,
     smoothing_s: tuple[float, ...] = (),
@@ -161,6 +162,9 @@ def design(
     ----------
     tolerances
         Whether it must hold at every corner of the tolerances of the parameters.
+    wished
+        The yield that it must reach, a share: of machines with every number within its tolerance.
+        Of the candidates that trade cost for margin the cheapest that does is taken.
     needle_speed
         Replaces that of a seam: ``"75 stitch/s"``.
     plotted
@@ -199,7 +203,7 @@ def design(
         at = 0.55 + 0.2 * turn / len(TARGETS)
         step = report("trading cost for margin", at, at + 0.2 / len(TARGETS))
         tried = least_change(space, evaluator, tried, step, target=target)
-    found, refused = _proved(space, evaluator, tried, spec)
+    found, refused = _proved(space, evaluator, tried, spec, wished)
     nearest = _nearest(space, tried)
     centre = tried.points[nearest] if found is None else _point(space, found)
     level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
@@ -295,11 +299,14 @@ def _level(space: Space, candidate: Candidate) -> int:
 
 
 def _proved(
-    space: Space, evaluator: Evaluator, tried: Tried, spec: Spec
+    space: Space, evaluator: Evaluator, tried: Tried, spec: Spec, wished: float | None
 ) -> tuple[Found | None, tuple[str, ...]]:
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     refused: list[str] = []
-    for index in _cheapest_first(space, tried)[:_MOST_PROOFS]:
+    order = _cheapest_first(space, tried)
+    if wished is not None:  # many cost nearly the same, and would all be as far from the yield
+        order = pareto(space, tried, 1.0 + 1e-9)
+    for index in order[:_MOST_PROOFS]:
         own = tried.points[index]
         for point in (_rounded(space, own), own):
             once = evaluator.tried(point[None], tried.level[index : index + 1])
@@ -307,7 +314,7 @@ def _proved(
                 continue
             candidate = _candidate(space, evaluator, once, 0)
             try:
-                found = _prove(space, evaluator, point, candidate, spec)
+                found = _prove(space, evaluator, point, candidate, spec, wished)
             except PlanError as error:
                 refused.append(error.message)
                 continue
@@ -336,8 +343,9 @@ def _prove(
     point: FloatArray,
     candidate: Candidate,
     spec: Spec,
+    wished: float | None,
 ) -> Found:
-    """Prove one candidate, and its corners, by the whole pipeline.
+    """Prove one candidate, and its corners or its yield, by the whole pipeline.
 
     Raises
     ------
@@ -364,6 +372,8 @@ def _prove(
     recordings = [simulate(plan.commands, each) for each in machines]
     try:
         verdict = judge(recordings, plan, asked)
+        if wished is not None and verdict.passed:
+            verdict = try_plan(plan, asked, yielding(wished)).verdict
     except MachineError as error:
         raise PlanError(error.message) from error
     return Found(

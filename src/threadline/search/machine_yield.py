@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
-from scipy.stats import beta
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
@@ -29,8 +28,8 @@ from threadline.search.yield_state import YieldState
 from threadline.signals import tick_table
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec
+from threadline.verdict.binomial import clopper_pearson
 
-CONFIDENCE = 0.95
 AT_ONCE = 4096
 """Machines of which what came is kept together; it does not depend on how many they are."""
 _AT_ONCE_ALONE = 32
@@ -99,22 +98,6 @@ class Yield:
     def interval(self) -> tuple[float, float]:
         """Between which shares the yield of all machines lies, at 95 % confidence."""
         return clopper_pearson(self.passed, self.found.runs)
-
-
-def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the exact interval of a share of which ``passed`` of ``tried`` were counted.
-
-    Clopper and Pearson (1934), "The use of confidence or fiducial limits illustrated in the case
-    of the binomial".
-
-    >>> low, high = clopper_pearson(10_000, 10_000)
-    >>> f"{low:.5f} {high}"
-    '0.99963 1.0'
-    """
-    tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if not passed else float(beta.ppf(tail, passed, tried - passed + 1))
-    high = 1.0 if passed == tried else float(beta.ppf(1.0 - tail, passed + 1, tried - passed))
-    return low, high
 
 
 class MachineYield:

@@ -1,0 +1,45 @@
+"""The cheapest set of tolerances that reaches a yield, for people and for machines."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from threadline.cli.output import print_table, say
+from threadline.machine.numbers import number_at
+from threadline.search.cheapest_set import CheapestSet
+from threadline.search.machine_yield import MachineYield
+
+
+def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
+    """Print which tolerances to halve, and what comes of it."""
+    low, high = found.interval
+    words = f"{found.passed} of {found.tried} machines in spec, {low:.2%} to {high:.2%} of all"
+    if not found.reached:
+        say(f"no set of tolerances was found that reaches {wished}; the best of them: {words}")
+        return
+    rows = []
+    for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True):
+        if factor < 1.0:
+            quantity = number_at(judged.plan.machine, number.numbers[0])
+            own = quantity.tolerance_si / abs(quantity.si) if quantity.si else 0.0
+            now, then = (f"+-{100.0 * own * f:.3g} %" if own else "" for f in (1.0, factor))
+            rows.append([number.name, now, then, f"1/{1.0 / factor:.0f}"])
+    head = ["number", "tolerance", "instead", "of it"]
+    print_table(f"cheapest set that reaches {wished}: {found.halvings} halvings", head, rows)
+    say(f"with it: {words}")
+
+
+def set_content(found: CheapestSet, judged: MachineYield) -> dict[str, Any]:
+    """Return the same as JSON."""
+    return {
+        "reached": found.reached,
+        "halvings": found.halvings,
+        "passed": found.passed,
+        "machines": found.tried,
+        "interval": list(found.interval),
+        "factors": {
+            number.name: factor
+            for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True)
+            if factor < 1.0
+        },
+    }

@@ -1,0 +1,23 @@
+"""The interval of a share of which some were counted."""
+
+from __future__ import annotations
+
+from scipy.stats import beta
+
+CONFIDENCE = 0.95
+
+
+def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the exact interval of a share of which ``passed`` of ``tried`` were counted.
+
+    Clopper and Pearson (1934), "The use of confidence or fiducial limits illustrated in the case
+    of the binomial".
+
+    >>> low, high = clopper_pearson(10_000, 10_000)
+    >>> f"{low:.5f} {high}"
+    '0.99963 1.0'
+    """
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if not passed else float(beta.ppf(tail, passed, tried - passed + 1))
+    high = 1.0 if passed == tried else float(beta.ppf(1.0 - tail, passed + 1, tried - passed))
+    return low, high
