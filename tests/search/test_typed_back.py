@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +11,13 @@ import numpy as np
 import pytest
 
 from threadline.cli.found import typed
+from threadline.cli.main import main
 from threadline.jobs import read_job
+from threadline.laws import law, write_law
 from threadline.machine import load_machine
 from threadline.options import Options, options_of, parse_feed
 from threadline.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove_plan
-from threadline.search import fastest_needle
+from threadline.search import fastest_needle, gentle
 from threadline.search.fastest import find_fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Result, Status, Verdict, load_spec
@@ -77,3 +81,27 @@ def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
         assert all(judged(feed).passed for feed in (interval.low, interval.high))
         assert not any(interval.low < low and high < interval.high for low, high in holes)
     assert len(found.intervals) == 3
+
+
+def test_a_law_is_typed_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search names the law that it ran with, a table of one's own here, and so its proof."""
+    monkeypatch.setattr(gentle, "_LADDER", (1.0,))
+    monkeypatch.setattr(gentle, "_SCAN_POINTS", 2)
+    monkeypatch.setattr(gentle, "NEAR_POINTS", 1)
+    file = tmp_path / "my.law.csv"
+    write_law(law("cycloidal"), file)
+    job = tmp_path / "short.prg"
+    job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n", encoding="utf-8")
+    asked = ["--law", str(file), "--low", "20 mm/s", "--high", "40 mm/s", "--nominal"]
+    with pytest.raises(SystemExit) as left:
+        main(["fastest", str(job), "-m", "lathe-winder", *asked])
+    out = capsys.readouterr().out
+    assert left.value.code == 0
+    again = shlex.split(next(line for line in out.splitlines() if "To prove it:" in line))[5:]
+    assert again[again.index("--law") + 1] == str(file)
+    with pytest.raises(SystemExit) as left:
+        main(["prove", *again, "--json"])
+    assert left.value.code == 0
+    assert json.loads(capsys.readouterr().out)["interpolation"] == f"law:{file}"

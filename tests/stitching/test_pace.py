@@ -14,7 +14,7 @@ from threadline.jobs import read_job
 from threadline.laws import law
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
-from threadline.pipeline import open_job, plan_job, prove
+from threadline.pipeline import REPEATED, open_job, plan_job, prove
 from threadline.shaping import FlexibleMode
 from threadline.shaping.law_residual import lasting_windows_s, residual_m, ringing
 from threadline.targets.stitch_pace import Moves, Pace
@@ -61,7 +61,7 @@ def test_times_are_those_of_a_quick_study(name: str, schedule_s: float, constant
     assert turns.max() * len(turns) == pytest.approx(constant_s, rel=0.03)
     # What that study left out: what one stitch leaves is there when the next needle enters.
     assert pace.swings_m(moves, turns).max() > 1.5 * 5e-5
-    assert stitched.pace.swings_m(stitched.turns.moves, stitched.turns.turn_s).max() <= 5e-5
+    assert stitched.pace.most_swings_m(stitched.turns.moves, stitched.turns.turn_s).max() <= 5e-5
 
 
 def random_moves(count: int) -> Moves:
@@ -119,8 +119,22 @@ def test_the_forecast_is_what_the_twin_does(examples: Path) -> None:
     measured = max(proof.verdict.result("stitch_residual", axis).measured for axis in "XY")
     stitched = proof.plan.stitched
     forecast = stitched.pace.swings_m(stitched.turns.moves, stitched.turns.turn_s).max()
-    assert forecast == pytest.approx(1e-4, rel=0.03)
     assert 0.94 * forecast < measured <= forecast * 1.005
+
+
+@pytest.mark.parametrize("machine", ["schiffli-frame", "table-embroiderer"])
+def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path) -> None:
+    """Twenty runs, damping drawn from 0.7 to 1.3; planned for the usual damping alone it is not."""
+    frame = load_machine(machine)
+    proof = prove(
+        examples / "rosette.dst", frame, load_spec(None, frame), Options(), trials=REPEATED
+    )
+    assert proof.verdict.passed
+    stitched = proof.plan.stitched
+    moves, turns = stitched.turns.moves, stitched.turns.turn_s
+    assert stitched.pace.swings_m(moves, turns).max() < 0.95e-4
+    assert stitched.pace.most_swings_m(moves, turns).max() == pytest.approx(1e-4, rel=0.03)
+    assert proof.verdict.result("stitch_residual", "X").measured > 0.9e-4
 
 
 def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:

@@ -178,7 +178,8 @@ def fastest(
         )
     words: dict[str, str | Path | None] = {
         **names,
-        "--interpolation": interpolation,
+        "--interpolation": None if law is not None else interpolation,
+        "--law": law,
         "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
         "--feed-forward": "" if feed_forward else None,
         "--smoothing": smoothing,

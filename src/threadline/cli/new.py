@@ -48,7 +48,7 @@ PROJECTS = {
     "placer": Project(
         "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
     ),
-    "embroidery": Project("schiffli-frame", 'rosette.dst -m machine.toml --tolerance "0.04 mm"'),
+    "embroidery": Project("schiffli-frame", "rosette.dst -m machine.toml"),
 }
 
 

@@ -16,7 +16,7 @@ from threadline.kinds.retold import retold
 from threadline.laws import law
 from threadline.machine import Machine
 from threadline.machine.variants import variant
-from threadline.machine.vary import vary
+from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.options import Options
 from threadline.path.interpolations import BY_LAW
 from threadline.plan import Plan, Stitched
@@ -86,7 +86,7 @@ def _days(
     The steps of a servo are exact, whatever its supply.
     """
     machines = [machine]
-    machines += [vary(machine, damping=random.uniform(0.7, 1.3)) for _ in range(count - 1)]
+    machines += [vary(machine, damping=random.uniform(*DAMPING_OF_DAYS)) for _ in range(count - 1)]
     return [_simulate(commands, one) for one in machines]
 
 

@@ -9,6 +9,9 @@ from threadline.machine.model import Drive, Machine
 from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
 
+DAMPING_OF_DAYS = (0.7, 1.3)
+"""Between which the damping of a machine lies from day to day, of what its file says."""
+
 
 def vary(
     machine: Machine, *, friction: float = 1.0, supply: float = 1.0, damping: float = 1.0

@@ -18,11 +18,14 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.laws import Law
 from threadline.machine import Machine
 from threadline.machine.stitching import Shaft, Tables
+from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.plant.without_loop import analyse_told
 from threadline.shaping import FlexibleMode
 from threadline.shaping.law_residual import lasting_windows_s, swing
 from threadline.shaping.response import ComplexArray
 
+Modes = dict[str, tuple[FlexibleMode, ...]]
+"""Of each axis, the slowest first."""
 _ROUNDS = 200
 _SLOWER = 1.03  # by so much at a time
 _MODES = 4  # of an axis: faster ones hardly swing
@@ -64,13 +67,9 @@ class Pace:
         self.tables: Tables = machine.tables
         self.law, self.tolerance_m = law, tolerance_m
         self.share = float(self.shaft.window_share)
-        self.modes = {
-            name: tuple(
-                FlexibleMode(mode.frequency_hz, mode.damping)
-                for mode in analyse_told(machine, name).locked[:_MODES]
-            )
-            for name in machine.axes
-        }
+        self.modes = _modes_of(machine)
+        self.days = tuple(_modes_of(vary(machine, damping=factor)) for factor in DAMPING_OF_DAYS)
+        """What the modes may be on another day."""
         counts = np.arange(self.tables.longest_units + 1, dtype=np.float64)
         lengths: FloatArray = self.tables.unit.si * counts
         steps = np.array([axis.counts.si for axis in machine.axes.values()])
@@ -117,17 +116,31 @@ class Pace:
         rest = np.append(loads, 0.0) / (1.0 - self.share)
         return np.maximum(rest, float(self.shaft.turn_s))
 
-    def swings_m(self, moves: Moves, turns_s: FloatArray) -> FloatArray:
+    def most_swings_m(self, moves: Moves, turns_s: FloatArray) -> FloatArray:
+        """Return (n,) the same as ``swings_m`` on the day on which it is largest."""
+        found = self.swings_m(moves, turns_s)
+        for modes in self.days:
+            found = np.maximum(found, self.swings_m(moves, turns_s, modes))
+        return found
+
+    def swings_m(
+        self, moves: Moves, turns_s: FloatArray, modes_of: Modes | None = None
+    ) -> FloatArray:
         """Return (n,) the largest amplitude of an axis when the needle enters; 0 where it is up.
 
         Turn by turn what earlier moves left goes on, and what this move leaves is added.
+
+        Parameters
+        ----------
+        modes_of
+            Modes of each axis; those of the machine as its file says unless given.
         """
         windows, rests = self.share * turns_s, self.rests_s(turns_s)
         enters = (self.shaft.needle_enters.si - self.shaft.window.si) / (2.0 * pi)
         # The first change of speed comes behind the window; over so little of it speed is even.
         late = enters * turns_s
         worst = np.zeros(len(turns_s))
-        for column, modes in enumerate(self.modes.values()):
+        for column, modes in enumerate((modes_of or self.modes).values()):
             ways = moves.units[:, column] * self.tables.unit.si
             total = np.zeros(len(turns_s))
             for mode in modes:
@@ -161,18 +174,31 @@ class Pace:
         """Return (n,) turns as short as the spindle can, each needle entering within tolerance.
 
         What earlier moves left may make a turn need more than it needs alone: it is slowed until
-        the forecast of the swing is within tolerance, or the shaft turns as slowly as it can.
+        the forecast of the swing is within tolerance on any day, or the shaft turns as slowly as it
+        can.
         """
         longest = self.shaft.slowest_turn.si
         wanted = np.minimum(self.needed_turns_s(moves), longest)
         turns = wanted if self.shaft.acceleration is None else self.followed(wanted)
         for _ in range(_ROUNDS):
-            over = (self.swings_m(moves, turns) > self.tolerance_m) & (turns < longest * _BELOW)
+            over = self.most_swings_m(moves, turns) > self.tolerance_m
+            over &= turns < longest * _BELOW
             if not over.any():
                 break
             wanted = np.where(over, np.minimum(turns * _SLOWER, longest), wanted)
             turns = self.followed(wanted)
         return turns
+
+
+def _modes_of(machine: Machine) -> Modes:
+    """Return the slowest modes of each axis, its motor held."""
+    return {
+        name: tuple(
+            FlexibleMode(mode.frequency_hz, mode.damping)
+            for mode in analyse_told(machine, name).locked[:_MODES]
+        )
+        for name in machine.axes
+    }
 
 
 def _of_length(windows: FloatArray, units: IntArray) -> FloatArray:
