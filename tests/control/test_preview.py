@@ -33,9 +33,14 @@ def test_runs_give_what_the_whole_gives(axis, run):
     told = []
     for begin in range(0, count, run):
         t = ticks[begin : begin + run]
+        ahead_s = preview.ahead * timing.tick_s
+        acts = whole.start_s + timing.tick_s * np.arange(
+            begin + preview.ahead if begin else 0, begin + len(t) + preview.ahead
+        )
+        assert acts[-1] == pytest.approx(t[-1] + ahead_s)
         ladders = [
             np.stack([motion(at, order) for order in range(preview.orders)], axis=1)
-            for at in (t, t + timing.early_s)
+            for at in (t, acts + timing.early_s)
         ]
         told.append(preview.feed(t, *ladders))
     due = whole.start_s + 1e-3 * np.arange(int(count * timing.tick_s / 1e-3) - 1)
@@ -83,7 +88,10 @@ def test_damped_belts_are_followed_however_fast_their_zero_decays(tmp_path, damp
     t = whole.start_s + timing.tick_s * np.arange(count)
     now, early = (
         np.stack([motion(at, order) for order in range(preview.orders)], axis=1)
-        for at in (t, t + timing.early_s)
+        for at in (
+            t,
+            whole.start_s + timing.tick_s * np.arange(count + preview.ahead) + timing.early_s,
+        )
     )
     told = preview.feed(t, now, early)
     due = whole.start_s + 1e-3 * np.arange(int(count * timing.tick_s / 1e-3) - 1)

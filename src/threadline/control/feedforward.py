@@ -15,6 +15,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.control.inverse import Followed, Motion, inverse_of
+from threadline.control.lost_ticks import AHEAD, Levels
 from threadline.control.preview import timing_of
 from threadline.machine import Machine
 from threadline.plant.values import Values
@@ -108,7 +109,9 @@ def feed_forward(
     ticks: FloatArray = np.asarray(begin + tick * np.arange(count))
     sensed = inverse.follow(motion, ticks)
     driven = inverse.follow(motion, np.asarray(ticks + early))
-    error = lfilter(digital.denominator, digital.numerator, driven.volts)
+    levels = Levels(digital.numerator, skips=controller.dac.zero_on_reversal)
+    volts = levels.feed(np.append(driven.volts, np.repeat(driven.volts[-1:], AHEAD)))
+    error = lfilter(digital.denominator, digital.numerator, volts)
     wanted = (sensed.measured_counts + error) / loop.counts_per_unit
     rows = int(np.floor((ticks[-1] - held - begin) / step)) + 1
     due = begin + step * np.arange(rows)

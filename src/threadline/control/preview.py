@@ -10,6 +10,7 @@ from numba import njit
 from threadline.arrays import FloatArray
 from threadline.control.exponential import decay_and_moments
 from threadline.control.inverse import Inverse, inverse_of
+from threadline.control.lost_ticks import AHEAD, Levels
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
@@ -155,11 +156,17 @@ class AxisPreview:
         self._sensed = _Inner(self.inverse, self.timing.tick_s)
         self._driven = _Inner(self.inverse, self.timing.tick_s)
         self._peaks = (0.0, 0.0, 0.0)
+        self._levels = Levels(self._filter.numerator, skips=controller.dac.zero_on_reversal)
 
     @property
     def orders(self) -> int:
         """How many rows the ladders of a motion have: position and all its derivatives."""
         return self.inverse.degree + 1
+
+    @property
+    def ahead(self) -> int:
+        """By how many ticks the motion that acts is read ahead."""
+        return AHEAD
 
     def feed(self, time_s: FloatArray, now: FloatArray, early: FloatArray) -> FloatArray:
         """Return the (k,) position in m or rad that the controller should be told at each tick.
@@ -168,17 +175,23 @@ class AxisPreview:
         ----------
         time_s
             (k,) the next ticks of the controller; before the first the motion is at rest.
-        now, early
-            (k, orders) ladder of the load's motion at these ticks, and ``early_s`` later.
+        now
+            (k, orders) ladder of the load's motion at these ticks.
+        early
+            (k, orders) the same ``early_s`` later, ``ahead`` ticks farther on; the first time
+            (ahead + k, orders), from the first of these ticks on.
         """
         from scipy.signal import lfilter
 
         sensed = self.inverse.outputs(time_s, now, self._sensed.feed(now), self._sensed.start_si)
+        last = time_s[-1] + self.ahead * self.timing.tick_s + self.timing.early_s
+        acts_s = last - self.timing.tick_s * np.arange(len(early) - 1, -1, -1.0)
         driven = self.inverse.outputs(
-            time_s + self.timing.early_s, early, self._driven.feed(early), self._driven.start_si
+            acts_s, early, self._driven.feed(early), self._driven.start_si
         )
+        volts = self._levels.feed(driven.volts)
         error, self._memory = lfilter(
-            self._filter.denominator, self._filter.numerator, driven.volts, zi=self._memory
+            self._filter.denominator, self._filter.numerator, volts, zi=self._memory
         )
         self._note(driven.time_s, driven.volts, driven.current_a)
         return np.asarray((sensed.measured_counts + error) / self.inverse.loop.counts_per_unit)

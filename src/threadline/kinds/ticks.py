@@ -90,7 +90,10 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     check_budget(job, machine, timing.feed)
     limited = derate(machine, timing.limit_share)
     path = _shape(programmed, limited, options.path)
-    timed = plan_trajectory(path, limited, timing.pace, motion_law, timing.contour_m)
+    of_loads = timing.smoothing_s is not None
+    timed = plan_trajectory(
+        path, limited, timing.pace, motion_law, timing.contour_m, of_loads=of_loads
+    )
     # A demand above its limit is no error: the verdict shows what comes of it.
     followed = (
         followed_by_motors(timed, machine, job, shaper)

@@ -180,6 +180,9 @@ def _bounds(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
     return (
         Bound(within="the axes", duration_s=least_time_s(path, axis_limits(machine, path.axes))),
         Bound(
-            within="axes and drives", duration_s=least_time_s(path, limits_of(machine, path.axes))
+            within="axes and drives",
+            duration_s=least_time_s(
+                path, limits_of(machine, path.axes, of_loads=not options.follows_contour)
+            ),
         ),
     )

@@ -160,7 +160,7 @@ class _Column:
 
     def __init__(self, column: int, preview: AxisPreview) -> None:
         self._column, self._preview = column, preview
-        self._next = 0  # tick of the controller
+        self._next = self._next_early = 0  # ticks of the controller
         self._time_s: FloatArray = np.empty(0)
         self._told: FloatArray = np.empty(0)
 
@@ -174,9 +174,10 @@ class _Column:
         timing, preview = self._preview.timing, self._preview
         stop = ceil((due_s[-1] + timing.held_s) / timing.tick_s) + 1
         time_s = np.arange(self._next, stop) * timing.tick_s
-        self._next = stop
+        early_s = np.arange(self._next_early, stop + preview.ahead) * timing.tick_s + timing.early_s
+        self._next, self._next_early = stop, stop + preview.ahead
         now = motion.ladder(time_s, preview.orders)[:, :, self._column]
-        early = motion.ladder(time_s + timing.early_s, preview.orders)[:, :, self._column]
+        early = motion.ladder(early_s, preview.orders)[:, :, self._column]
         told = preview.feed(time_s, now, early)
         self._time_s = np.concatenate([self._time_s, time_s])
         self._told = np.concatenate([self._told, told])

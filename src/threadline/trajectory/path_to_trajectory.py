@@ -37,6 +37,8 @@ def plan_trajectory(
     pace: Pace = Pace.LIMITED,
     law: Law | None = None,
     contour_m: float = np.inf,
+    *,
+    of_loads: bool = False,
 ) -> Trajectory:
     """Return the axis positions over time.
 
@@ -59,6 +61,8 @@ def plan_trajectory(
     contour_m
         How far the loads may be from a path that is timed as the fastest, while their loops
         follow it; infinite where that is no limit.
+    of_loads
+        Whether loads are to follow a path that is timed as the fastest, and no motors.
 
     Raises
     ------
@@ -106,7 +110,7 @@ def plan_trajectory(
             blocks=Stream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
-        blocks = Stream(fastest_blocks, path, machine, contour_m)
+        blocks = Stream(fastest_blocks, path, machine, contour_m, of_loads=of_loads)
         # It will be read many times: a short motion is worked out once and kept.
         return Trajectory(
             axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks

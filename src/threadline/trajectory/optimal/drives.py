@@ -28,11 +28,17 @@ def axis_limits(machine: Machine, axes: tuple[str, ...]) -> Limits:
     )
 
 
-def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
+def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> Limits:
     """Return what the axes may do: their own limits, and what their drives can give.
 
     A drive gives the current that its bodies need, with all links rigid, and the voltage for it;
     sliding friction is taken from both beforehand, and so is the reserve for the loop.
+
+    Parameters
+    ----------
+    of_loads
+        Whether loads follow the motion. Volts are held for a tick, in which a motor gains back
+        EMF: its current is the largest where the tick begins. What motors follow, loops smooth.
 
     Raises
     ------
@@ -45,7 +51,7 @@ def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
     for k, axis in enumerate(axes):
         if machine.source_of(axis) is not None:
             continue
-        for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis)):
+        for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):
             left = (1.0 - RESERVE) * limit - still
             if not left > 0.0:
                 raise PlanError(
@@ -60,7 +66,7 @@ def limits_of(machine: Machine, axes: tuple[str, ...]) -> Limits:
     return replace(own, acceleration=acceleration, demand=demand[demand[:, :, 0].any(axis=1)])
 
 
-def _needs(machine: Machine, axis: str) -> list[tuple[float, FloatArray]]:
+def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, FloatArray]]:
     """Return limit and need, at rest, per m/s and per m/s^2, in the order of ``_UNITS``."""
     drive = machine.drive_of(axis)
     turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
@@ -70,6 +76,10 @@ def _needs(machine: Machine, axis: str) -> list[tuple[float, FloatArray]]:
     winding = drive.resistance.si * current
     winding[1] += drive.back_emf.si * turning
     amplifier = drive.amplifier
+    if of_loads and amplifier.mode == "voltage":
+        tick_s = float(machine.clock(machine.controller_of(axis).clock).period_s)
+        decayed = tick_s * winding[1] / winding[2]
+        current = current * np.array([1.0, 1.0, decayed / -np.expm1(-decayed)])
     told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
     most_v, most_a = (
         np.inf if limit is None else limit.si

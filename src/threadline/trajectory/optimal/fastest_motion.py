@@ -25,7 +25,7 @@ GAP = 1e-4
 
 
 def fastest_blocks(
-    path: PlannedPath, machine: Machine, contour_m: float = np.inf
+    path: PlannedPath, machine: Machine, contour_m: float = np.inf, *, of_loads: bool = False
 ) -> Iterator[TrajectoryBlock]:
     """Yield the fastest trajectory of ``path`` within what the axes and their drives can do.
 
@@ -34,6 +34,8 @@ def fastest_blocks(
     contour_m
         How far the loads may be from the path while their loops follow the motion, at the tool;
         infinite where that is no limit.
+    of_loads
+        Whether loads are to follow it, and no motors.
     """
     follower = None
     if np.isfinite(contour_m):
@@ -43,7 +45,7 @@ def fastest_blocks(
             radius_m=path.radius_m,
             tolerance_m=contour_m,
         )
-    yield from limited_blocks(path, limits_of(machine, path.axes), follower)
+    yield from limited_blocks(path, limits_of(machine, path.axes, of_loads=of_loads), follower)
 
 
 def least_time_s(path: PlannedPath, limits: Limits) -> float:
