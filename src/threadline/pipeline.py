@@ -102,7 +102,9 @@ class Proof:
     Parameters
     ----------
     recording
-        The first run: of the machine as its file says.
+        The first run: of the machine as its file says, with every channel.
+    judged
+        All recordings that were judged, those of other machines last; one may hold several runs.
     runs
         How many runs were judged.
     actual
@@ -113,8 +115,23 @@ class Proof:
     recording: Recording
     verdict: Verdict
     spec: Spec
+    judged: tuple[Recording, ...]
     runs: int = 1
     actual: Machine | None = None
+
+    def run(self, number: int) -> Recording:
+        """Return a run that was judged by its number, as ``Result.run`` has it.
+
+        Raises
+        ------
+        IndexError
+            If there is no such run.
+        """
+        for recording in self.judged:
+            if number <= recording.runs:
+                return recording.run(number)
+            number -= recording.runs
+        raise IndexError(number)
 
 
 def check_machine(machine: Machine) -> None:
@@ -286,6 +303,7 @@ def prove_plan(
     others: Sequence[Recording] = ()
     if trials.machines and trials.wished is None:
         others = kind.others(plan.commands, machine, _parts(machine, trials.machines), random)
+    judged = (*recordings, *others)
     if progress is not None:
         recordings = [_watched(one, plan, progress) for one in recordings]
         others = [_watched(one, plan, progress) for one in others]
@@ -302,6 +320,7 @@ def prove_plan(
         recording=replace(kind.simulate(plan.commands, machine), origin=origin),
         verdict=verdict,
         spec=spec,
+        judged=judged,
         runs=trials.repeats,
         actual=actual,
     )

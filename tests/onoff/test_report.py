@@ -136,8 +136,8 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     unshaped = prove(file, machine, spec, Options())
     with figure_style():
         bars = residual_figure(proof, unshaped).axes[0].patches
-        cycle = cycle_figure(proof)
-        frame = frame_figure(proof, unshaped).axes[0]
+        cycle = cycle_figure(proof, proof.recording)
+        frame = frame_figure(proof, proof.recording, unshaped).axes[0]
     shown = [p.get_height() for p in bars if p.get_height()]
     measured = [
         p.verdict.result("residual_vibration", "X").measured * 1e6  # type: ignore[operator]

@@ -39,7 +39,7 @@ def proof(tmp_path_factory: pytest.TempPathFactory) -> Proof:
 
 def test_marks_are_the_stitches_and_differ_in_shape_or_size(proof: Proof) -> None:
     with figure_style():
-        figure = seam_figure(proof)
+        figure = seam_figure(proof, proof.recording)
         assert figure is not None
         panel = figure.axes[0]
     counts = [int(str(c.get_label()).rsplit(":", 1)[1]) for c in panel.collections]
@@ -61,7 +61,7 @@ def test_of_many_stitches_the_worst_is_drawn_and_all_are_counted(
 
     def drawn() -> tuple[list[str], list[float], int]:
         with figure_style():
-            figure = seam_figure(proof)
+            figure = seam_figure(proof, proof.recording)
         assert figure is not None
         plan, graph = figure.axes
         labels = [str(c.get_label()) for c in plan.collections]

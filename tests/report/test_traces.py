@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ import pytest
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
-from threadline.pipeline import Proof, plan_job, prove_plan
+from threadline.pipeline import Proof, Trials, plan_job, prove_plan
 from threadline.report.figures import all_figures
 from threadline.report.style import figure_style
+from threadline.report.thinning import envelope
 from threadline.report.traces import AROUND_SAMPLES, MAX_SAMPLES, collect
 from threadline.verdict import judge, load_spec
 
@@ -40,7 +42,12 @@ def proof(tmp_path_factory: pytest.TempPathFactory) -> Proof:
         blocks.append(replace(block, samples=samples | {"Y.load": load}))
     assert done > 1.2 * MAX_SAMPLES
     recording = replace(clean.recording, blocks=blocks)
-    return replace(clean, recording=recording, verdict=judge([recording], plan, spec))
+    return replace(
+        clean,
+        recording=recording,
+        judged=(recording,),
+        verdict=judge([recording], plan, spec),
+    )
 
 
 def whole(proof: Proof, axis: str) -> np.ndarray:
@@ -100,3 +107,68 @@ def test_peaks_of_a_single_sample_stay_in_every_profile(proof: Proof) -> None:
         bend = np.diff(position, 2) / 0.005**2
         assert traces.acceleration[axis].max() == pytest.approx(bend.max(), rel=1e-12)
     assert (np.diff(traces.time_s) > 0).all()
+
+
+def test_peaks_of_the_plan_stay_in_every_profile(proof: Proof) -> None:
+    """The extremes of the trajectory at all ticks of the recording are among those drawn."""
+    traces = collect(proof)
+    motion = proof.plan.motion.trajectory
+    at_s = 0.005 * np.arange(len(whole(proof, "X")))
+    for derivative in range(3):
+        told = motion(at_s, derivative)
+        for axis in ("X", "Y"):
+            drawn, every = traces.planned[axis][:, derivative], told[:, motion.axes.index(axis)]
+            assert drawn.max() == pytest.approx(every.max(), rel=1e-9, abs=1e-12)
+            assert drawn.min() == pytest.approx(every.min(), rel=1e-9, abs=1e-12)
+
+
+def test_profiles_of_a_long_job_are_bands(proof: Proof) -> None:
+    """The single sample that is 20 mm aside is inside the band of its time, and so is the plan."""
+    traces = collect(proof)
+    with figure_style():
+        top = all_figures(proof, traces)["profile-Y"].axes[0]
+    low, high = (line.get_xydata() for line in top.lines[:2])
+    at = np.searchsorted(low[:, 0], AT * 0.005, side="right") - 1
+    assert low[at, 1] <= 1e3 * whole(proof, "Y")[AT] <= high[at, 1]
+    assert len(low) < 1000
+    (band,) = top.collections
+    assert band.get_label() == "planned"
+
+
+def test_a_band_holds_every_sample_and_no_more() -> None:
+    """Against a search through all samples, of random values with gaps."""
+    random = np.random.default_rng(7)
+    time_s = np.cumsum(random.uniform(0.1, 1.0, 5000))
+    values = random.normal(size=5000)
+    values[100:105] = np.nan
+    begin_s, low, high = envelope(time_s, values, 90)
+    for k in range(len(begin_s) - 1):
+        last = k + 2 == len(begin_s)
+        inside = (time_s >= begin_s[k]) & ((time_s <= begin_s[k + 1]) | last)
+        assert (low[k], high[k]) == (np.nanmin(values[inside]), np.nanmax(values[inside]))
+
+
+def test_the_run_with_the_worst_place_is_drawn(examples: Path) -> None:
+    """Runs that are judged one by one have their worst where all together have it."""
+    machine = load_machine("lathe-winder")
+    options = Options(interpolation="linear", feed=parse_feed("80 mm/s"))
+    plan = plan_job(read_job(examples / "x-180.prg", machine), machine, options)
+    spec = load_spec(None, machine)
+    proof = prove_plan(plan, spec, None, Trials(repeats=6))
+    alone = [judge([proof.run(k)], plan, spec).result("contour_error") for k in range(1, 7)]
+    worst = proof.verdict.result("contour_error")
+    errors_m = [result.measured for result in alone]
+    assert worst.run == int(np.argmax(errors_m)) + 1 != 1
+    assert (worst.measured, worst.time_s) == (max(errors_m), alone[worst.run - 1].time_s)
+    traces = collect(proof)
+    assert traces.run.number == worst.run
+    assert traces.run.words(proof) == (
+        f" Drawn is run {worst.run} of 6, in which contour_error is worst."
+    )
+    load = next(iter(proof.run(worst.run))).samples["X.load"]
+    np.testing.assert_array_equal(traces.actual["X"][: len(load)], load)
+    with figure_style():
+        errors = all_figures(proof, traces)["errors"].axes[1]
+    (label,) = [t.get_text() for t in errors.get_legend().get_texts() if "worst" in t.get_text()]
+    tracking = proof.verdict.result("tracking_error", "X")
+    assert (f"in run {tracking.run} of 6" in label) is (tracking.run != worst.run)

@@ -41,6 +41,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
                 figures[f"{stem}-{name}"] = figure
                 captions[f"{stem}-{name}"] = (
                     f"{label}. Programmed, planned and actual; lines are told apart by dash."
+                    f"{traces.run.words(proof)}"
                 )
             cases.append((label, proof, traces))
         first_figures, first_captions = overlays(cases)

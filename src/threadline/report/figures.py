@@ -9,8 +9,10 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
+from threadline.report.drawn_run import run_words, worst_result
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
-from threadline.report.traces import Traces, worst_result
+from threadline.report.thinning import envelope
+from threadline.report.traces import Traces
 from threadline.verdict import Result, Status, of_moving_axes
 
 if TYPE_CHECKING:
@@ -156,8 +158,7 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
     planned = traces.planned[axis]
     for row, (name, shown_unit, bound) in enumerate(zip(names, units, bounds, strict=True)):
         panel: Axes = rows[row]
-        panel.plot(traces.time_s, planned[:, row] * factor, label="planned", **PLANNED)
-        panel.plot(traces.time_s, actual[row] * factor, label="actual", **ACTUAL)
+        _profile(panel, traces, planned[:, row] * factor, actual[row] * factor)
         panel.set_ylabel(f"{name} [{shown_unit}]", fontsize=7.5)
         if bound is not None and _near(planned[:, row], actual[row], bound):
             for sign in (-1.0, 1.0):
@@ -172,6 +173,24 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
     rows[2].set_xlabel("time [s]")
     return figure
+
+
+def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArray) -> None:
+    """Draw planned and actual over time; of a long job the bands that they fill.
+
+    A line through what was kept of a long job would tell nothing of what lies between.
+    """
+    if traces.stride == 1:
+        panel.plot(traces.time_s, planned, label="planned", **PLANNED)
+        panel.plot(traces.time_s, actual, label="actual", **ACTUAL)
+        return
+    time_s, low, high = envelope(traces.time_s, planned)
+    panel.fill_between(
+        time_s, low, high, step="post", facecolor="0.8", edgecolor="0.45", lw=1.0, label="planned"
+    )
+    time_s, low, high = envelope(traces.time_s, actual)
+    for edge, label in ((low, "actual"), (high, None)):
+        panel.plot(time_s, edge, drawstyle="steps-post", label=label, **ACTUAL)
 
 
 def _near(planned: FloatArray, actual: FloatArray, bound: float) -> bool:
@@ -198,7 +217,9 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
         tracking.plot(traces.time_s, error, label=axis, **style)
     worst = worst_result(proof.verdict, "tracking_error")
     if worst is not None and worst.time_s is not None:
-        tracking.axvline(worst.time_s, label=_worst_label(worst, ""), **LIMIT)
+        other = worst.run is not None and worst.run != traces.run.number
+        note = f", in {run_words(proof.verdict, worst.run)}" if worst.run and other else ""
+        tracking.axvline(worst.time_s, label=_worst_label(worst, note), **LIMIT)
     tracking.set_xlabel("time [s]")
     tracking.set_ylabel("actual - commanded [mm]")
     tracking.margins(y=0.12)

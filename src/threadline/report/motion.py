@@ -19,7 +19,7 @@ from threadline.report.document import (
 )
 from threadline.report.figures import all_figures
 from threadline.report.publish import write_document
-from threadline.report.seam import seam_figure
+from threadline.report.seam import seam_figure, seam_run
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.targets import calculate
@@ -38,13 +38,14 @@ def write_motion(proof: Proof, folder: Path) -> Path:
     plan = proof.plan
     with figure_style():
         traces = collect(proof)
+        sewn_run = seam_run(proof)
         header, rows = verdict_rows(proof.verdict)
         figures = all_figures(proof, traces)
-        seam = seam_figure(proof)
+        seam = seam_figure(proof, sewn_run.recording)
         if seam is not None:
             figures = {"seam": seam, **figures}
         thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
-        thinned += first_run_words(proof.verdict.runs)
+        thinned += traces.run.words(proof)
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
@@ -68,7 +69,8 @@ def write_motion(proof: Proof, folder: Path) -> Path:
             ],
             figures=figures,
             captions={
-                name: _caption(name) + ("" if name == "seam" else thinned) for name in figures
+                name: _caption(name) + (sewn_run.words(proof) if name == "seam" else thinned)
+                for name in figures
             },
             facts=facts(proof),
         )
@@ -155,18 +157,12 @@ def summary_facts(proof: Proof) -> list[tuple[str, str]]:
     return [(key, f"{without_noise(value):g}") for key, value in summary.items()]
 
 
-def first_run_words(runs: int) -> str:
-    """Return what the captions say where a verdict is of several runs; empty for one."""
-    if runs == 1:
-        return ""
-    return f" Drawn is the first of {runs} runs; what is marked as worst is the worst of all."
-
-
 def thinned_words(stride: int) -> str:
     """Return what the caption of a thinned trace says of it."""
     return (
-        f" Of every {stride} samples those at an extreme of position, velocity, acceleration or "
-        "tracking error are drawn; about the places that are marked, every sample."
+        f" Of every {stride} samples those at an extreme of position, velocity, acceleration "
+        "(planned or actual) or tracking error are drawn, profiles as the band between them; about "
+        "the places that are marked, every sample."
     )
 
 

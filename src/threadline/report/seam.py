@@ -9,7 +9,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.pipeline import Proof
+from threadline.report.drawn_run import DrawnRun, drawn_run, worst_result
 from threadline.report.style import WORST
+from threadline.signals import Recording
 from threadline.verdict import Criterion, SewnStitches, sewn_stitches
 
 if TYPE_CHECKING:
@@ -29,8 +31,19 @@ _BANDS: tuple[tuple[str, float, str, float, str, bool], ...] = (
 )
 
 
-def seam_figure(proof: Proof) -> Figure | None:
-    """Draw the stitches of a job where the needle went down; None where it has none.
+_SHARES = ("stitch_length_error", "contour_error")
+"""The criteria of which the picture shows the share that each stitch uses."""
+
+
+def seam_run(proof: Proof) -> DrawnRun:
+    """Return the run in which the stitch is that uses most of its limits."""
+    worst = [w for w in (worst_result(proof.verdict, name) for name in _SHARES) if w is not None]
+    used = max(worst, key=lambda w: abs(w.measured or 0.0) / (w.limit or np.inf), default=None)
+    return drawn_run(proof, [] if used is None else [used.name])
+
+
+def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
+    """Draw the stitches of a run where the needle went down; None where the job has none.
 
     The share of its limit that a stitch uses is the larger of two: of its length, unless it is
     exempt, and of its distance from the seam.
@@ -41,7 +54,7 @@ def seam_figure(proof: Proof) -> Figure | None:
     delay_s = 0.0 if length is None else length.options.get("delay", 0.0)
     length_limit = (length.limit if length else None) or _LENGTH
     place_limit = (place.limit if place else None) or _PLACE
-    sewn = sewn_stitches(proof.plan, proof.recording, delay_s)
+    sewn = sewn_stitches(proof.plan, recording, delay_s)
     drawn, counts = _drawn(_columns(run, length_limit, place_limit) for run in sewn)
     if not len(drawn):
         return None

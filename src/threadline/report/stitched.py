@@ -19,6 +19,7 @@ from threadline.report.document import (
     options_facts,
     origin_facts,
 )
+from threadline.report.drawn_run import DrawnRun, drawn_run, run_words
 from threadline.report.publish import write_document
 from threadline.report.stitched_figures import (
     design_figure,
@@ -42,6 +43,7 @@ _CAPTIONS = {
     "pace": "Speed of the shaft at each stitch, and the time until then, beside the one speed "
     "that the slowest stitch alone would need.",
 }
+_DRAWN = ("stitch_residual",)
 _WORST = 10
 _MINUTE = 60.0
 _LEFT_OUT = ("feed-mode", "limits", "interpolation")
@@ -56,11 +58,11 @@ def write_stitched(proof: Proof, folder: Path) -> Path:
     OSError
         If the folder cannot be written.
     """
-    plan = proof.plan
+    plan, run = proof.plan, drawn_run(proof, _DRAWN)
     header, rows = verdict_rows(proof.verdict)
     with figure_style():
         figures = {
-            "design": design_figure(proof),
+            "design": design_figure(proof, run.recording),
             "moves": moves_figure(plan),
             "pace": pace_figure(plan),
         }
@@ -72,10 +74,10 @@ def write_stitched(proof: Proof, folder: Path) -> Path:
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
-                _worst_table(proof),
+                _worst_table(proof, run),
             ],
             figures=figures,
-            captions=_CAPTIONS,
+            captions={**_CAPTIONS, "design": _CAPTIONS["design"] + run.words(proof)},
             facts=_facts(proof),
         )
         return write_document(document, folder, "report")
@@ -89,8 +91,11 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
         figures: dict[str, Figure] = {"speeds": speeds_figure([p.plan for p in found.proofs])}
         captions = {"speeds": "Speed of the shaft along the design, case by case."}
         for number, proof in enumerate(found.proofs, start=1):
-            figures[f"design-{number}"] = design_figure(proof)
-            captions[f"design-{number}"] = f"{proof.plan.planned_with}. {_CAPTIONS['design']}"
+            run = drawn_run(proof, _DRAWN)
+            figures[f"design-{number}"] = design_figure(proof, run.recording)
+            captions[f"design-{number}"] = (
+                f"{proof.plan.planned_with}. {_CAPTIONS['design']}{run.words(proof)}"
+            )
         document = Document(
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
@@ -145,10 +150,10 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
     return rows
 
 
-def _worst_table(proof: Proof) -> Table:
-    """Return the stitches that are farthest off, the worst first."""
+def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
+    """Return the stitches that are farthest off in the run that is drawn, the worst first."""
     plan = proof.plan
-    run = StitchRun(proof.recording, plan)
+    run = StitchRun(drawn.recording, plan)
     turns, residual = plan.stitched.turns, run.sewn.residual_m
     alone_s = plan.stitched.pace.needed_turns_s(turns.moves)
     largest = np.nan_to_num(np.nanmax(residual, axis=1), nan=-1.0)
@@ -170,7 +175,9 @@ def _worst_table(proof: Proof) -> Table:
             ]
         )
     header = ["stitch", "record", "move mm", "residual mm", "stitches/min", "alone it can at"]
-    return Table(title="The stitches that are farthest off", header=header, rows=rows)
+    several = f", {run_words(proof.verdict, drawn.number)}" if drawn.words(proof) else ""
+    title = f"The stitches that are farthest off{several}"
+    return Table(title=title, header=header, rows=rows)
 
 
 def _facts(proof: Proof) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.style import ACTUAL, AXES, PLANNED
+from threadline.signals import Recording
 from threadline.verdict.stitch_run import StitchRun
 
 if TYPE_CHECKING:
@@ -22,13 +23,13 @@ _LEVELS = 5
 _MINUTE = 60.0
 
 
-def design_figure(proof: Proof) -> Figure:
-    """Draw the design, each stitch by how much of its limit it uses."""
+def design_figure(proof: Proof, recording: Recording) -> Figure:
+    """Draw the design as a run sewed it, each stitch by how much of its limit it uses."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
     plan = proof.plan
-    run = StitchRun(proof.recording, plan)
+    run = StitchRun(recording, plan)
     use, said = _use(proof, run)
     figure = Figure(figsize=(7.2, 7.0))
     panel = figure.subplots()

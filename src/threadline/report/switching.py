@@ -17,6 +17,7 @@ from threadline.report.document import (
     options_facts,
     origin_facts,
 )
+from threadline.report.drawn_run import drawn_run
 from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figures
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
@@ -30,6 +31,7 @@ from threadline.search import Comparison
 from threadline.targets.schedule_moves import shaping_words
 from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
 
+_DRAWN = ("residual_vibration",)
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
     "planned and without a shaper; dotted: the limit.",
@@ -64,11 +66,12 @@ def write_switching(proof: Proof, folder: Path) -> Path:
     steps = [_step_table(proof, f"shaper {shaper or 'none'}")]
     if unshaped is not None:
         steps.append(_step_table(unshaped, "without a shaper"))
+    run = drawn_run(proof, _DRAWN)
     with figure_style():
         figures = {
             "residual": residual_figure(proof, unshaped),
-            "frame": frame_figure(proof, unshaped),
-            "cycle": cycle_figure(proof),
+            "frame": frame_figure(proof, run.recording, unshaped),
+            "cycle": cycle_figure(proof, run.recording),
         }
         # Every cylinder starts drawn in: what moves at all moves forward first.
         forward = [move for move in plan.scheduled.moves if move.forward]
@@ -78,6 +81,8 @@ def write_switching(proof: Proof, folder: Path) -> Path:
             sweeps = [sweep, *break_sweeps(plan.machine, longest.axis)]
             figures["broken-beam"] = break_figure(sweeps, twin)
         captions = dict(_CAPTIONS)
+        for name in ("frame", "cycle"):
+            captions[name] += run.words(proof)
         for number, figure in enumerate(petri_figures(plan.scheduled), start=1):
             name = "petri-net" if number == 1 else f"petri-net-{number}"
             figures[name] = figure
@@ -113,8 +118,9 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
         }
         for name, proof in zip(names, found.proofs, strict=True):
             stem = "cycle-" + name.replace(":", "-").replace("*", "-by-").replace(" ", "")
-            figures[stem] = cycle_figure(proof)
-            captions[stem] = f"Shaper {name}: pistons and outputs over the cycle."
+            run = drawn_run(proof, _DRAWN)
+            figures[stem] = cycle_figure(proof, run.recording)
+            captions[stem] = f"Shaper {name}: pistons and outputs over the cycle.{run.words(proof)}"
         document = Document(
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,

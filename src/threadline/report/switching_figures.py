@@ -12,6 +12,7 @@ from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED
 from threadline.report.thinning import extremes
+from threadline.signals import Recording
 from threadline.verdict.switch_run import SwitchRun
 
 if TYPE_CHECKING:
@@ -47,11 +48,11 @@ def _thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatA
     return time_s[keep], values[keep]
 
 
-def cycle_figure(proof: Proof) -> Figure:
-    """Draw the pistons and every output over the cycle."""
+def cycle_figure(proof: Proof, recording: Recording) -> Figure:
+    """Draw the pistons and every output over the cycle of a run."""
     from matplotlib.figure import Figure
 
-    run = SwitchRun(proof.recording, proof.plan)
+    run = SwitchRun(recording, proof.plan)
     axes = proof.plan.job.axes
     outputs = proof.plan.scheduled.commands.outputs
     height = 1.3 * len(axes) + 0.19 * len(outputs) + 0.8
@@ -64,7 +65,7 @@ def cycle_figure(proof: Proof) -> Figure:
         height_ratios=[*(1.3 for _ in axes), 0.19 * len(outputs)],
     ).ravel()
     for panel, axis in zip(panels, axes, strict=False):
-        time_s, values = _thinned(*proof.recording.samples(f"{axis}.load"))
+        time_s, values = _thinned(*recording.samples(f"{axis}.load"))
         panel.plot(time_s, values * 1e3, **ACTUAL)
         panel.set_ylabel(f"{axis} mm")
         _mark_steps(panel, run, names=axis == axes[0])
@@ -84,21 +85,21 @@ def cycle_figure(proof: Proof) -> Figure:
     return figure
 
 
-def frame_figure(proof: Proof, unshaped: Proof | None) -> Figure:
-    """Draw the frame over the cycle, with and without shaping."""
+def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> Figure:
+    """Draw the frame over the cycle of a run, and without shaping."""
     from matplotlib.figure import Figure
 
-    run = SwitchRun(proof.recording, proof.plan)
+    run = SwitchRun(recording, proof.plan)
     axes = proof.plan.job.axes
     figure = Figure(figsize=(7.2, 1.9 * len(axes) + 0.6))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=True):
         for other, look, label in (
-            (unshaped, PLANNED, "without a shaper"),
-            (proof, ACTUAL, proof.plan.options.get("shaper", "no shaper")),
+            (None if unshaped is None else unshaped.recording, PLANNED, "without a shaper"),
+            (recording, ACTUAL, proof.plan.options.get("shaper", "no shaper")),
         ):
             if other is not None:
-                time_s, values = _thinned(*other.recording.samples(f"{axis}.frame"))
+                time_s, values = _thinned(*other.samples(f"{axis}.frame"))
                 panel.plot(time_s, values * MICRO, label=label, **look)
         panel.set_ylabel(f"frame along {axis}, um")
         _mark_steps(panel, run, names=axis == axes[0])

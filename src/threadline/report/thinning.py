@@ -10,6 +10,33 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray, IntArray
 
 
+def envelope(
+    time_s: FloatArray, values: FloatArray, stretches: int = 800
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return beginnings of stretches of time, (k,), and the band that the values fill there.
+
+    The band of a stretch reaches from its least to its largest value, the first one of the next
+    stretch included, so that bands that follow each other have no gap. All three end with the last
+    sample; what is no number is passed over.
+
+    Parameters
+    ----------
+    time_s, values
+        (n,) each, times increasing.
+    """
+    width_s = max(float(time_s[-1] - time_s[0]), 1e-9) / stretches
+    number = ((time_s - time_s[0]) / width_s).astype(np.int64)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    low[:-1] = np.fmin(low[:-1], values[starts[1:]])
+    high[:-1] = np.fmax(high[:-1], values[starts[1:]])
+    return (
+        np.append(time_s[starts], time_s[-1]),
+        np.append(low, low[-1]),
+        np.append(high, high[-1]),
+    )
+
+
 def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
     """Return, (n,), where a column of (n, m) is largest or least in its stretch; and both ends."""
     keep = np.zeros(len(columns), dtype=bool)

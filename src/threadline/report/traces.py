@@ -11,8 +11,11 @@ import numpy.typing as npt
 from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
 from threadline.plan import Plan
+from threadline.report.drawn_run import DrawnRun, drawn_run, worst_result
 from threadline.report.thinning import extremes
-from threadline.verdict import Result, Verdict, as_intended
+from threadline.trajectory import Trajectory
+from threadline.trajectory.at_times import TrajectoryReader
+from threadline.verdict import as_intended
 from threadline.verdict.along import contour_along
 from threadline.verdict.blocks import judged_blocks, setting_of
 from threadline.verdict.samples import Block
@@ -48,6 +51,8 @@ class Traces:
         (m, axes) programmed vertices.
     stride
         Of so many samples of the recording the extremes were kept; 1 where all were.
+    run
+        Of which run the samples are: that in which the first of ``MARKED`` is worst.
     contour
         (k,) times and (k,) contour errors, m, each the largest of a stretch of the job; None
         where it could not be measured.
@@ -62,27 +67,16 @@ class Traces:
     planned: dict[str, FloatArray]
     vertices: FloatArray
     stride: int
+    run: DrawnRun
     contour: tuple[FloatArray, FloatArray] | None = None
 
 
-def worst_result(verdict: Verdict, name: str) -> Result | None:
-    """Return the result of ``name`` that is nearest to, or furthest over, its limit."""
-    results = [
-        r
-        for r in verdict.results
-        if r.name == name and r.measured is not None and r.time_s is not None
-    ]
-    if not results:
-        return None
-    return max(results, key=lambda r: abs(r.measured or 0.0) / (r.limit or 1.0))
-
-
 def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
-    """Read recording, trajectory and programmed path once each and thin them.
+    """Read the run with the worst place, trajectory and programmed path once each and thin them.
 
     Of every stretch of a long recording the samples are kept at which an axis is at an extreme in
-    position, velocity, acceleration or tracking error: a peak of a single sample stays. About the
-    places that figures mark every sample is kept.
+    position, velocity or acceleration, planned or actual, or in tracking error: a peak of a single
+    sample stays. About the places that figures mark every sample is kept.
 
     Parameters
     ----------
@@ -91,21 +85,20 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     around_s
         More instants about which every sample is kept, s.
     """
-    plan, recording = proof.plan, as_intended(proof.recording, proof.plan)
+    plan, run = proof.plan, drawn_run(proof, MARKED)
+    recording = as_intended(run.recording, plan)
     axes = plan.motion.trajectory.axes
     setting = setting_of(plan, recording)
     marked = [worst_result(proof.verdict, name) for name in MARKED]
     places = [result for result in marked if result is not None]
     times_s = [*around_s, *(r.time_s for r in places if r.time_s is not None)]
     samples = plan.motion.trajectory.duration_s / setting.interval_s + 1.0
-    stride = 1 if samples <= MAX_SAMPLES else int(np.ceil(8 * len(axes) * samples / MAX_SAMPLES))
-    parts = list(
-        _kept(judged_blocks(recording, axes, 0, None), setting.interval_s, stride, times_s)
+    stride = 1 if samples <= MAX_SAMPLES else int(np.ceil(14 * len(axes) * samples / MAX_SAMPLES))
+    blocks = judged_blocks(recording, axes, 0, None)
+    parts = list(_kept(blocks, plan.motion.trajectory, setting.interval_s, stride, times_s))
+    number, time_s, commanded, actual, velocity, acceleration, planned = (
+        np.concatenate([part[column] for part in parts]) for column in range(7)
     )
-    number, time_s, commanded, actual, velocity, acceleration = (
-        np.concatenate([part[column] for part in parts]) for column in range(6)
-    )
-    values = [plan.motion.trajectory(time_s, derivative) for derivative in range(3)]
 
     def by_axis(columns: FloatArray) -> dict[str, FloatArray]:
         seen = np.flatnonzero(np.isfinite(columns).any(axis=0)).tolist()
@@ -118,21 +111,28 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
         actual=by_axis(actual),
         velocity=by_axis(velocity),
         acceleration=by_axis(acceleration),
-        planned={axis: np.stack([v[:, k] for v in values], axis=1) for k, axis in enumerate(axes)},
+        planned={axis: planned[:, :, k] for k, axis in enumerate(axes)},
         vertices=_vertices(plan, [r.operation for r in places if r.operation is not None]),
         stride=stride,
+        run=run,
         contour=contour_along(recording, plan, proof.spec.lag_s),
     )
 
 
 def _kept(
-    blocks: Iterator[Block], interval_s: float, stride: int, around_s: Sequence[float]
+    blocks: Iterator[Block],
+    trajectory: Trajectory,
+    interval_s: float,
+    stride: int,
+    around_s: Sequence[float],
 ) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield number, time, command, position, velocity, acceleration of what is kept, by block.
+    """Yield number, time, command, position, velocity, acceleration, plan of what is kept.
 
-    Numbers and times are (n,), the others (n, axes). What a recording lacks is NaN.
+    A block at a time. Numbers and times are (n,), the others (n, axes), the plan (n, 3, axes) with
+    velocity and acceleration. What a recording lacks is NaN.
     """
     before: FloatArray | None = None
+    reader = TrajectoryReader(trajectory)
     for block in blocks:
         moved = block.actual if block.actual is not None else block.own
         actual, commanded = None if moved is None else moved[:, 0], block.commanded
@@ -147,10 +147,13 @@ def _kept(
         velocity = np.diff(joined, axis=0)[1:] / interval_s
         acceleration = np.diff(joined, 2, axis=0) / interval_s**2
         number = block.first + np.arange(len(actual))
+        planned = reader.ladder(block.time_s, 3)
+        reader.drop(float(block.time_s[0]))
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
-            shown = np.concatenate([actual, velocity, acceleration, actual - commanded], axis=1)
-            keep = extremes(shown, number // stride)
+            told = planned.reshape(len(planned), -1)
+            shown = [actual, velocity, acceleration, actual - commanded, told]
+            keep = extremes(np.concatenate(shown, axis=1), number // stride)
             for place_s in around_s:
                 keep |= np.abs(block.time_s - place_s) <= AROUND_SAMPLES * interval_s
         yield (
@@ -160,6 +163,7 @@ def _kept(
             actual[keep],
             velocity[keep],
             acceleration[keep],
+            planned[keep],
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -13,6 +13,7 @@ from threadline.errors import RecordingError
 from threadline.signals.clock import Clock
 from threadline.signals.event import Event
 from threadline.signals.outcome import Outcome
+from threadline.signals.stream import Stream
 
 
 class ChannelKind(StrEnum):
@@ -133,6 +134,12 @@ class Recording:
         known = ", ".join(c.name for c in self.channels)
         raise RecordingError(f"no channel {name!r}", remedy=f"It has {known}.")
 
+    def run(self, number: int) -> Recording:
+        """Return one of the runs side by side, counted from 1, as a recording of its own."""
+        if self.runs == 1:
+            return self
+        return replace(self, blocks=Stream(_of_one_run, self.blocks, number - 1), runs=1)
+
     def outcome(self) -> Outcome:
         """Return how it ended and whether its rows came in time; reads all of it."""
         known = Outcome()
@@ -152,3 +159,15 @@ class Recording:
         if not times:
             return np.empty(0), np.empty(0)
         return np.concatenate(times), np.concatenate(values)
+
+
+def _of_one_run(blocks: Iterable[RecordingBlock], run: int) -> Iterator[RecordingBlock]:
+    """Yield blocks with the samples of one run; those that all runs share have no second index."""
+    for block in blocks:
+        yield replace(
+            block,
+            samples={
+                name: values if values.ndim == 1 else values[:, run].copy()
+                for name, values in block.samples.items()
+            },
+        )

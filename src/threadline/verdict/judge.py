@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+
 from threadline.errors import RecordingError, SpecError
 from threadline.foreign_messages import nearest
 from threadline.plan import Plan
@@ -86,10 +88,11 @@ class Judge:
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
         why = next(filter(None, map(told_end, outcomes)), "")
+        count = sum(recording.runs for recording in (*recordings, *others))
         told = [
             result
             if MEASURES[criterion.name].of_plan(plan) is not None
-            else not_beyond(_told(result, runs), why)
+            else not_beyond(_told(_run_told(result, found, count), runs), why)
             for criterion in spec.criteria
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
@@ -188,6 +191,13 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
     if not any(ChannelKind.OPERATION in kinds for kinds in reading.needs):
         return result
     return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
+
+
+def _run_told(result: Result, found: Found, runs: int) -> Result:
+    """Say of a result in which of several runs it was found; nothing where no run is worse."""
+    if runs == 1 or len(found) != runs or not result.measured:
+        return result
+    return replace(result, run=int(np.nanargmax(found.value)) + 1)
 
 
 def _key(criterion: Criterion) -> Key:

@@ -77,6 +77,7 @@ def _criterion(result: Result) -> dict[str, Any]:
         "passes": list(result.passes),
         "operation": result.operation,
         "position": None if result.position is None else list(result.position),
+        "run": result.run,
         "required": result.required,
         "note": result.note,
     }

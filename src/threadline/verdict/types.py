@@ -140,6 +140,9 @@ class Result:
         missed, the point; None where there is no such place.
     note
         What the number alone does not say: ``short``, ``past``, why nothing was measured.
+    run
+        Number of the run in which the worst value was found, from 1, those of other machines last;
+        None where there was one run alone, or the value is of the plan or of all runs together.
     step
         The step of a move list that it was measured in; ``""`` for the whole job.
 
@@ -164,6 +167,7 @@ class Result:
     step: str = ""
     passes: tuple[int, ...] = ()
     hard: bool = False
+    run: int | None = None
 
     def __post_init__(self) -> None:
         if self.measured is not None and not is_measured(self.measured, self.unit):
