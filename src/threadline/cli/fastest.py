@@ -63,6 +63,13 @@ def fastest(
             "own limits stay."
         ),
     ] = "0 %",
+    robust: Annotated[
+        str | None,
+        typer.Option(
+            help="Of an on/off machine: the shortest cycle in spec wherever its modes are within "
+            'this of their frequency, "20 %".',
+        ),
+    ] = None,
     mismatch: Annotated[
         bool,
         typer.Option(
@@ -97,7 +104,8 @@ def fastest(
 
     For a seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
     limit is kept free. For an on/off machine the shortest cycle is searched: every move gets a
-    shaper or switchings of its own, and every wait its length.
+    shaper or switchings of its own, and every wait its length; with --robust "20 %" the commands
+    hold wherever the modes are within 20 % of their frequency.
     For an embroidery design the speed of the shaft is searched, a constant one and one that is
     different for each stitch. What is tried is proved by twenty runs, as prove does; --nominal by
     one. With --interpolation optimal no feed is searched: a few plans are proved, and said is how
@@ -138,11 +146,13 @@ def fastest(
                 remedy="Leave them out; its moves and waits are searched.",
             )
         fastest_moves(
-            job, read, chosen, asked, kept_free, out, names, other, mismatch, report, trials, json
-        )
-    if out is not None:
+            job, read, chosen, asked, kept_free, out, names, other, mismatch, report, trials,
+            robust, json,
+        )  # fmt: skip
+    if out is not None or robust is not None:
         raise OptionError(
-            "--out is of move lists, which have commands and waits to write",
+            f"{'--robust' if out is None else '--out'} is of move lists, which have commands and "
+            "waits to search and to write",
             remedy="Leave it out; the command that proves the answer is printed.",
         )
     if read.paced_by == "shaft":

@@ -7,18 +7,28 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.fastest_robust import (
+    beside_json,
+    parse_band,
+    robust_json,
+    show_beside,
+    show_robust,
+)
 from threadline.cli.found import command_line, margin_words
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
+from threadline.errors import OptionError
 from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.pipeline import Trials
 from threadline.report.mismatch import write_mismatch
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
+from threadline.search.cycle_beside import cycles_beside
 from threadline.search.cycle_forecast import MoveChoice
+from threadline.search.cycle_robust import robust_cycle
 from threadline.search.fastest import RANGE
 from threadline.search.mismatch import CYCLE, cycle_over_tolerances
 from threadline.search.move_list import move_list
@@ -39,6 +49,7 @@ def fastest_moves(
     mismatch: bool,
     report: Path | None,
     trials: Trials,
+    robust_in: str | None,
     json: bool,
 ) -> NoReturn:
     """Search the commands and waits of a move list, say what was found, and leave.
@@ -53,38 +64,63 @@ def fastest_moves(
         The machine that runs the cycles, where it isn't the one that commands are made for.
     mismatch, report
         Whether to search at the ends of the tolerances as well, and the folder of its picture.
+    robust_in
+        The band of frequency that the cycle is to hold over, as typed; None for the machine as its
+        file says.
     """
     asked = {**asked, **level_option(trials)}
+    band = None if robust_in is None else parse_band(robust_in)
     check_outputs(file=out)
     check_mismatch(mismatch, actual is not None, report)
+    if band is not None and (actual is not None or mismatch):
+        raise OptionError(
+            "--robust has machines of its own all over its band, and no other",
+            remedy="Leave --actual and --mismatch out.",
+        )
     warn(machine, read)
     with progress_bar(not json) as progress:
         found = fastest_cycle(read, machine, spec, progress=progress, actual=actual, trials=trials)
         cells = cycle_over_tolerances(read, machine, spec, progress=progress) if mismatch else []
+        robust = None
+        if band is not None:
+            robust = robust_cycle(read, machine, spec, band, progress=progress, trials=trials)
+        beside = cycles_beside(
+            read, machine, spec, found, robust, band, actual=actual, progress=progress
+        )
     title = f"{read.name} on {machine.name}{margin_words(margin)}"
     drawn = None if report is None else write_mismatch(cells, title, CYCLE, report)
+    chosen = found.job if robust is None else robust.job
     written = None
-    if out is not None and found.job is not None:
+    if out is not None and chosen is not None:
+        over = "" if band is None else f" for modes within {band * 100:g} %"
         with together(out):
             out.write_text(
-                f"# The shortest cycle of {job.name} in spec on {machine.name}, by threadline "
-                f"fastest.\n{move_list(found.job, machine)}",
+                f"# The shortest cycle of {job.name} in spec on {machine.name}{over}, by "
+                f"threadline fastest.\n{move_list(chosen, machine)}",
                 encoding="utf-8",
             )
         written = out
-    again = _command(found, job, written, asked)
+    again = (
+        _command(found, job, written, asked)
+        if robust is None
+        else (None if written is None else command_line("prove", written, asked))
+    )
     if json:
-        said = {"margin": margin, "command": again}
-        print_json(_content(found) | said | mismatch_json(cells, drawn))
+        told = _content(found) | {"margin": margin, "command": again, "beside": beside_json(beside)}
+        told |= {} if robust is None else {"robust": robust_json(robust)}
+        print_json(told | mismatch_json(cells, drawn))
     else:
         _show(found, title)
-        if found.job is not None:
+        if robust is not None and band is not None:
+            show_robust(robust, title, band)
+        show_beside(beside, title, band)
+        if chosen is not None:
             say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
         if cells:
             show_mismatch(cells, title, CYCLE)
         if drawn is not None:
             say(f"Report: {drawn}")
-    raise typer.Exit(0 if found.job is not None else 1)
+    raise typer.Exit(0 if chosen is not None else 1)
 
 
 def _command(

@@ -134,6 +134,27 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
     return replace(machine, bodies=bodies, links=links, cylinders=cylinders)
 
 
+def mode_off(machine: Machine, relative: float) -> Machine:
+    """Return ``machine`` with modes at (1 + ``relative``) times their frequency, and their damping.
+
+    Stiffness grows with the square of that factor and viscous damping with the factor itself,
+    of every link and every body, so that damping ratios stay; the air in cylinders stays.
+
+    Raises
+    ------
+    ValueError
+        If ``relative`` is not above -1.
+    """
+    if not relative > -1.0:
+        raise ValueError(f"relative must be above -1, got {relative!r}")
+    factor = 1.0 + relative
+    links = {
+        name: replace(link, stiffness=replace(link.stiffness, si=link.stiffness.si * factor**2))
+        for name, link in machine.links.items()
+    }
+    return vary(replace(machine, links=links), damping=factor)
+
+
 def derate(machine: Machine, share: float) -> Machine:
     """Return ``machine`` with that share of its acceleration and jerk limits.
 

@@ -1,0 +1,106 @@
+"""Cycles of an on/off machine side by side: unshaped, shaped, and what searches found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from threadline.errors import PlanError, RecordingError
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.options import Options
+from threadline.pipeline import NOMINAL, Progress, plan_job, prove_plan
+from threadline.search.cycle import FastestCycle, cycle_s
+from threadline.search.cycle_robust import MEASURE, BandRun, RobustCycle, band_machines, over_band
+from threadline.search.move_list import with_choices
+from threadline.verdict import Spec, Verdict
+
+SHAPERS = ("none", "zv", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei")
+"""Shapers that every move of a cycle may have alike; each is made for the machine's own modes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BesideRow:
+    """One cycle.
+
+    Parameters
+    ----------
+    name
+        What it is.
+    cycle_s
+        Its duration on the machine as its file says.
+    worst_m, passed
+        Largest residual vibration of that machine in one run, and whether it is in spec.
+    over_m, over_passed
+        The same of all machines of the band; None without one.
+    """
+
+    name: str
+    cycle_s: float
+    worst_m: float
+    passed: bool
+    over_m: float | None
+    over_passed: bool | None
+
+
+def cycles_beside(
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    found: FastestCycle,
+    robust: RobustCycle | None,
+    band: float | None,
+    *,
+    actual: Machine | None = None,
+    progress: Progress | None = None,
+) -> tuple[BesideRow, ...]:
+    """Return rows for the cycle unshaped, with one shaper for every move, and as it was found.
+
+    Of the shapers the shortest in spec on the machine as its file says is shown, and with a band
+    the shortest in spec on all machines of it, too; where none is, that with the least vibration.
+    ``actual`` runs the cycles where it isn't the machine that they are made for.
+    """
+    machines = band_machines(machine, band) if band is not None else ()
+    rows = {}
+    for number, name in enumerate(SHAPERS):
+        if progress is not None:
+            progress("cycles side by side", number / len(SHAPERS))
+        try:
+            plan = plan_job(with_choices(job, {}, {}), machine, Options(shaper=name))
+            proof = prove_plan(plan, spec, None, NOMINAL, actual)
+            over = over_band(plan, spec, machines)
+        except (PlanError, RecordingError):
+            continue  # its valves cannot make that command, or the cycle comes to no end
+        rows[name] = _row(name, cycle_s(proof), proof.verdict, over)
+    shown = [rows["none"]] if "none" in rows else []
+    shaped = [row for name, row in rows.items() if name != "none"]
+    if shaped:
+        chosen = [_best(shaped, [row.passed for row in shaped])]
+        if machines:
+            chosen.append(_best(shaped, [bool(row.over_passed) for row in shaped]))
+        shown += dict.fromkeys(chosen)
+    if found.job is not None:
+        over = over_band(found.proof.plan, spec, machines)
+        shown.append(_row("found for the machine", cycle_s(found.proof), found.proof.verdict, over))
+    if robust is not None and robust.job is not None:
+        proof = robust.proof
+        shown.append(_row("found for the band", cycle_s(proof), proof.verdict, robust.over))
+    return tuple(shown)
+
+
+def _best(rows: list[BesideRow], passed: list[bool]) -> BesideRow:
+    if any(passed):
+        held = [row for row, ok in zip(rows, passed, strict=True) if ok]
+        return min(held, key=lambda row: row.cycle_s)
+    return min(rows, key=lambda row: row.worst_m if row.over_m is None else row.over_m)
+
+
+def _row(name: str, duration_s: float, verdict: Verdict, over: tuple[BandRun, ...]) -> BesideRow:
+    found = [r.measured for r in verdict.results if r.name == MEASURE and r.measured is not None]
+    return BesideRow(
+        name="unshaped" if name == "none" else name,
+        cycle_s=duration_s,
+        worst_m=max(found, default=0.0),
+        passed=verdict.passed,
+        over_m=max((run.worst_m for run in over), default=None),
+        over_passed=all(run.verdict.passed for run in over) if over else None,
+    )

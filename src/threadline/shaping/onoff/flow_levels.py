@@ -1,0 +1,203 @@
+"""Moves of a cylinder whose valves set its speed: the shortest command that rings little enough.
+
+Open flow controls add up to a level, and every change of the level by h rings on by itself, for
+each frequency that the mode may have. With levels free between 0 and 1 the shortest command on the
+scan is a linear program: no valves are faster. Which flow control is open in which scan is a
+question of integers. That command is taken symmetric about its middle, as undamped optima are, so
+that half of the unknowns are left; each that is returned was checked with its damping.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray
+
+_NODES = 200
+"""Of the tree of an integer program, at most: the same on every machine, however loaded."""
+_SHORT, _OVER = 0.2, 0.02
+"""A command may fall so many scans short of the distance, and go so many beyond it.
+
+Told farther than its stroke, a piston runs into its stop.
+"""
+_ROUNDS = 4
+_DIRECTIONS = 16  # of the polygon that stands for a circle in the plane of ringing
+_ROWS = 11  # frequencies of a band that a program sees; all of them are checked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FlowMove:
+    """A move that flow controls are to make.
+
+    Parameters
+    ----------
+    on_scans
+        Distance over the speed of level 1, in scans.
+    flows
+        What each flow control adds to the level, together 1.
+    dwell_scans
+        Fewest scans between two switchings of one of them.
+    turns
+        By what the ringing of each frequency of a band is multiplied in one scan, (K,).
+    most
+        How much of each may ring behind the command, in steps of level 1, (K,).
+    """
+
+    on_scans: float
+    flows: tuple[float, ...]
+    dwell_scans: int
+    turns: NDArray[np.complex128]
+    most: FloatArray
+
+    def left(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> NDArray[np.complex128]:
+        """Return what a command leaves ringing of each frequency at its last switching, (K,)."""
+        heights = np.diff(levels, prepend=0.0)
+        to_go = ticks[-1] - np.asarray(ticks, dtype=np.float64)
+        grown = np.exp(np.log(self.turns)[:, None] * to_go)
+        left: NDArray[np.complex128] = grown @ heights
+        return left
+
+    def _seen(self) -> NDArray[np.int64]:
+        """Return the frequencies that a program sees."""
+        count = min(_ROWS, len(self.turns))
+        return np.unique(np.rint(np.linspace(0, len(self.turns) - 1, count)).astype(np.int64))
+
+
+@dataclass(frozen=True, slots=True)
+class FlowCommand:
+    """Level from each scan on, the last 0."""
+
+    ticks: tuple[int, ...]
+    levels: tuple[float, ...]
+
+    @property
+    def scans(self) -> int:
+        """Duration."""
+        return self.ticks[-1]
+
+
+def least_scans(move: FlowMove, most_scans: int) -> int | None:
+    """Return the fewest scans of any command with levels in [0, 1], however many of them.
+
+    A lower bound for all valves: within the polygon that encloses what may ring, at the
+    frequencies that the program sees. None where not even ``most_scans`` suffice.
+    """
+    from scipy.optimize import linprog
+
+    around = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
+    seen = move._seen()
+    for scans in range(math.ceil(move.on_scans - _SHORT), most_scans + 1):
+        to_go = np.arange(scans, -1, -1, dtype=np.float64)
+        grown = np.exp(np.log(move.turns[seen])[:, None] * to_go)
+        ring = (grown[:, :-1] - grown[:, 1:]) / move.most[seen, None]
+        rows = (ring[None] * around[:, None, None]).real.reshape(-1, scans)
+        distance = np.ones((1, scans))
+        found = linprog(
+            np.zeros(scans),
+            A_ub=np.vstack((rows, distance, -distance)),
+            b_ub=[*np.ones(len(rows)), move.on_scans + _OVER, _SHORT - move.on_scans],
+            bounds=(0.0, 1.0),
+        )
+        if found.status == 0:
+            return scans
+    return None
+
+
+def flow_command(move: FlowMove, scans: int) -> FlowCommand | None:
+    """Return a command of ``scans`` scans that rings at most as much as it may.
+
+    None if none was found among symmetric ones; that is no proof that there is none.
+    """
+    half = (scans + 1) // 2
+    share = 1.0
+    for _ in range(_ROUNDS):
+        opened = _opened(move, scans, half, share)
+        if opened is None:
+            return None
+        levels = np.asarray(move.flows) @ opened
+        command = _command(np.concatenate((levels, levels[: scans - half][::-1])))
+        if (np.abs(move.left(command.ticks, command.levels)) <= move.most).all():
+            return command
+        # Between the frequencies that the program sees, or through damping, it rings more.
+        share *= 0.95
+    return None
+
+
+def shortest_flow_command(move: FlowMove, least: int, most_scans: int) -> FlowCommand | None:
+    """Return the shortest command of at least ``least`` scans that is found."""
+    found = (flow_command(move, scans) for scans in range(least, most_scans + 1))
+    return next((command for command in found if command is not None), None)
+
+
+def _command(levels: FloatArray) -> FlowCommand:
+    """Return a level of every scan as a command."""
+    changes = np.flatnonzero(np.abs(np.diff(levels, prepend=0.0, append=0.0)) > 1e-9)
+    kept = np.append(levels, 0.0)[changes]
+    return FlowCommand(tuple(changes.tolist()), tuple(kept.tolist()))
+
+
+def _opened(move: FlowMove, scans: int, half: int, share: float) -> FloatArray | None:
+    """Return which flow control is open in which scan of the first half, (flows, half).
+
+    Unknowns: whether each is open in each scan, then whether it switches at each edge.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.sparse import csr_matrix
+
+    seen, count = move._seen(), len(move.flows)
+    turning = np.angle(move.turns[seen])[:, None]
+    edges = np.arange(scans + 1, dtype=np.float64) - 0.5 * scans
+    grown = np.exp(-1j * turning * edges)
+    # Symmetric about its middle an undamped command rings in one quadrature only.
+    ring = (grown[:, :-1] - grown[:, 1:]).imag / move.most[seen, None]
+    rows = ring[:, :half] + ring[:, ::-1][:, :half]
+    distance = np.full((1, half), 2.0)
+    if scans % 2:
+        rows[:, -1], distance[0, -1] = ring[:, half - 1], 1.0
+    unknowns = count * half
+    quiet = np.zeros((len(rows) + 1, unknowns))
+    by_flow = np.hstack([flow * np.vstack((rows, distance)) for flow in move.flows])
+    least = [*np.full(len(rows), -share), move.on_scans - _SHORT]
+    largest = [*np.full(len(rows), share), move.on_scans + _OVER]
+    apart, most = _apart(half, scans, move.dwell_scans)
+    constraints = [LinearConstraint(np.hstack((by_flow, quiet)), least, largest)]
+    for flow in range(count):
+        placed = np.zeros((len(apart), 2 * unknowns))
+        placed[:, flow * half : (flow + 1) * half] = apart[:, :half]
+        placed[:, unknowns + flow * half : unknowns + (flow + 1) * half] = apart[:, half:]
+        constraints.append(LinearConstraint(csr_matrix(placed), -np.inf, most))
+    found = milp(
+        np.repeat([0.0, 1.0], unknowns),  # of all that ring little enough, few switchings
+        constraints=constraints,
+        integrality=np.ones(2 * unknowns, dtype=np.int64),
+        bounds=Bounds(0.0, 1.0),
+        options={"node_limit": _NODES, "mip_rel_gap": 0.2},
+    )
+    if found.x is None:
+        return None
+    return np.rint(found.x[:unknowns]).reshape(count, half)
+
+
+def _apart(half: int, scans: int, dwell: int) -> tuple[FloatArray, FloatArray]:
+    """Return rows over (open, switches) of one flow control, and what each may be at most.
+
+    It opens from shut; of ``dwell`` edges in a row one may switch; an edge near the middle and
+    its mirror image count as two.
+    """
+    step = np.eye(half) - np.eye(half, k=-1)
+    marks = np.eye(half)
+    rows = [np.hstack((step, -marks)), np.hstack((-step, -marks))]
+    most = [np.zeros(2 * half)]
+    windows = np.zeros((half, 2 * half))
+    for first in range(half):
+        windows[first, half + first : half + min(first + dwell, half)] = 1.0
+    near = [edge for edge in range(half) if 0 < scans - 2 * edge < dwell]
+    forbidden = np.zeros((len(near), 2 * half))
+    for row, edge in enumerate(near):
+        forbidden[row, half + edge] = 1.0
+    most += [np.ones(half), np.zeros(len(near))]
+    return np.vstack((*rows, windows, forbidden)), np.concatenate(most)

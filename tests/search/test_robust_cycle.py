@@ -1,0 +1,164 @@
+"""A cycle that holds wherever the modes are within a band, proved on machines written by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import threadline.machine
+from threadline.cli.main import main
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.machine.vary import mode_off
+from threadline.options import Options
+from threadline.pipeline import plan_job, prove
+from threadline.plant.pneumatic import flow_mode, frame_mode
+from threadline.verdict import load_spec
+
+LIBRARY = Path(threadline.machine.__file__).parent / "library"
+FEET_UP = 'stiffness = "2.7e4 N/m +- 30 %, assumed: as across"'
+LIFT = """
+name = "lift"
+
+[[operation]]
+step = "down"
+valve = "main_air"
+
+[[operation]]
+move = { Z = "100 mm" }
+
+[[operation]]
+dwell = "500 ms"
+
+[[operation]]
+step = "up"
+move = { Z = "0 mm" }
+"""
+SPEC = """
+name = "still"
+[[criteria]]
+name = "residual_vibration"
+limit = "0.06 mm"
+"""
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+@pytest.fixture(scope="module")
+def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path, Path]:
+    """Return what ``fastest --robust --json`` says, the list that it wrote, and the spec."""
+    from contextlib import redirect_stdout
+    from io import StringIO
+
+    folder = tmp_path_factory.mktemp("robust")
+    job, spec, file = folder / "lift.toml", folder / "still.spec.toml", folder / "best.toml"
+    job.write_text(LIFT, encoding="utf-8")
+    spec.write_text(SPEC, encoding="utf-8")
+    said = StringIO()
+    words = ["fastest", job, "-m", "letter-placer", "-s", spec, "--robust", "20 %", "--nominal"]
+    with redirect_stdout(said), pytest.raises(SystemExit) as ended:
+        main([*map(str, words), "-o", str(file), "--json"])
+    assert ended.value.code == 0
+    return json.loads(said.getvalue()), file, spec
+
+
+def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
+    """Feet 0.64 times as stiff ring 0.8 times as fast: k / m under a sliding piston."""
+    machine = load_machine("letter-placer")
+    typed = frame_mode(machine, "X")
+    for part in (-0.2, 0.1):
+        moved = frame_mode(mode_off(machine, part), "X")
+        assert moved[0] == pytest.approx((1.0 + part) * typed[0], rel=1e-9)
+        assert moved[1] == pytest.approx(typed[1], rel=1e-6)
+
+
+def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Path, Path]) -> None:
+    """Machine files written with other feet, none of them a machine of the search.
+
+    Feet carry the lift alone: the square of the frequency is in proportion, but for 1 % by the air.
+    """
+    found, file, spec_file = robust
+    written, worst = file.parent, {}
+    typed_hz = flow_mode(load_machine("letter-placer"), "Z")[0]
+    for part in (0.8, 0.87, 0.93, 1.07, 1.13, 1.2):
+        other = written / f"feet-{part}.toml"
+        text = (LIBRARY / "letter-placer.toml").read_text(encoding="utf-8")
+        stiffness = f'stiffness = "{2.7e4 * part**2} N/m exact, assumed"'
+        other.write_text(text.replace(FEET_UP, stiffness), encoding="utf-8")
+        machine = load_machine(other)
+        assert flow_mode(machine, "Z")[0] == pytest.approx(part * typed_hz, rel=0.01)
+        spec = load_spec(spec_file, machine)
+        worst[part] = prove(file, machine, spec, Options()).verdict.passed
+    assert all(worst.values())
+    rows = {row["name"]: row for row in found["beside"]}
+    assert not rows["unshaped"]["over_passed"]
+    assert rows["found for the band"]["over_passed"]
+
+
+def test_it_is_near_the_bound_of_all_valves(robust: tuple[dict[str, Any], Path, Path]) -> None:
+    found, file, _ = robust
+    for move in found["robust"]["moves"]:
+        assert move["unshaped_s"] < move["bound_s"] <= move["command_s"] + 1e-9
+        assert move["command_s"] <= 1.08 * move["bound_s"]
+    low, high = found["robust"]["frequencies_hz"]["Z"]
+    assert high / low == pytest.approx(1.5, rel=0.01)
+    assert [over["relative"] for over in found["robust"]["over"]] == pytest.approx(
+        np.linspace(-0.2, 0.2, 17).tolist()
+    )
+    machine = load_machine("letter-placer")
+    levels = {
+        level
+        for move in plan_job(read_job(file, machine), machine, Options()).scheduled.moves
+        for level in move.levels.levels
+    }
+    assert levels <= {0.0, 0.37, 0.63, 1.0}
+
+
+def test_compile_takes_the_list_as_it_is(
+    robust: tuple[dict[str, Any], Path, Path],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    _, file, _ = robust
+    out = tmp_path / "cycle.st"
+    code, _, _ = run(capsys, "compile", file, "-m", "letter-placer", "--target", "st", "-o", out)
+    assert code == 0
+    assert out.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--robust", "0 %"], "robust '0 %' must be above 0 % and at most 60 %"),
+        (["--robust", "90 %"], "robust '90 %' must be above 0 % and at most 60 %"),
+        (["--robust", "wide"], "robust 'wide'"),
+    ],
+)
+def test_bands_that_are_none_are_refused(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cycle = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
+    code, out, err = run(capsys, "fastest", cycle, "-m", "letter-placer", *words)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert said in err
+
+
+def test_a_specification_that_limits_nothing_asks_for_no_robust_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    spec = tmp_path / "none.spec.toml"
+    spec.write_text('name = "none"\n[[criteria]]\nname = "cycle_time"\n', encoding="utf-8")
+    cycle = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
+    words = ["fastest", cycle, "-m", "letter-placer", "-s", spec, "--robust", "20 %", "--nominal"]
+    code, out, err = run(capsys, *words)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "limits no residual_vibration of Z" in err
