@@ -12,6 +12,7 @@ import numpy as np
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Kept
+from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import SimMachine
 from threadline.live.wire import Message, decoded
 from threadline.machine import Machine, load_machine
@@ -24,14 +25,16 @@ NEVER_READY = socket.socketpair()
 class Wire:
     """Stands in for a connection: what is sent is done at once, through the same bytes."""
 
-    def __init__(self, machine: Machine, start: np.ndarray | None = None) -> None:
+    def __init__(
+        self, machine: Machine, start: np.ndarray | None = None, fault: SimFault | None = None
+    ) -> None:
         self._answers: deque[Message] = deque()
         self.lost = False
         self.mute = False  # nothing that is sent arrives any more
         self.sent: list[Message] = []
         self.before_play: Callable[[], None] = lambda: None
         counts = np.zeros(len(machine.axes), dtype=np.int64) if start is None else start
-        self.machine = SimMachine(machine, counts, self._told)
+        self.machine = SimMachine(machine, counts, self._told, fault)
         self.machine.greet()
 
     def _told(self, message: Message) -> None:
@@ -42,16 +45,17 @@ class Wire:
 
     @property
     def waiting(self) -> bool:
-        return bool(self._answers)
+        return bool(self._answers) or self.lost
 
     def send(self, message: Message) -> None:
         self.sent.append(message)
-        if self.mute:
+        if self.mute or self.lost:
             return
         self.machine.take(decoded(message.encoded()[4:]))
         if message.kind == "go":
             self.before_play()
             self.machine.play(GROUP)
+            self.lost = bool(self.machine.silenced)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         return self._answers.popleft() if self._answers else None
@@ -95,12 +99,19 @@ def there_and_back(peak: float = 10.0, cruise: int = 200) -> np.ndarray:
 class Bench:
     """An executor at a machine."""
 
-    def __init__(self, start: np.ndarray | None = None, other: Machine | None = None) -> None:
+    def __init__(
+        self,
+        start: np.ndarray | None = None,
+        other: Machine | None = None,
+        fault: SimFault | None = None,
+        same: bool = False,
+    ) -> None:
         self.desk, self.kept = Desk(), Kept()
-        self.wire = Wire(other or winder(), start)
+        self.is_machine = other if same and other is not None else winder()
+        self.wire = Wire(other or winder(), start, fault)
         self.executor = Executor(
             self.wire,
-            winder(),
+            self.is_machine,
             self.desk,
             self.kept,
             speed=0.0,  # type: ignore[arg-type]

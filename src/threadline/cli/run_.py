@@ -46,6 +46,7 @@ from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.desk import Desk
 from threadline.live.kept import Kept
+from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import REAL_TIME, sim_link
 from threadline.live.supervised import (
     check_halts,
@@ -92,6 +93,13 @@ def run(
         str | None,
         typer.Option(help="Why it is run out of specification; kept with the run."),
     ] = None,
+    inject: Annotated[
+        str | None,
+        typer.Option(
+            help="Of sim: a fault and when, to see what the guards do: stuck-encoder:X@1.2 s, "
+            "switch-hit:x_high@1 s, lost-link@1 s, late-ticks@1 s, power-loss@1 s."
+        ),
+    ] = None,
     pass_stops: Annotated[
         bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
     ] = False,
@@ -130,6 +138,7 @@ def run(
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
     check_machine_runs(chosen)
+    fault = None if inject is None else parse_fault(inject, chosen)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)
     check_outputs(file=recording)
     options = options_of(
@@ -162,7 +171,7 @@ def run(
             ended, text, _ = run_table(
                 table,
                 chosen,
-                sim_link(chosen, table.start_counts, speed),
+                sim_link(chosen, table.start_counts, speed, fault),
                 desk,
                 kept,
                 speed=speed,

@@ -17,6 +17,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
 from threadline.live.ahead import Ahead, ticks_in
 from threadline.live.desk import Desk
+from threadline.live.guards import Guards
 from threadline.live.states import MOVING, Cause, State, next_state
 from threadline.live.wire import PROTOCOL, Connection, Message, event_of
 from threadline.machine import Machine
@@ -75,6 +76,7 @@ class Executor:
     ) -> None:
         self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
         self._real_time = speed == 1.0
+        self._guards = Guards(machine)
         self.state = State.DISABLED
         self.tick = 0  # of the machine, as it was last told
         self.late_ticks = 0
@@ -190,6 +192,7 @@ class Executor:
         next_state(self.state, Cause.START)  # refused before anything is sent
         self._check_start(table)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
+        self._guards = Guards(self._machine)  # nothing of the run before is remembered
         self._ahead = Ahead(table, self._machine, pass_stops=pass_stops)
         first = self._ahead.extend(self._depth)
         self._go(Cause.START)
@@ -308,9 +311,16 @@ class Executor:
             self.tick = int(head["now"])
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
             self.late_ticks += int(head["late"])
-            inputs = {name: values[-1] for name, values in message.arrays.items() if len(values)}
+            samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
+            inputs = {name: values[-1] for name, values in samples.items() if len(values)}
             if head["starved"] and self.state in {State.RUNNING, State.HOLDING}:
                 self._fault("refills came too late: the machine has braked by itself")
+            if self.ended is None and self._rest is None:
+                why = self._guards.trip(
+                    int(head["tick"]), samples, bool(head["late"]), float(head["late_by"])
+                )
+                if why:
+                    self._fault(why)
             try:
                 self._go_on(inputs, standing=not head["held"])
             except LimitError as error:

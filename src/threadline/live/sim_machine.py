@@ -15,10 +15,14 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.live.sim_faults import SimFault
 from threadline.live.wire import PROTOCOL, Message, event_of, event_told
 from threadline.machine import Machine
 from threadline.signals import Channel, Ended, Event, RecordingBlock, TickBlock
 from threadline.twin import Session
+
+LATE = 0.5
+"""Share of its period by which a tick may come later than it is due."""
 
 
 class SimMachine:
@@ -32,11 +36,18 @@ class SimMachine:
         (axes,) where it stands when it is switched on, which is its home.
     tell
         Called with each message to the executor.
+    fault
+        What goes wrong, if anything does.
     """
 
     def __init__(
-        self, machine: Machine, start_counts: IntArray, tell: Callable[[Message], None]
+        self,
+        machine: Machine,
+        start_counts: IntArray,
+        tell: Callable[[Message], None],
+        fault: SimFault | None = None,
     ) -> None:
+        self._fault, self._stuck = fault, dict[str, float]()
         self._machine, self._start, self._tell = machine, start_counts, tell
         self._session = Session(machine, start_counts=start_counts)
         self._rows: deque[tuple[IntArray, int]] = deque()  # held, one for each tick from now on
@@ -57,6 +68,12 @@ class SimMachine:
     def tick(self) -> int:
         """Ticks since the beginning of the run."""
         return self._session.tick
+
+    @property
+    def silenced(self) -> str:
+        """The fault by which nothing is heard of it any more, empty while it is heard."""
+        fault = self._fault
+        return fault.kind if fault is not None and fault.silences(self.tick) else ""
 
     @property
     def position(self) -> IntArray:
@@ -178,22 +195,22 @@ class SimMachine:
 
     # --- what it does ----------------------------------------------------------------------
 
-    def play(self, ticks: int, late: int = 0) -> None:
+    def play(self, ticks: int, late_by: float = 0.0) -> None:
         """Go on for some ticks, and report them.
 
         Parameters
         ----------
         ticks
             How many.
-        late
-            How many of them came late.
+        late_by
+            By how many periods of all of them together they come late.
         """
         first = self.tick
         parts: list[RecordingBlock] = []
         while self.tick < first + ticks:
             room = first + ticks - self.tick
             parts.append(self._row_block(room) if self._rows else self._stand(room))
-        self._report(first, parts, late)
+        self._report(first, parts, late_by)
 
     def _row_block(self, room: int) -> RecordingBlock:
         """Play rows that are held, ``room`` at most."""
@@ -225,19 +242,23 @@ class SimMachine:
             session.hold()
         return session.advance(ticks=room)
 
-    def _report(self, first: int, parts: list[RecordingBlock], late: int) -> None:
+    def _report(self, first: int, parts: list[RecordingBlock], late_by: float) -> None:
         names = parts[0].samples if parts else ()
         arrays = {
             name: np.concatenate([part.samples[name] for part in parts]).astype(np.float64)
             for name in names
         }
+        if self._fault is not None:
+            self._fault.told(first, arrays, self._machine, self._stuck)
+            late_by = max(late_by, self._fault.late(first))
+        late = self.tick - first if late_by > LATE else 0
         events = [event_told(event) for part in parts for event in part.events]
         if late:
             told = Event(tick=first, kind="late", operation=-1, value=float(late))
             events.append(event_told(told))
         head = {
             "tick": first, "now": self.tick, "held": len(self._rows), "starved": self.starved,
-            "late": late, "position": self._position.tolist(), "events": events,
+            "late": late, "late_by": late_by, "position": self._position.tolist(), "events": events,
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
 

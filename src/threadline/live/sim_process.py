@@ -16,7 +16,8 @@ from contextlib import contextmanager, suppress
 from math import ceil
 
 from threadline.arrays import IntArray
-from threadline.live.sim_machine import SimMachine
+from threadline.live.sim_faults import SimFault
+from threadline.live.sim_machine import LATE, SimMachine
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
@@ -35,7 +36,9 @@ def group_ticks(machine: Machine, speed: float) -> int:
 
 
 @contextmanager
-def sim_link(machine: Machine, start_counts: IntArray, speed: float) -> Iterator[Connection]:
+def sim_link(
+    machine: Machine, start_counts: IntArray, speed: float, fault: SimFault | None = None
+) -> Iterator[Connection]:
     """Start a simulated machine in a process of its own, and give the link to it.
 
     Parameters
@@ -46,12 +49,14 @@ def sim_link(machine: Machine, start_counts: IntArray, speed: float) -> Iterator
         (axes,) where it stands when it is switched on.
     speed
         Its seconds in a second: 1 is real time; 0 is as fast as it can.
+    fault
+        What goes wrong with it.
     """
     ours, theirs = socket.socketpair()
     context = multiprocessing.get_context("spawn")
     process = context.Process(
         target=serve,
-        args=(theirs, machine, start_counts, speed),
+        args=(theirs, machine, start_counts, speed, fault),
         name="threadline sim",
         daemon=True,
     )
@@ -66,13 +71,19 @@ def sim_link(machine: Machine, start_counts: IntArray, speed: float) -> Iterator
         process.join(_JOIN_S)
 
 
-def serve(end: socket.socket, machine: Machine, start_counts: IntArray, speed: float) -> None:
+def serve(
+    end: socket.socket,
+    machine: Machine,
+    start_counts: IntArray,
+    speed: float,
+    fault: SimFault | None = None,
+) -> None:
     """Be the simulated machine at ``end`` until the executor leaves or is gone."""
     # A key or a signal is for the executor, which brakes: this process is the machine.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     connection = Connection(end)
-    simulated = SimMachine(machine, start_counts, connection.send)
+    simulated = SimMachine(machine, start_counts, connection.send, fault)
     simulated.greet()
     period_s = float(machine.tick_clock.period_s)
     group = group_ticks(machine, speed)
@@ -81,9 +92,11 @@ def serve(end: socket.socket, machine: Machine, start_counts: IntArray, speed: f
             _in_real_time(connection, simulated, group, period_s)
         else:
             _in_step(connection, simulated, group, period_s / speed if speed else 0.0)
-        while not simulated.standing:  # nobody is there any more: brake and stand
+        while (
+            not simulated.standing and simulated.silenced != "power-loss"
+        ):  # nobody is there any more: brake and stand
             simulated.play(group)
-    end.close()
+    connection.close()
 
 
 def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
@@ -98,6 +111,8 @@ def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s
             due = max(due + group * period_s, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
             simulated.play(group)
+            if simulated.silenced:
+                connection.close()
 
 
 def _in_real_time(
@@ -116,7 +131,9 @@ def _in_real_time(
         if due is None or connection.lost:
             continue
         late_s = time.monotonic() - due
-        late = late_s > 0.5 * period_s * group
-        simulated.play(group, group if late else 0)
+        late_by = late_s / (period_s * group)
+        simulated.play(group, late_by)
+        if simulated.silenced:
+            connection.close()
         # Never caught up by bursts: after a late tick the others come a whole period apart.
-        due = (time.monotonic() if late else due) + group * period_s
+        due = (time.monotonic() if late_by > LATE else due) + group * period_s

@@ -1,0 +1,152 @@
+"""What is watched in every report of a machine that runs; the first that trips is a fault."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.plant.closed_loop import answers_of
+
+FOLLOWING_M = 1e-3
+"""Following error that is allowed beside twice the lag of the model, m; rotary axes at their
+radius."""
+LATE_IN_A_ROW = 3
+LATE_PERIODS = 5.0
+"""So many reports late in a row trip, and one that is late by so many of its periods."""
+_TRAVEL_M = 2e-3  # the loop may pass the end of travel by this
+_JUMP = 3.0  # times the fastest that the axis may go: no motion, an encoder that lost its place
+_JUMP_COUNTS = 4.0
+
+
+@dataclass(slots=True)
+class _Axis:
+    """An axis, and what is remembered of it."""
+
+    name: str
+    lag_s: float  # of its loop, by the model
+    room: float  # of FOLLOWING_M, m or rad
+    count: float  # m or rad
+    fastest: float  # per tick, m or rad
+    low: float
+    high: float
+    reverses_by_zero: bool
+    memory: int  # ticks after which nothing is left of a motion
+    speeds: deque[tuple[int, float]] = field(default_factory=deque)  # tick, fastest of a report
+    last: dict[str, float] = field(default_factory=dict)  # the last sample of each channel
+    still: tuple[float, float] = (0.0, 0.0)  # encoder and command when the encoder last moved
+
+
+class Guards:
+    """Watches a run.
+
+    Parameters
+    ----------
+    machine
+        Whose limits, loops and switches they are.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        tick_s = float(machine.tick_clock.period_s)
+        answers, scale = answers_of(machine), machine.counts_per_unit
+        self._tick_s, self._switches = tick_s, tuple(machine.inputs)
+        self._late = 0
+        self._axes: list[_Axis] = []
+        for k, (name, axis) in enumerate(machine.axes.items()):
+            controller = machine.controllers[axis.controller]
+            ends = (-np.inf, np.inf) if axis.travel is None else tuple(p.si for p in axis.travel)
+            self._axes.append(
+                _Axis(
+                    name=name,
+                    lag_s=answers[name].moments[0],
+                    room=FOLLOWING_M
+                    / (1.0 if axis.kind == "linear" else float(machine.radius_m[k])),
+                    count=1.0 / scale[k],
+                    fastest=float(machine.velocity_limit[k]) * tick_s,
+                    low=ends[0] - _TRAVEL_M,
+                    high=ends[1] + _TRAVEL_M,
+                    reverses_by_zero=controller.dac.zero_on_reversal
+                    and controller.clock == machine.tick_clock.name,
+                    memory=int(np.ceil(answers[name].memory_s / tick_s)),
+                )
+            )
+
+    @property
+    def lag_s(self) -> Mapping[str, float]:
+        """The lag of each axis by the model, s."""
+        return {axis.name: axis.lag_s for axis in self._axes}
+
+    def trip(
+        self, tick: int, samples: Mapping[str, FloatArray], late: bool, late_periods: float
+    ) -> str:
+        """Return what has tripped, for people; empty where nothing has.
+
+        Parameters
+        ----------
+        tick
+            Of the first sample.
+        samples
+            (n,) of each channel at consecutive ticks.
+        late, late_periods
+            Whether they came late, and by how many periods of the report.
+        """
+        self._late = self._late + 1 if late else 0
+        if late_periods >= LATE_PERIODS:
+            return f"a tick came {late_periods:.0f} periods late"
+        if self._late >= LATE_IN_A_ROW:
+            return f"{self._late} ticks in a row came late"
+        for name in self._switches:
+            if name in samples and samples[name].any():
+                return f"the limit switch {name} is hit"
+        for axis in self._axes:
+            if why := self._trip_of(axis, tick, samples):
+                return why
+        return ""
+
+    def _trip_of(self, axis: _Axis, tick: int, samples: Mapping[str, FloatArray]) -> str:
+        told, read = (self._with_last(axis, what, samples) for what in ("commanded", "measured"))
+        if len(told) < 2 or len(read) < 2:
+            return ""
+        jump = float(np.abs(np.diff(read)).max())
+        if jump > _JUMP * axis.fastest + _JUMP_COUNTS * axis.count:
+            return f"the encoder of {axis.name} jumps by {jump / axis.count:.0f} counts in a tick"
+        if read.min() < axis.low or read.max() > axis.high:
+            return f"axis {axis.name} is beyond its travel"
+        volts = self._with_last(axis, "voltage", samples)
+        if axis.reverses_by_zero and (volts[1:] * volts[:-1] < 0.0).any():
+            return f"the output of {axis.name} changed its sign without a tick of zero between"
+        return self._following(axis, tick, told, read)
+
+    def _following(self, axis: _Axis, tick: int, told: FloatArray, read: FloatArray) -> str:
+        axis.speeds.append((tick, float(np.abs(np.diff(told)).max()) / self._tick_s))
+        while axis.speeds[0][0] < tick - axis.memory:
+            axis.speeds.popleft()
+        limit = 2.0 * axis.lag_s * max(speed for _, speed in axis.speeds) + axis.room
+        if np.abs(read - axis.still[0]).max() > 1.5 * axis.count:
+            axis.still = (float(read[-1]), float(told[-1]))
+        error = float(np.abs(told - read).max())
+        if error <= limit:
+            return ""
+        unit, to_unit = ("mm", 1e3) if axis.room == FOLLOWING_M else ("deg", 180.0 / np.pi)
+        if abs(float(told[-1]) - axis.still[1]) > 0.5 * limit:
+            return (
+                f"the encoder of {axis.name} stands still while the axis is told to move: encoder, "
+                "cable or drive"
+            )
+        return (
+            f"axis {axis.name} follows {error * to_unit:.3g} {unit} behind, the limit at this "
+            f"speed is {limit * to_unit:.3g} {unit}"
+        )
+
+    def _with_last(self, axis: _Axis, what: str, samples: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the samples of a channel after the last one of the report before."""
+        found = samples.get(f"{axis.name}.{what}", np.empty(0))
+        if not len(found):
+            return found
+        before = axis.last.get(what, float(found[0]))
+        axis.last[what] = float(found[-1])
+        return np.concatenate([[before], found])

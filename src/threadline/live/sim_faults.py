@@ -1,0 +1,112 @@
+"""Faults that the simulated machine can be told to have, to see what the guards make of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
+from threadline.machine import Machine
+from threadline.options import parse_number
+
+OF_AXES = ("stuck-encoder", "encoder-jump", "unheeded-reversal")
+OF_ALL = ("late-ticks", "one-late-tick", "lost-link", "power-loss")
+KINDS = (*OF_AXES, "switch-hit", *OF_ALL)
+_JUMP_COUNTS = 20_000.0
+_FORM = re.compile(r"([a-z-]+)(?::([A-Za-z_0-9]+))?@(.+)")
+
+
+@dataclass(frozen=True, slots=True)
+class SimFault:
+    """A fault that begins at a tick of the run.
+
+    Parameters
+    ----------
+    kind
+        One of ``KINDS``. Encoders, reversals and switches fail in what the executor is told: the
+        simulated loops keep their own readings. A lost link plays what the machine holds; without
+        power it says nothing any more.
+    tick
+        When.
+    where
+        The axis or the switch, empty where it is of neither.
+    """
+
+    kind: str
+    tick: int
+    where: str = ""
+
+    def told(
+        self, first: int, samples: dict[str, FloatArray], machine: Machine, stuck: dict[str, float]
+    ) -> None:
+        """Change the samples of a report that begins at tick ``first`` as the fault does.
+
+        Parameters
+        ----------
+        stuck
+            What an encoder said when it stuck, which it goes on saying.
+        """
+        name = next(iter(samples), "")
+        at = max(self.tick - first, 0)
+        if not name or at >= len(samples[name]):
+            return
+        if self.kind == "stuck-encoder":
+            values = samples[f"{self.where}.measured"]
+            values[at:] = stuck.setdefault(self.where, float(values[at]))
+        elif self.kind == "switch-hit":
+            samples[self.where][at:] = 1.0
+        elif self.kind == "encoder-jump":
+            scale = machine.axes[self.where].counts.si
+            samples[f"{self.where}.measured"][at:] += _JUMP_COUNTS / scale
+        elif self.kind == "unheeded-reversal":
+            samples[f"{self.where}.voltage"][at:] = np.resize([1.0, -1.0], len(samples[name]) - at)
+
+    def silences(self, tick: int) -> bool:
+        """Say whether nothing is heard of the machine any more at ``tick``."""
+        return self.kind in {"lost-link", "power-loss"} and tick >= self.tick
+
+    def late(self, tick: int) -> float:
+        """Return by how many periods the report that begins at ``tick`` is late."""
+        if tick < self.tick:
+            return 0.0
+        if self.kind == "late-ticks":
+            return 0.8
+        return 6.0 if self.kind == "one-late-tick" else 0.0
+
+
+def parse_fault(text: str, machine: Machine) -> SimFault:
+    """Return the fault that ``"stuck-encoder:X@1.2 s"`` names.
+
+    Raises
+    ------
+    OptionError
+        If there is no such fault, axis, switch or time.
+    """
+    form = _FORM.fullmatch(text.strip())
+    if form is None:
+        raise OptionError(
+            f"--inject {text[:40]!r} is no fault", remedy='Write it like "stuck-encoder:X@1.2 s".'
+        )
+    kind, where, when = form.groups()
+    if kind not in KINDS:
+        raise OptionError(f"there is no fault {kind[:40]!r}", remedy=nearest(kind, KINDS))
+    known: Mapping[str, object] = {}
+    if kind in OF_AXES:
+        known = machine.axes
+    elif kind == "switch-hit":
+        known = machine.inputs
+    if known and where not in known:
+        raise OptionError(
+            f"--inject {kind}: {machine.name} has no {str(where)[:40]!r}",
+            remedy=f"It has {', '.join(known)}.",
+        )
+    if not known and (where or kind == "switch-hit"):
+        raise OptionError(f"--inject {kind} is of no axis", remedy=f'Write "{kind}@1.2 s".')
+    time_s = parse_number("--inject", when.strip(), "s", "1.2 s")
+    ticks = max(time_s, 0.0) / float(machine.tick_clock.period_s)
+    return SimFault(kind, round(ticks), where or "")
