@@ -10,6 +10,10 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+# As the program has it (cli/start.py): threads of OpenBLAS wait for each other longer than they work
+# on small matrices, on a loaded machine a thousand times as long. Read when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 settings.register_profile(
     "fixed",
     derandomize=True,
