@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-# As the program has it (cli/start.py): threads of OpenBLAS wait for each other longer than they work
-# on small matrices, on a loaded machine a thousand times as long. Read when numpy is imported.
+# As the program has it (cli/start.py): on small matrices threads of OpenBLAS wait for each other
+# longer than they work, on a loaded machine a thousand times as long. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile(

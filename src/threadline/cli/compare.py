@@ -15,10 +15,13 @@ from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
     DEFAULT_TOLERANCE_TEXT,
     ContourOption,
+    DialectOption,
+    FeedModeOption,
     JobArgument,
     JsonOption,
     MachineOption,
     ParOption,
+    RadiusOption,
     ReportOption,
     SpecOption,
     ToleranceOption,
@@ -29,11 +32,11 @@ from threadline.cli.told import warning
 from threadline.cli.warn import warn
 from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
-from threadline.jobs import read_job
 from threadline.kinds import kind_of
+from threadline.machine.radii import with_radii
 from threadline.options import DEFAULT_INTERPOLATION, parse_feed
 from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import Proof
+from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
 from threadline.search import Comparison, Rung
 from threadline.search import compare as compare_job
@@ -80,6 +83,9 @@ def compare(
         ),
     ] = None,
     spec: SpecOption = None,
+    dialect: DialectOption = None,
+    feed_mode: FeedModeOption = None,
+    radius: RadiusOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     contour: ContourOption = None,
     par: ParOption = None,
@@ -104,7 +110,7 @@ def compare(
     """
     trials = trials_of(nominal, None, tolerances)
     check_outputs(folder=report)
-    chosen = machine_from(machine, par)
+    chosen = with_radii(machine_from(machine, par), radius)
     defaults = kind_of(chosen).compared
     names = _values(interpolation, defaults, "interpolation", DEFAULT_INTERPOLATION)
     shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
@@ -112,7 +118,16 @@ def compare(
     if shaper is not None and "shaper" not in shown:
         shown.append("shaper")
     feeds = [None] if feed is None else [parse_feed(text) for text in _listed(feed, "--feed")]
-    read = read_job(job, chosen)
+    options = options_of(
+        _of_contour(names, contour),
+        None,
+        tolerance,
+        feed_mode=feed_mode,
+        dialect=dialect,
+        radius=radius,
+        contour=contour,
+    )
+    read = open_job(job, chosen, options)
     warn(chosen, read)
     with progress_bar(not json) as progress:
         found = compare_job(
@@ -121,7 +136,7 @@ def compare(
             load_spec(spec, chosen),
             names,
             feeds,
-            options_of(_of_contour(names, contour), None, tolerance, contour=contour),
+            options,
             shapers=[None if text == UNSHAPED_WORD else text for text in shapers],
             with_fastest=fastest,
             progress=progress,

@@ -18,6 +18,7 @@ from threadline.cli.shared_options import (
     DEFAULT_TOLERANCE_TEXT,
     ActualOption,
     ContourOption,
+    DialectOption,
     FeedForwardOption,
     InterpolationOption,
     JobArgument,
@@ -25,6 +26,7 @@ from threadline.cli.shared_options import (
     LawOption,
     MachineOption,
     ParOption,
+    RadiusOption,
     SmoothingOption,
     SpecOption,
     ToleranceOption,
@@ -33,10 +35,10 @@ from threadline.cli.shared_options import (
     report_folder,
 )
 from threadline.errors import OptionError
-from threadline.jobs import read_job
-from threadline.kinds import kind_of
+from threadline.machine.radii import with_radii
 from threadline.options import parse_margin
 from threadline.path.interpolations import OPTIMAL
+from threadline.pipeline import open_job
 from threadline.verdict import load_spec
 
 
@@ -46,6 +48,8 @@ def fastest(
     spec: SpecOption = None,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     law: LawOption = None,
+    dialect: DialectOption = None,
+    radius: RadiusOption = None,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     contour: ContourOption = None,
     feed_forward: FeedForwardOption = False,
@@ -119,9 +123,8 @@ def fastest(
     -o best.toml
     """
     trials = trials_of(nominal, None, tolerances, wished)
-    chosen, kept_free = machine_from(machine, par), parse_margin(margin)
+    chosen, kept_free = with_radii(machine_from(machine, par), radius), parse_margin(margin)
     asked = load_spec(spec, chosen).with_margin(kept_free)
-    read = read_job(job, chosen)
     options = options_of(
         interpolation,
         None,
@@ -129,9 +132,11 @@ def fastest(
         feed_forward=feed_forward,
         smoothing=smoothing,
         law=law,
+        dialect=dialect,
+        radius=radius,
         contour=contour,
     )
-    kind_of(chosen).check_options(chosen, options)
+    read = open_job(job, chosen, options)
     other = None if actual is None else machine_from(actual, par)
     names: dict[str, str | Path | None] = {
         "-m": machine,
@@ -190,6 +195,8 @@ def fastest(
         **names,
         "--interpolation": None if law is not None else interpolation,
         "--law": law,
+        "--dialect": dialect,
+        "--radius": radius,
         "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
         "--feed-forward": "" if feed_forward else None,
         "--smoothing": smoothing,

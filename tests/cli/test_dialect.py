@@ -1,0 +1,75 @@
+"""Every command that plans reads a program by the dialect and the radius that are named."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+
+# Without M30, with a preamble and a shifted zero: grbl's, and not the printed winder's.
+PROGRAM = "G17 G21 G90 G94\nG92 X0\nM3\nG1 X20 A180 F600\nG1 X0 A360\n"
+AS_GRBL = ("-m", "lathe-winder", "--dialect", "grbl", "--radius", "A=40 mm")
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    file = tmp_path / "part.gcode"
+    file.write_text(PROGRAM)
+    return file
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+@pytest.mark.parametrize("command", ["compare", "fastest"])
+def test_without_a_dialect_it_is_refused(
+    command: str, job: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, command, job, "-m", "lathe-winder")
+    assert (code, out) == (2, "")
+    assert "part.gcode:1" in err
+
+
+def test_compare_reads_it_as_prove_does(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """grbl's length of 20 mm and 180 degrees at 600 mm/min: 18.11 s each way."""
+    code, out, _ = run(
+        capsys,
+        "compare",
+        job,
+        *AS_GRBL,
+        "--feed-mode",
+        "grbl",
+        "--interpolation",
+        "linear",
+        "--no-fastest",
+        "--nominal",
+        "--json",
+    )
+    (compared,) = json.loads(out)["proofs"]
+    same = ("--interpolation", "linear", "--nominal", "--json")
+    _, proved, _ = run(capsys, "prove", job, *AS_GRBL, "--feed-mode", "grbl", *same)
+    assert code in (0, 1)
+    assert compared["duration_s"] == json.loads(proved)["duration_s"]
+    assert compared["duration_s"] == pytest.approx(2 * (20**2 + 180**2) ** 0.5 / 10, abs=0.02)
+    # Where A acts decides what its errors are worth.
+    assert compared["criteria"] == json.loads(proved)["criteria"]
+
+
+def test_what_fastest_prints_reads_it_so(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command that it prints proves the same job: with dialect and radius."""
+    code, out, _ = run(capsys, "fastest", job, *AS_GRBL, "--interpolation", "optimal", "--nominal")
+    assert code == 0
+    (printed,) = re.findall(r"threadline prove .*", out)
+    words = shlex.split(printed)
+    for name, value in (("--dialect", "grbl"), ("--radius", "A=40 mm")):
+        assert words[words.index(name) + 1] == value
+    assert run(capsys, *words[1:])[0] == 0
