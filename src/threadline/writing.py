@@ -295,7 +295,7 @@ def _uninterrupted() -> Iterator[None]:
     came: list[tuple[int, FrameType | None]] = []
     before = {
         number: signal.signal(number, lambda *told: came.append(told))
-        for number in (signal.SIGINT, signal.SIGTERM)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         if callable(signal.getsignal(number))
     }
     try:

@@ -89,34 +89,39 @@ def test_an_interrupt_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("number", "said"), [(signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up")]
+)
 def test_a_termination_is_one_line_and_leaves_nothing(
+    number: signal.Signals,
+    said: str,
     examples: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """SIGTERM of a time limit, while the recording is being written."""
+    """SIGTERM of a time limit, a closed terminal, while the recording is being written."""
 
     def terminated(_recording: object, path: Path, **_: object) -> None:
         with staged_file(path) as file:
             file.write(b"half")
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), number)
 
     monkeypatch.setattr(prove, "prove_job", lambda *_: SimpleNamespace(recording=None))
     monkeypatch.setattr(prove, "write_recording", terminated)
 
     def unanswered(*_: object) -> None:  # instead of the end of all tests
-        raise AssertionError("nothing answers SIGTERM")
+        raise AssertionError(f"nothing answers {number}")
 
-    outside = signal.signal(signal.SIGTERM, unanswered)
+    outside = signal.signal(number, unanswered)
     words = "prove", examples / "x-180.prg", "-m", "lathe-winder", "--recording"
     try:
         code, out, err = stopped(capsys, *words, tmp_path / "made" / "run.npz")
     finally:
-        answering = signal.signal(signal.SIGTERM, outside)
+        answering = signal.signal(number, outside)
 
-    assert (code, out) == (143, "")
-    assert err == "error: terminated; nothing was left half-written\n"
+    assert (code, out) == (128 + number, "")
+    assert err == f"error: {said}; nothing was left half-written\n"
     assert list(tmp_path.iterdir()) == []
     assert answering is unanswered
 

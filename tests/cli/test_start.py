@@ -35,7 +35,8 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("signal", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
+    ("signal", "status", "said"),
+    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")],
 )
 @pytest.mark.parametrize("name", ["typer", "threadline.cli.law", "numpy"])
 def test_an_interrupt_while_importing_is_one_line(

@@ -395,3 +395,20 @@ def test_an_arc_beyond_all_numbers_is_refused(sewer: Machine, tmp_path: Path) ->
     points = "[[0, 0], {to = [9, 0], bulge = 1e300}]"
     with pytest.raises(JobError, match="reaches further than 10000 m"):
         read(tmp_path, sewer, "t.seam.toml", seam(points))
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "makes"),
+    [("1e-14", r"1e\+08 stitches on it"), ("1e-7", r"a stitch of \S+ mm")],
+)
+def test_a_head_that_hardly_accelerates_is_refused(
+    acceleration: str, makes: str, tmp_path: Path
+) -> None:
+    """Its stitches under a needle of constant speed took 14 GB, and were then called a loop."""
+    weak = tmp_path / "weak.toml"
+    weak.write_text(
+        f'base = "stitcher"\naxes.X.acceleration = "{acceleration} m/s^2 exact, assumed"\n'
+    )
+    points = "[[0, 0], [20, 0], [20, 10]]"
+    with pytest.raises(JobError, match=f"is so slow.* constant speed makes {makes}"):
+        list(read(tmp_path, load_machine(weak), "t.seam.toml", seam(points)))

@@ -1,7 +1,7 @@
 """What an interrupt does: the status it ends with, its one line, and how it ends an import.
 
-An interrupt is SIGINT, a person's, or SIGTERM, that of a time limit or of a batch system. Only the
-standard library is imported here.
+An interrupt is SIGINT, a person's, SIGTERM, that of a time limit or of a batch system, or SIGHUP,
+that of a terminal that is closed. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -14,28 +14,33 @@ from contextlib import contextmanager
 from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
-EXIT_TERMINATED = 143  # 128 + SIGTERM
-INTERRUPTED = "error: interrupted; nothing was left half-written\n"
-TERMINATED = "error: terminated; nothing was left half-written\n"
 _STDERR = 2
 _ENDS = {
-    signal.SIGINT: (EXIT_INTERRUPTED, INTERRUPTED),
-    signal.SIGTERM: (EXIT_TERMINATED, TERMINATED),
+    number: (128 + number, f"error: {said}; nothing was left half-written\n")
+    for number, said in (
+        (signal.SIGINT, "interrupted"),
+        (signal.SIGTERM, "terminated"),
+        (signal.SIGHUP, "hung up"),
+    )
 }
 
 _Answer = Callable[[int, FrameType | None], None]
 
 
 class Termination:
-    """Whether SIGTERM has come."""
+    """Which signal has come that ends the program, SIGINT unless another did."""
 
     def __init__(self) -> None:
-        self.came = False
+        self.number = signal.SIGINT
 
-    def answer(self, _signal: int, _frame: FrameType | None) -> None:
+    def answer(self, number: int, _frame: FrameType | None) -> None:
         """Raise an interrupt in what runs, so that its unfinished files are removed."""
-        self.came = True
+        self.number = signal.Signals(number)
         raise KeyboardInterrupt
+
+    def end(self) -> tuple[int, str]:
+        """Return the exit status and the line of the signal."""
+        return _ENDS[self.number]
 
 
 @contextmanager
@@ -51,9 +56,9 @@ def leaving_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def terminating() -> Iterator[Termination]:
-    """Treat SIGTERM as an interrupt, and yield what knows whether one came."""
+    """Treat SIGTERM and SIGHUP as interrupts, and yield what knows which one came."""
     termination = Termination()
-    with _answering({signal.SIGTERM: termination.answer}):
+    with _answering(dict.fromkeys((signal.SIGTERM, signal.SIGHUP), termination.answer)):
         yield termination
 
 

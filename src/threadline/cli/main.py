@@ -12,13 +12,7 @@ from typer.exceptions import TyperException
 
 from threadline import __version__
 from threadline.cli.crash import EXIT_DEFECT, keep_traceback
-from threadline.cli.interrupt import (
-    EXIT_INTERRUPTED,
-    EXIT_TERMINATED,
-    INTERRUPTED,
-    TERMINATED,
-    terminating,
-)
+from threadline.cli.interrupt import EXIT_INTERRUPTED, terminating
 from threadline.cli.lazy import LazyGroup
 from threadline.cli.told import STDOUT, note, tell_warnings, telling
 from threadline.errors import (
@@ -76,11 +70,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
     with terminating() as termination:
         status = _run(given)
-    if status == EXIT_INTERRUPTED and termination.came:
-        note(TERMINATED.rstrip())
-        sys.exit(EXIT_TERMINATED)
     if status == EXIT_INTERRUPTED:
-        note(INTERRUPTED.rstrip())
+        status, said = termination.end()
+        note(said.rstrip())
     sys.exit(status)
 
 

@@ -39,7 +39,7 @@ def stitch_lengths(
     With a needle of constant speed N a leg of n stitches takes n/N. A head that rests at r of
     its ends and accelerates with a runs at v = N l' in between and covers
     :math:`n l' - r l'^2 N^2/(2a)`, with each end's own a where they differ; n is
-    chosen so that l' is nearest to the wanted length, and
+    chosen so that l' is nearest to the wanted length (``stitch_count``), and
     the stitch in which the head ramps comes out as long as the ramp makes it: 1/4, 3/4 of l'
     under the two-stitch rule.
 
@@ -47,28 +47,47 @@ def stitch_lengths(
     take half of the tolerance and the four exempt ones the rest.
     """
     wanted = settings.stitch_length_m
-    inverse = sum(rest / a for rest, a in zip(rests, accelerations, strict=True))
-    loss = settings.needle_speed_hz**2 * inverse / 2.0  # 1/m
-    ideal = length_m / wanted + loss * wanted
-    least = math.ceil(math.sqrt(4.0 * loss * length_m) - 1e-9)
-    counts = {max(1, least, math.floor(ideal)), max(1, least, math.ceil(ideal))}
-    even_m = {n: _even_m(n, length_m, loss) for n in counts}
-    count = min(counts, key=lambda n: abs(math.log(even_m[n] / wanted)))
-    lengths = _ramped(count, even_m[count], settings, accelerations, rests)
+    count = stitch_count(length_m, settings, accelerations, rests)
+    even_m = _even_m(count, length_m, _loss(settings, accelerations, rests))
+    lengths = _ramped(count, even_m, settings, accelerations, rests)
     lengths *= length_m / lengths.sum()
     share = _SHARE * settings.tolerance
-    middle = np.clip(even_m[count], wanted * (1.0 - share), wanted * (1.0 + share))
+    middle = np.clip(even_m, wanted * (1.0 - share), wanted * (1.0 + share))
     resting = [a for rest, a in zip(rests, accelerations, strict=True) if rest]
     ramp_stitches = middle * settings.needle_speed_hz**2 / min(resting, default=np.inf)
     # A ramp that reaches a twentieth of a stitch further shortens it by a thousandth.
     within = ramp_stitches <= EXEMPT * (1.0 + settings.tolerance)
-    if count > 2 * EXEMPT and middle != even_m[count] and within:
+    if count > 2 * EXEMPT and middle != even_m and within:
         rest = length_m - middle * (count - 2 * EXEMPT)
         exempt = exempt_mask(count)
         if rest > 0.0:
             lengths[~exempt] = middle
             lengths[exempt] *= rest / lengths[exempt].sum()
     return lengths
+
+
+def stitch_count(
+    length_m: float, settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]
+) -> int:
+    """Return how many stitches a leg has, so that at speed they are nearest to the wanted length.
+
+    On a leg so short that the head never reaches its speed they are the longest that there are:
+    more of them would be shorter still.
+    """
+    wanted = settings.stitch_length_m
+    loss = _loss(settings, accelerations, rests)
+    least = max(1, math.ceil(math.sqrt(4.0 * loss * length_m) - 1e-9))
+    if loss * wanted >= length_m / wanted:
+        return least
+    ideal = length_m / wanted + loss * wanted
+    counts = {max(least, math.floor(ideal)), max(least, math.ceil(ideal))}
+    return min(counts, key=lambda n: abs(math.log(_even_m(n, length_m, loss) / wanted)))
+
+
+def _loss(settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]) -> float:
+    """Return what ramps at the rests take off a leg, for each m^2 of a stitch at speed, 1/m."""
+    inverse = sum(rest / a for rest, a in zip(rests, accelerations, strict=True))
+    return settings.needle_speed_hz**2 * inverse / 2.0
 
 
 def exempt_mask(count: int) -> NDArray[np.bool_]:

@@ -14,11 +14,11 @@ from threadline.drawing.contours import ZERO_LENGTH_M, Contour, point_text
 from threadline.errors import JobError, Place
 from threadline.jobs.seam.bends import bow_m
 from threadline.jobs.seam.legs import Leg, seam_legs
-from threadline.jobs.seam.placement import exempt_mask, place_leg, wrap
+from threadline.jobs.seam.placement import exempt_mask, place_leg, stitch_count, wrap
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.timing import end_speed_m_s, stitch_times_s
 
-MAX_STITCHES = 20_000_000  # of one contour: a leg of them takes 2 GB
+MAX_STITCHES = 5_000_000  # of one contour: a leg of them takes 0.5 GB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,10 +114,15 @@ class SewnContour:
         slowed = settings.needle == "slowed"
         # A slowed needle waits for the head, so that no stitch is shortened by a ramp.
         ramps = (False, False) if slowed else halts
+        count = stitch_count(leg.length_m, settings, self.accelerations, ramps)
+        if count > MAX_STITCHES:
+            raise self._too_slow(leg, f"{count:.3g} stitches on it, limit {MAX_STITCHES}")
         at_m, points, short = place_leg(
             self.table, leg, self.closed, settings, self.accelerations, ramps
         )
-        lengths = np.hypot(*np.diff(points, axis=0).T)
+        lengths, arcs = np.hypot(*np.diff(points, axis=0).T), np.abs(np.diff(at_m))
+        if arcs.min() <= ZERO_LENGTH_M:
+            raise self._too_slow(leg, f"a stitch of {arcs.min() * 1e3:.3g} mm")
         if lengths.min() <= ZERO_LENGTH_M:
             raise JobError(
                 f"seam {self.seam!r}: a loop of {leg.length_m * 1e3:.3g} mm at "
@@ -125,7 +130,6 @@ class SewnContour:
                 place=self.place,
                 remedy="Delete it, or lower least_stitch.",
             )
-        arcs = np.abs(np.diff(at_m))
         on = wrap(at_m, self.table.length_m) if self.closed else at_m
         if slowed:
             ends = (
@@ -149,6 +153,14 @@ class SewnContour:
             bulge_m=bow_m(arcs, lengths),
             line=self.table.pieces.line[piece],
             rests=halts[1],
+        )
+
+    def _too_slow(self, leg: Leg, makes: str) -> JobError:
+        return JobError(
+            f"seam {self.seam!r}: at {min(self.accelerations):.3g} m/s^2 the head is so slow on a "
+            f"leg of {leg.length_m * 1e3:.3g} mm that a needle of constant speed makes {makes}",
+            place=self.place,
+            remedy='Raise acceleration, lower needle_speed, or give needle = "slowed".',
         )
 
 

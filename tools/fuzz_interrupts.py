@@ -1,0 +1,196 @@
+"""Interrupts at any moment of every command that writes: SIGINT, SIGTERM, SIGHUP, once or often.
+
+    python tools/fuzz_interrupts.py --cases 300 --seed 1
+
+Every case is a process of its own, forked after the imports, that runs one command in a folder of
+its own and is sent signals at a random moment of the time that the command takes. What ends by a
+signal says so in one line, with the status of that signal, and leaves the folder as it was: no
+output, no temporary file, no folder. What ends well has all of its outputs. Everything else is a
+failure, and the exit status is 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+
+from fuzz_commands import SHORT_DESIGN, SHORT_MOVES, SHORT_PROGRAM, SHORT_SEAM
+from fuzz_odd import ODD
+
+from threadline.cli.main import main as run_program
+
+ROOT = Path(__file__).resolve().parent.parent
+_PLACE = "short.toml -m letter-placer+whole-scans+own-damping --shaper zv"
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "compile short.prg -m lathe-winder --interpolation linear --target csv -o new/out.csv": (
+        "new/out.csv",
+    ),
+    "compile short.prg -m lathe-winder --target npz -o out.npz": ("out.npz",),
+    "compile short.prg -m stepper-winder --target grbl -o out.nc": ("out.nc",),
+    f"compile {_PLACE} --target st -o out.st": (
+        "out.st", "out.configuration.st",
+    ),
+    f"compile {_PLACE} --target plcopen -o out.xml": ("out.xml",),
+    "compile short.dst -m schiffli-frame --target steps -o steps.bin": (),
+    "prove short.prg -m lathe-winder --interpolation linear --recording r.npz --proof p.json": (
+        "r.npz", "p.json",
+    ),
+    "prove short.prg -m lathe-winder --interpolation linear --recording r.csv --report rep": (
+        "r.csv", "rep/report.html", "rep/report.pdf",
+    ),
+    "prove short.seam.toml -m stitcher --recording old.npz --nominal": ("old.npz",),
+    "prove short.dst -m schiffli-frame --recording r.csv --nominal": ("r.csv",),
+    f"prove {_PLACE} --report rep": (
+        "rep/report.html",
+    ),
+    "fastest short.toml -m letter-placer+whole-scans+own-damping --nominal -o faster.toml": (),
+    "fastest short.prg -m lathe-winder --interpolation linear --nominal": (),
+    "yield short.prg -m lathe-winder --interpolation linear --variants 200 --worst worst.toml": (
+        "worst.toml",
+    ),
+    "cam cam.csv --out law.csv --report rep": ("law.csv",),
+    "law modified-sine --out law.csv --report rep": ("law.csv",),
+    "analyse lathe-winder --report rep": ("rep",),
+    "shaper --mode 3Hz --kind ei --report rep": ("rep",),
+    "new winder fresh": ("fresh",),
+    "new embroidery fresh": ("fresh",),
+}  # fmt: skip
+STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+_SHOWN = 20
+
+
+def lay_out(folder: Path) -> None:
+    """Write what the commands read, and an old output."""
+    (folder / "short.prg").write_text(SHORT_PROGRAM)
+    (folder / "short.seam.toml").write_text(SHORT_SEAM)
+    (folder / "short.dst").write_bytes(SHORT_DESIGN)
+    (folder / "line.csv").write_text("x [mm],y [mm]\n10,10\n30,10\n30,20\n")
+    (folder / "short.toml").write_text(SHORT_MOVES)
+    (folder / "cam.csv").write_bytes(ODD["cam"])
+    (folder / "old.npz").write_bytes(b"an old recording")
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    """Return every file and folder below, with the bytes of the files."""
+    return {
+        str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None
+        for p in folder.rglob("*")
+    }
+
+
+def start(words: list[str], folder: Path, told: Path) -> int:
+    """Run a command in a fork of this process; return its number."""
+    child = os.fork()
+    if child:
+        return child
+    try:
+        os.chdir(folder)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(told)
+        for number, name in ((1, "out"), (2, "err")):
+            os.dup2(os.open(told / name, os.O_WRONLY | os.O_CREAT), number)
+        sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        status = 70
+        try:
+            run_program(words)
+        except SystemExit as stopped:
+            status = int(stopped.code or 0)
+        except BaseException:
+            traceback.print_exc()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(status)
+
+
+def run(words: list[str], wanted: tuple[str, ...], at: list[tuple[float, int]]) -> tuple[int, str]:
+    """Run a case; return its status and what is wrong with it."""
+    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as side:
+        folder, told = Path(made), Path(side)
+        lay_out(folder)
+        before = tree(folder)
+        child = start(words, folder, told)
+        for wait_s, number in at:
+            time.sleep(wait_s)
+            if os.waitpid(child, os.WNOHANG)[0]:
+                break
+            os.kill(child, number)
+        ended = 0
+        while not ended:
+            try:
+                ended, raw = os.waitpid(child, 0)
+            except ChildProcessError:
+                ended, raw = child, 0
+        status = os.waitstatus_to_exitcode(raw)
+        after, err = tree(folder), (told / "err").read_text(errors="replace")
+        left = [p.name for p in told.iterdir() if p.name not in {"out", "err"}]
+    fresh = sorted(set(after) - set(before))
+    changed = sorted(p for p in before if after.get(p, b"gone") != before[p])
+    hidden = [p for p in fresh if any(part.startswith(".") for part in Path(p).parts)]
+    if hidden or left:
+        return status, f"left behind: {hidden} {left}"
+    if status in STATUS.values():
+        if fresh or changed:
+            return status, f"interrupted, and there is {fresh}, changed {changed}"
+        if err.count("\n") != 1 or not err.startswith("error: "):
+            return status, f"told otherwise than in one line: {err[-600:]!r}"
+    elif status in {0, 1}:
+        lacking = [p for p in wanted if p not in fresh and p not in changed]
+        if lacking and at == []:
+            return status, f"ended well without {lacking}"
+        if lacking and len(lacking) < len(wanted):
+            return status, f"some of its outputs only: not {lacking}"
+    else:
+        return status, f"status {status}: {err[-1500:]}"
+    return status, ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    lasts: dict[str, float] = {}
+    tally: Counter[int] = Counter()
+    failures = 0
+    names = list(COMMANDS)
+    for index in range(given.first, given.first + given.cases):
+        rng = random.Random(f"{given.seed}/{index}")
+        name = names[index % len(names)]
+        words, wanted = name.split(), COMMANDS[name]
+        if name not in lasts:
+            began = time.monotonic()
+            status, problem = run(words, wanted, [])
+            lasts[name] = time.monotonic() - began
+            if problem or status not in {0, 1}:
+                failures += 1
+                print(f"{name}\nuninterrupted: {status} {problem}\n", file=sys.stderr, flush=True)
+        number = rng.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+        at = [(rng.uniform(0.0, 1.1) * lasts[name], number)]
+        at += [
+            (rng.choice((0.0, 1e-4, 1e-3, 2e-2)), number) for _ in range(rng.choice((0, 0, 1, 5)))
+        ]
+        status, problem = run(words, wanted, at)
+        tally[status] += 1
+        if problem:
+            failures += 1
+            if failures <= _SHOWN:
+                again = f"--seed {given.seed} --first {index} --cases 1"
+                print(f"{again}\n{name} {at}\n{problem}\n", file=sys.stderr, flush=True)
+    shown = ", ".join(f"{count} with status {status}" for status, count in sorted(tally.items()))
+    print(f"{tally.total()} cases, {shown}; {failures} failures")
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
