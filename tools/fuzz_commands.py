@@ -5,8 +5,9 @@
 Every case runs the whole program in this process. It may end with 0, 1 or 2 and, from 2 on, with
 one line on standard error and nothing on standard output. Everything else is a failure: a
 traceback (status 70), a warning of a library, a second line, a number that JSON lacks, an input
-that changed, an output left alone or half-written, or more than a minute. Cases depend on seed,
-class and number only, so that ``--kind machine-number --first 4711 --cases 1`` runs one again.
+that changed, an output left alone or half-written, or a minute without a word; what is still at
+work by then and says so is stopped, and counted as status 124. Cases depend on seed, class and
+number only, so that ``--kind machine-number --first 4711 --cases 1`` runs one again.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ LIBRARY = ROOT / "src" / "threadline" / "machine" / "library"
 HANG_S = 60  # of the processor: the machine may be busy with something else
 _WAITING = 15  # times as long by the clock, for what waits without working
 _SHOWN = 40
+_LONG = 124  # as ``timeout`` has it
+_WORD = re.compile(r"^still at work after \d+ s.*\n", re.MULTILINE)
 
 EXTREMES = """
 0 -0 1 -1 2 1e-3 1e3 1e-6 1e6 1e-12 1e12 1e-30 1e30 1e-300 1e300 5e-324 1.7e308 1e-9 1e9
@@ -467,7 +470,10 @@ def run_case(case: Case, folder: Path) -> Outcome:
     took_s = time.process_time() - began
     out.flush()
     told = out.buffer.getvalue().decode("utf-8", "replace")  # type: ignore[attr-defined]
-    problem = f"more than {HANG_S} s" if hung else _problem(case, status, told, err.getvalue())
+    said = _WORD.sub("", err.getvalue())
+    if hung and said != err.getvalue():
+        return Outcome(_LONG, "", took_s)
+    problem = f"more than {HANG_S} s" if hung else _problem(case, status, told, said)
     if not hung and not problem:
         problem = _changed(case, before, folder, status)
     return Outcome(status, problem, took_s)

@@ -143,7 +143,7 @@ def run(words: list[str], wanted: tuple[str, ...], at: list[tuple[float, int]]) 
             return status, f"interrupted, and there is {fresh}, changed {changed}"
         if err.count("\n") != 1 or not err.startswith("error: "):
             return status, f"told otherwise than in one line: {err[-600:]!r}"
-    elif status in {0, 1}:
+    elif status in {0, 1} or -status in STATUS:  # by a signal itself: before the work or behind it
         lacking = [p for p in wanted if p not in fresh and p not in changed]
         if lacking and at == []:
             return status, f"ended well without {lacking}"

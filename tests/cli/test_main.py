@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from threadline.cli import prove
+from threadline.cli import law, prove
 from threadline.cli.main import main
 from threadline.writing import staged_file
 
@@ -124,6 +124,28 @@ def test_a_termination_is_one_line_and_leaves_nothing(
     assert err == f"error: {said}; nothing was left half-written\n"
     assert list(tmp_path.iterdir()) == []
     assert answering is unanswered
+
+
+def test_a_second_interrupt_does_not_end_the_removing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C is pressed again while the half-written file is removed."""
+    unlink = Path.unlink
+
+    def impatient(path: Path, missing_ok: bool = False) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        unlink(path, missing_ok=missing_ok)
+
+    def interrupted(_law: object, path: Path) -> None:
+        with staged_file(path):
+            monkeypatch.setattr(Path, "unlink", impatient)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(law, "write_law", interrupted)
+    code, out, err = stopped(capsys, "law", "cubic", "--out", tmp_path / "law.csv")
+    assert (code, out) == (130, "")
+    assert err == "error: interrupted; nothing was left half-written\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])

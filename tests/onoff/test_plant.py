@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from threadline.errors import MachineError
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Quantity
 from threadline.plant.cylinders import cylinder_equations, network_of
@@ -212,3 +214,21 @@ def test_valves_excite_a_slower_mode_than_a_free_piston() -> None:
     assert flow_mode(machine, "X")[0] == pytest.approx(
         math.sqrt(K1 / (M1 + MC + M2)) / (2 * math.pi), rel=0.01
     )
+
+
+@pytest.mark.parametrize("lag_s", [1e-15, 1e-12, 1e-6])
+def test_a_fast_valve_hides_no_mode(lag_s: float, tmp_path: Path) -> None:
+    """The lag of a valve is before the cylinder, and no part of what rings; it was a traceback."""
+    file = tmp_path / "fast.toml"
+    file.write_text(f'base = "letter-placer"\ncylinders.X.lag = "{lag_s} s exact, assumed"\n')
+    as_built = flow_mode(load_machine("letter-placer"), "X")
+    assert flow_mode(load_machine(file), "X") == pytest.approx(as_built, rel=1e-9)
+
+
+def test_a_mode_that_is_lost_beside_all_else_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "stiff.toml"
+    file.write_text(
+        'base = "letter-placer"\ncylinders.X.air_damping = "1e14 N s/m exact, assumed"\n'
+    )
+    with pytest.raises(MachineError, match="is lost beside rates"):
+        step_ringing(load_machine(file), "X")

@@ -6,15 +6,18 @@ that of a terminal that is closed. Only the standard library is imported here.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
+_SAME_S = 1.0
 _ENDS = {
     number: (128 + number, f"error: {said}; nothing was left half-written\n")
     for number, said in (
@@ -32,10 +35,17 @@ class Termination:
 
     def __init__(self) -> None:
         self.number = signal.SIGINT
+        self._came_s = -math.inf
 
     def answer(self, number: int, _frame: FrameType | None) -> None:
-        """Raise an interrupt in what runs, so that its unfinished files are removed."""
-        self.number = signal.Signals(number)
+        """Raise an interrupt in what runs, so that its unfinished files are removed.
+
+        Signals that follow within a second are the same interrupt, or they would end the removing.
+        """
+        now_s = time.monotonic()
+        if now_s - self._came_s < _SAME_S:
+            return
+        self.number, self._came_s = signal.Signals(number), now_s
         raise KeyboardInterrupt
 
     def end(self) -> tuple[int, str]:
@@ -58,7 +68,7 @@ def leaving_on_interrupt() -> Iterator[None]:
 def terminating() -> Iterator[Termination]:
     """Treat SIGTERM and SIGHUP as interrupts, and yield what knows which one came."""
     termination = Termination()
-    with _answering(dict.fromkeys((signal.SIGTERM, signal.SIGHUP), termination.answer)):
+    with _answering(dict.fromkeys(_ENDS, termination.answer)):
         yield termination
 
 

@@ -70,9 +70,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
     with terminating() as termination:
         status = _run(given)
-    if status == EXIT_INTERRUPTED:
-        status, said = termination.end()
-        note(said.rstrip())
+        if status == EXIT_INTERRUPTED:
+            status, said = termination.end()
+            note(said.rstrip())
     sys.exit(status)
 
 

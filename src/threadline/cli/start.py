@@ -22,9 +22,10 @@ def run() -> None:
     _open_streams()
     _silence_libraries()
     _calculate_on_one_thread()
-    with leaving_on_interrupt():
+    with leaving_on_interrupt():  # behind the command, too, while the interpreter ends
         from threadline.cli.main import main
-    main()
+
+        main()
 
 
 def _open_streams() -> None:

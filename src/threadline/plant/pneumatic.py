@@ -56,14 +56,24 @@ def step_ringing(machine: Machine, axis: str) -> StepRinging:
     Raises
     ------
     MachineError
-        If nothing rings.
+        If nothing rings, or so slowly beside all else that it cannot be told.
     """
     plant = cylinder_equations(machine, axis)
     matrix = plant.sliding()[0]
     poles, modes = np.linalg.eig(matrix)
     wanted = 2.0 * math.pi * frame_mode(machine, axis)[0]
+    # A state that no other feeds, as the lag of a valve, has its pole for itself: however fast it
+    # is, the others are known as well as without it.
+    fed = (matrix - np.diag(np.diag(matrix))).any(axis=1)
+    ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(fed, fed)]))
+    if not len(ringing):
+        raise MachineError(
+            f"cylinders.{axis}: its frame's {wanted / (2.0 * math.pi):.3g} Hz is lost "
+            "beside rates of the cylinder that are ten million times as fast",
+            place=machine.place,
+            remedy="Look for a mistyped number.",
+        )
     # The air spring shifts the mode a little; the nearest pole is it.
-    ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix))
     index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - wanted))])
     # x = sum over modes; a step's share is (left vector . b) / pole. The zero poles of a free
     # stroke make the matrix defective, which leaves this simple pole's own vectors exact.
