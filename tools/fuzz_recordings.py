@@ -32,10 +32,17 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from tests.verdict.interpreter import Channel, Facts, asked, cannot_pass, refused  # noqa: E402
+from tests.verdict.interpreter import (  # noqa: E402
+    Channel,
+    Facts,
+    Stitch,
+    asked,
+    cannot_pass,
+    refused,
+)
 
 from threadline.errors import Place  # noqa: E402
-from threadline.jobs.operations import OperationStream  # noqa: E402
+from threadline.jobs.operations import Move, OperationStream  # noqa: E402
 from threadline.machine import load_machine  # noqa: E402
 from threadline.options import Options  # noqa: E402
 from threadline.pipeline import Proof, prove  # noqa: E402
@@ -43,9 +50,11 @@ from threadline.plan import Motion, Plan  # noqa: E402
 from threadline.signals import Recording, RecordingBlock, Stream  # noqa: E402
 from threadline.signals.files import read_recording, write_recording  # noqa: E402
 from threadline.signals.files.channel_units import in_si  # noqa: E402
+from threadline.targets.stitched import Stitched  # noqa: E402
 from threadline.verdict import judge, load_spec, verdict_json  # noqa: E402
 from threadline.verdict.demands import measure_demands  # noqa: E402
 from threadline.verdict.registry import MEASURES  # noqa: E402
+from threadline.verdict.stitch_measures import measure_tables  # noqa: E402
 
 CLASSES = ("judge-channels", "judge-blocks", "judge-axes")
 _FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read again and again
@@ -58,8 +67,12 @@ needle_speed = "20 stitch/s"
 
 [[contour]]
 unit = "mm"
-points = [[10, 10], [20, 10], [20, 15]]
+points = [[10, 10], [40, 10], [40, 15]]
 """
+# Tajima's records of three bytes: 0.9 mm along X, X, Y, back along X, and the end.
+_DESIGN = b"LA:short           \rST:      5\rCO:  0\r".ljust(512) + bytes.fromhex(
+    "040003 040003 200003 080003 080003 0000f3"
+)
 _MOVES = """
 name = "short"
 
@@ -84,7 +97,25 @@ _LIMITS = {
     "current_peak": ("1 A", "30 A"),
     "settling_time": ("100 ms", "2 s"),
     "velocity_ripple": ("5 %", "300 %"),
+    "stitch_speed_error": ("5 %", "0.5"),
+    "stitches_to_speed": ("2 stitch", "9 stitch"),
+    "stitch_placement_error": ("0.5 mm", "5 mm"),
+    "needle_time_error": ("5 %",),
+    "seam_error": ("0.5 mm", "5 mm"),
 }
+_STITCHED = {
+    "stitch_residual": ("0.1 mm", "1 mm"),
+    "servo_force": ("50 %", "100 %"),
+    "window_use": ("100 %",),
+    "fetch_use": ("100 %",),
+    "step_rate": ("200 kHz",),
+    "travel": ("1 mm",),
+}
+_OF_TOOL = {
+    "settling_time", "cycle_time", "switching_dwell", "contour_error", "progress_error",
+    "stitch_length_error", "velocity_ripple", "stitch_speed_error", "stitches_to_speed",
+    "stitch_placement_error", "needle_time_error", "seam_error", "window_use", "fetch_use",
+}  # fmt: skip
 _OF_AXIS = {
     "tracking_error": ("1", "30"),
     "velocity": ("20", "900", "2500"),
@@ -118,14 +149,15 @@ class Seed:
 
 @cache
 def seeds() -> tuple[Seed, ...]:
-    """Return a short run of each kind of machine: winder, stitcher, on/off placer."""
+    """Return a short run of each kind of machine: winder, stitcher, on/off placer, embroiderer."""
     found = []
     for file, text, name, options in (
         ("short.prg", _WINDING, "lathe-winder", Options()),
         ("short.seam.toml", _SEAM, "stitcher", Options()),
         ("short.toml", _MOVES, "letter-placer+whole-scans+own-damping", Options(shaper="zv")),
+        ("short.dst", _DESIGN, "schiffli-frame", Options()),
     ):
-        (_FOLDER / file).write_text(text)
+        (_FOLDER / file).write_bytes(text if isinstance(text, bytes) else text.encode())
         machine = load_machine(name)
         proof = prove(_FOLDER / file, machine, load_spec(None, machine), options)
         proof = replace(proof, plan=_held(proof.plan))
@@ -179,6 +211,8 @@ def _facts(proof: Proof) -> Facts:
     if machine.cylinders:
         own = {("travel", axis): 0.0 for axis in axes}
         return Facts(axes, set(), True, 0.0, 0.0, own=own)
+    if isinstance(plan.intent, Stitched):
+        return _facts_of_stitches(proof)
     begin_s, end_s = plan.motion.trajectory.moves_s
     programmed = plan.motion.programmed
     own, planned = {}, {}
@@ -203,6 +237,48 @@ def _facts(proof: Proof) -> Facts:
         clamp_v={a: d.range.si - 1.5 * d.volt_per_level for a, d in dacs.items()},
         own=own,
         planned=planned,
+        stitches=_stitches(plan),
+        lag_s=proof.spec.lag_s,
+        off_m=1e-4,  # the tolerance of the default interpolation
+    )
+
+
+def _stitches(plan: Plan) -> list[Stitch]:
+    """Return the stitches of a seam, as the job's tags and the trajectory have them."""
+    moved: dict[int, tuple[float, float]] = {}
+    for block in plan.motion.trajectory:
+        ends = block.start_s + block.duration_s
+        for number, begin, end in zip(block.operation, block.start_s, ends, strict=True):
+            moved[int(number)] = (moved.get(int(number), (float(begin), 0.0))[0], float(end))
+    return [
+        Stitch(*moved[number], float(one.tags["target_m"]), bool(one.tags["exempt"]))
+        for number, one in enumerate(plan.job)
+        if isinstance(one, Move) and "stitch" in one.tags
+    ]
+
+
+def _facts_of_stitches(proof: Proof) -> Facts:
+    plan, stitched = proof.plan, proof.plan.stitched
+    axes = list(plan.axes)
+    planned = {
+        (name, row.axis): row.value
+        for name, rows in measure_tables(plan).items()
+        for row in rows
+        if row.value is not None
+    }
+    own = {(name, axis): 1.0 for name in ("servo_force",) for axis in axes}
+    own |= {("window_use", ""): 1.0, ("fetch_use", ""): 1.0}
+    own |= {("travel", axis): 0.0 for axis in axes}
+    return Facts(
+        axes,
+        set(),
+        False,
+        0.0,
+        # The last entry of the needle is what has to be seen.
+        float(proof.plan.duration_s) * 0.9,
+        own=own,
+        planned=planned,
+        places=stitched.places_m[stitched.turns.stitch > 0],
     )
 
 
@@ -210,13 +286,15 @@ def _with_fault(rng: random.Random, seed: Seed) -> dict[str, np.ndarray]:
     """Return the samples, often with something wrong for a while in one channel."""
     samples = {name: values.copy() for name, values in seed.samples.items()}
     if rng.random() < 0.7:
-        kind = rng.choice(("load", "voltage", "current", "frame", "commanded"))
+        kind = rng.choice(("load", "voltage", "current", "frame", "commanded", "torque_share"))
         names = [n for n in samples if n.endswith(f".{kind}")]
         if names:
             values = samples[rng.choice(names)]
             begin = rng.randrange(len(values))
             end = begin + rng.choice((1, 10, 60))
-            size = {"voltage": 20.0, "current": 100.0}.get(kind, rng.choice((2e-3, 2e-2)))
+            size = {"voltage": 20.0, "current": 100.0, "torque_share": 3.0}.get(
+                kind, rng.choice((2e-3, 2e-2))
+            )
             values[begin:end] += size
     return samples
 
@@ -296,11 +374,9 @@ def spec_of(rng: random.Random, seed: Seed) -> str:
     facts = seed.facts
     for _ in range(rng.randint(1, 6)):
         table = _SWITCHED if facts.switched else {**_LIMITS, **_OF_AXIS}
+        table = table if facts.places is None else _STITCHED
         name = rng.choice(sorted(table))
-        tool = name in ("settling_time", "cycle_time", "switching_dwell")
-        tool = tool or name in ("contour_error", "progress_error", "stitch_length_error")
-        tool = tool or name == "velocity_ripple"
-        axis = "" if tool else rng.choice(list(facts.axes))
+        axis = "" if name in _OF_TOOL else rng.choice(list(facts.axes))
         if (name, axis) in named:
             continue
         named.add((name, axis))
@@ -352,7 +428,7 @@ def check(kind: str, path: Path) -> None:
         If what cannot pass has passed, or what had to be refused was not.
     """
     rng = random.Random(path.read_bytes())
-    seed = rng.choices(seeds(), weights=(6, 1, 1))[0]
+    seed = rng.choices(seeds(), weights=(6, 2, 1, 2))[0]
     channels = MAKERS[kind](rng, seed)
     spec_file = path.with_name("case.spec.toml")
     spec_file.write_text(spec_of(rng, seed))

@@ -97,6 +97,51 @@ def test_without_a_needle_or_a_load_nothing_is_measured() -> None:
         assert not verdict.passed
 
 
+@pytest.mark.parametrize("name", ["needle", "Y.load", "X.torque_share"])
+def test_a_channel_that_is_lost_for_a_while_hides_no_stitch(name: str) -> None:
+    """3 mm off within the 100th stay of the needle; one channel is lost just then.
+
+    Without the needle's samples the stay went on behind the gap, and all stitches passed.
+    """
+    recording, plan = proof().recording, proof().plan
+    turn = int(np.flatnonzero(plan.stitched.turns.moves.needle)[99])
+    off = round(plan.stitched.turns.begin[turn] / 16e6 / 1e-3) + 300
+    blocks = list(recording)
+    whole = {
+        c.name: np.concatenate([b.samples[c.name] for b in blocks]) for c in recording.channels
+    }
+    assert (whole["needle"][off - 5 : off + 15] != 0).all()
+    whole["Y.load"][off : off + 10] += 3e-3
+    cut = [
+        RecordingBlock(
+            first_tick={"servo": begin},
+            samples={
+                c: v[begin:begin] if lost and c == name else v[begin:end] for c, v in whole.items()
+            },
+        )
+        for begin, end, lost in (
+            (0, off - 5, False),
+            (off - 5, off + 15, True),
+            (off + 15, len(whole["needle"]), False),
+        )
+    ]
+    verdict = judge([replace(recording, blocks=Made(lambda: iter(cut)))], plan, SPEC)
+    found = verdict.result("stitch_residual", "Y")
+    assert found.status is not Status.PASSED
+    assert not verdict.passed
+    if name != "X.torque_share":
+        assert f"{name} has no samples from" in found.note
+
+
+def test_channels_of_other_instants_than_the_needle_are_not_measured() -> None:
+    recording = proof().recording
+    channels = tuple(replace(c, stride=2) if c.name == "X.load" else c for c in recording.channels)
+    verdict = judge([replace(recording, channels=channels)], proof().plan, SPEC)
+    found = verdict.result("stitch_residual", "X")
+    assert found.status is Status.NOT_MEASURED
+    assert found.note.startswith("X.load and needle are not of the same instants")
+
+
 def test_what_no_window_holds_fails_and_is_told_its_speed() -> None:
     """Full speed with half of the acceleration: 16.5 mm needs 1.414 times the window."""
     soft = load_machine("schiffli-frame")

@@ -21,9 +21,9 @@ Floats = np.ndarray
 UNIT = {"mm": 1e-3, "um": 1e-6, "m": 1.0, "deg": np.pi / 180.0, "rad": 1.0, "V": 1.0, "mV": 1e-3}
 UNIT |= {"A": 1.0, "mA": 1e-3, "": 1.0, "%": 0.01, "s": 1.0, "ms": 1e-3, "mm/s": 1e-3, "m/s": 1.0}
 UNIT |= {"deg/s": np.pi / 180.0, "rad/s": 1.0, "m/s^2": 1.0, "rad/s^2": 1.0}
-UNIT |= {"m/s^3": 1.0, "rad/s^3": 1.0}
+UNIT |= {"m/s^3": 1.0, "rad/s^3": 1.0, "stitch": 1.0, "kHz": 1e3}
 KIND_UNITS = {"voltage": {"V", "mV"}, "current": {"A", "mA"}, "operation": {""}}
-KIND_UNITS |= {"input": {""}, "output": {""}}
+KIND_UNITS |= {"input": {""}, "output": {""}, "torque_share": {""}}
 LENGTHS, ANGLES = {"mm", "um", "m"}, {"deg", "rad"}
 
 # The tables of the document: (alternatives, of every axis) for each measure of a recording.
@@ -54,8 +54,13 @@ SWITCHED: dict[str, tuple[str, bool]] = {
 }
 PER_AXIS = {"turning_point_error", "tracking_error", "residual_vibration", "dac_saturation"}
 PER_AXIS |= {"current_peak", "current_rms", "travel", "velocity", "acceleration", "jerk"}
-PER_AXIS |= {"end_position_error"}
+PER_AXIS |= {"end_position_error", "stitch_residual", "servo_force", "step_rate"}
 MACHINE = ("travel", "velocity", "acceleration", "jerk")
+STITCHED: dict[str, list[tuple[tuple[str, ...], bool]]] = {
+    "stitch_residual": [(("load",), True)],
+    "servo_force": [(("torque_share",), True)],
+}
+NEEDLE = "needle"
 VALVES = ("travel", "switching_order", "switching_dwell", "valve_conflict", "over_level")
 
 
@@ -77,8 +82,22 @@ class Channel:
 
 
 @dataclass
+class Stitch:
+    """When the command makes a stitch, how long it is wanted, and whether that counts."""
+
+    begin_s: float
+    end_s: float
+    wanted_m: float
+    exempt: bool
+
+
+@dataclass
 class Facts:
-    """What the plan and the machine say, as plain numbers."""
+    """What the plan and the machine say, as plain numbers.
+
+    Of an embroidery machine ``places`` are those of its stitches, (n, axes) m; of a seam
+    ``stitches`` are its own.
+    """
 
     axes: Sequence[str]
     rotary: set[str]
@@ -90,6 +109,10 @@ class Facts:
     clamp_v: Mapping[str, float] = field(default_factory=dict)
     own: Mapping[tuple[str, str], float] = field(default_factory=dict)  # of (measure, axis)
     planned: Mapping[tuple[str, str], float] = field(default_factory=dict)  # extremes, likewise
+    stitches: Sequence[Stitch] = ()
+    places: Floats | None = None
+    lag_s: float = 0.1
+    off_m: float = 0.0  # how far the command may be off the path
 
 
 def refused(channels: Mapping[str, Channel], facts: Facts) -> str:
@@ -187,6 +210,15 @@ def _lack(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -
             return ""
         kind, every = SWITCHED[name]
         needs = [((kind,), every)]
+    elif facts.places is not None:
+        needs = STITCHED.get(name, [])
+        if needs:
+            why = lacking(channels.get(NEEDLE), facts)
+            if why:
+                return f"{NEEDLE}: {why}"
+            entered = len(_entries(channels[NEEDLE]))
+            if entered != len(facts.places):
+                return f"{entered} entries of the needle, {len(facts.places)} stitches"
     else:
         needs = NEEDS.get(name, [])
     for kinds, every in needs:
@@ -204,6 +236,8 @@ def _least(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) 
         return facts.planned[name, axis]
     if facts.switched:
         return 0.0
+    if facts.places is not None:
+        return _of_stitches(name, axis, channels, facts)
     if name == "dac_saturation":
         volts = np.abs(find(channels, ("voltage",), axis).values())  # type: ignore[union-attr]
         return float((volts >= facts.clamp_v[axis]).mean())
@@ -217,7 +251,115 @@ def _least(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) 
         return max((abs(ours[t] - theirs[t]) for t in ours.keys() & theirs.keys()), default=0.0)
     if name == "contour_error":
         return _off_path(channels, facts)
+    if name == "progress_error":
+        return _ahead(channels, facts)
+    if name in ("stitch_length_error", "stitch_speed_error"):
+        return _of_seam(name, channels, facts)
+    if name in ("stitch_placement_error", "seam_error"):
+        return _off_seam(channels, facts)
     return 0.0
+
+
+def _entries(needle: Channel) -> list[tuple[int, int]]:
+    """Return first tick and end of each stay of the needle in the cloth."""
+    down = _by_tick(needle)
+    found: list[list[int]] = []
+    for tick in sorted(t for t, value in down.items() if value != 0):
+        if found and found[-1][1] == tick:
+            found[-1][1] = tick + 1
+        else:
+            found.append([tick, tick + 1])
+    return [(begin, end) for begin, end in found]
+
+
+def _of_stitches(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -> float:
+    """Return what a measure of an embroidery machine is at least: the samples, one by one."""
+    assert facts.places is not None
+    entries = _entries(channels[NEEDLE]) if name in STITCHED else []
+    if name == "stitch_residual":
+        at = _by_tick(find(channels, ("load",), axis))  # type: ignore[arg-type]
+        column = list(facts.axes).index(axis)
+        return max(
+            abs(at[t] - facts.places[k, column])
+            for k, (begin, end) in enumerate(entries)
+            for t in range(begin, end)
+        )
+    if name == "servo_force":
+        share = _by_tick(find(channels, ("torque_share",), axis))  # type: ignore[arg-type]
+        return max(abs(v) for t, v in share.items() if t < entries[-1][0])
+    return 0.0
+
+
+def _tool(channels: Mapping[str, Channel], facts: Facts) -> tuple[Floats, Floats]:
+    """Return (n,) s and (n, axes) m: where the tool was, by its samples."""
+    found = [find(channels, ("tool", "load"), axis) for axis in facts.axes]
+    columns = [_by_tick(channel) for channel in found if channel is not None]
+    ticks = sorted(set.intersection(*(set(c) for c in columns)))
+    assert found[0] is not None
+    points = np.array([[c[t] for c in columns] for t in ticks]) * facts.radius_m
+    return np.array(ticks) * found[0].period_s, points
+
+
+def _ahead(channels: Mapping[str, Channel], facts: Facts) -> float:
+    """Return how far the tool ran ahead of its command, at least.
+
+    It was nowhere nearer to where the command had been within the lag; of that, what it may have
+    been off the path is taken away, which is at most its distance from the command about then.
+    """
+    told = [find(channels, ("commanded",), axis) for axis in facts.axes]
+    if not all(one is not None and not lacking(one, facts) for one in told):
+        return 0.0
+    times, points = _tool(channels, facts)
+    columns = [_by_tick(one) for one in told if one is not None]
+    ticks = np.array(sorted(set.intersection(*(set(c) for c in columns))))
+    way = np.array([[c[t] for c in columns] for t in ticks]) * facts.radius_m
+    period_s = told[0].period_s  # type: ignore[union-attr]
+    least = 0.0
+    for time_s, point in list(zip(times, points, strict=True))[:: max(len(times) // 300, 1)]:
+        since = (ticks * period_s >= time_s - facts.lag_s - 1e-9) & (
+            ticks * period_s <= time_s + 1e-9
+        )
+        about = np.abs(ticks * period_s - time_s) <= facts.lag_s + 1e-9
+        if since.sum() > 1:
+            behind = _to_polyline(point, way[since])
+            least = max(least, behind - _to_polyline(point, way[about]))
+    return max(0.0, least - 2.0 * facts.off_m - 1e-4)
+
+
+def _of_seam(name: str, channels: Mapping[str, Channel], facts: Facts) -> float:
+    """Return by which share a stitch is too long or short, or too fast or slow, at least.
+
+    A mean speed is no higher than the highest and no lower than the lowest; over a stitch it is
+    between its chord and the way through its samples, over its time.
+    """
+    times, points = _tool(channels, facts)
+    if times[0] > 0.0:
+        return 0.0  # begun late: by which instant a sample counts is not known to a sample
+    least = 0.0
+    for stitch in facts.stitches:
+        if stitch.exempt:
+            continue
+        ends = np.array([np.interp([stitch.begin_s, stitch.end_s], times, x) for x in points.T]).T
+        chord = float(np.linalg.norm(ends[1] - ends[0])) / stitch.wanted_m
+        if name == "stitch_length_error":
+            least = max(least, abs(chord - 1.0) - 0.005)
+            continue
+        inside = points[(times > stitch.begin_s) & (times < stitch.end_s)]
+        way = np.concatenate([ends[:1], inside, ends[1:]])
+        length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) / stitch.wanted_m
+        least = max(least, chord - 1.0 - 0.02, 1.0 - length - 0.02)
+    return least
+
+
+def _off_seam(channels: Mapping[str, Channel], facts: Facts) -> float:
+    """Return how far a needle-down is from the whole path, at least."""
+    times, points = _tool(channels, facts)
+    if times[0] > 0.0:
+        return 0.0
+    path = facts.vertices * facts.radius_m
+    downs = np.array([s.end_s for s in facts.stitches])
+    at = np.array([np.interp(downs, times, x) for x in points.T]).T
+    return max((_to_polyline(point, path) for point in at), default=0.0) - 1e-5
 
 
 def _by_tick(channel: Channel) -> dict[int, float]:

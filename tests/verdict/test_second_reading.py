@@ -1,7 +1,8 @@
 """The judge against a second reading of the specification: nothing passes that cannot.
 
-Random subsets of channels are taken away from runs of a winder, a stitcher and an on/off placer,
-their units changed, their blocks cut, overlapped and reordered, and single axes named.
+Random subsets of channels are taken away from runs of a winder, a stitcher, an on/off placer and
+an embroidery machine, their units changed, their blocks cut, overlapped and reordered, and single
+axes named.
 ``tools/fuzz.py`` runs the same classes for long.
 """
 
@@ -20,6 +21,7 @@ from threadline.errors import ThreadlineError
 from threadline.verdict import spec
 from threadline.verdict.coverage import Coverage
 from threadline.verdict.motion_run import MotionRun
+from threadline.verdict.stitch_run import StitchRun
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 CASES = 25
@@ -68,6 +70,7 @@ def test_nothing_passes_that_cannot(cases: ModuleType, kind: str, tmp_path: Path
         ("judge-blocks", Coverage, "lack", lambda *_: None),
         ("judge-blocks", Coverage, "_take", lambda *_: None),
         ("judge-axes", spec, "_has_unit", lambda _: True),
+        ("judge-blocks", StitchRun, "unseen_why", lambda _: ""),
     ],
 )
 def test_a_careless_judge_is_found_out(

@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording, RecordingBlock
+from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.coverage import Coverage
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import Running, RunReading
@@ -40,6 +40,8 @@ class Sewn:
         (s, A) when.
     seen
         How many entries of the needle were recorded.
+    until_s
+        When the needle was last seen in the cloth, s.
     """
 
     residual_m: FloatArray
@@ -47,6 +49,7 @@ class Sewn:
     force: FloatArray
     force_s: FloatArray
     seen: int
+    until_s: float
 
 
 class StitchRun:
@@ -94,8 +97,13 @@ class StitchRun:
                 if not any(self.recording.find(kind, axis) for kind in alternatives):
                     names = " or ".join(kind.value for kind in alternatives)
                     return f"no {names} channel of {axis}"
-        named = [c for c in self.recording.channels if c.name == NEEDLE]
-        return "" if named else "no needle channel: nobody knows when it was in the cloth"
+        if not any(c.name == NEEDLE for c in self.recording.channels):
+            return "no needle channel: nobody knows when it was in the cloth"
+        needle = self.recording.channel(NEEDLE)
+        for channel in self._read_beside:
+            if (channel.clock, channel.stride) != (needle.clock, needle.stride):
+                return f"{channel.name} and {NEEDLE} are not of the same instants"
+        return ""
 
     def blocks(self) -> Iterator[Block]:
         """Yield nothing: its measures have the run whole."""
@@ -119,9 +127,8 @@ class StitchRun:
         wanted, seen = len(self.turns), self._sewn.seen
         if seen != wanted:
             return f"the needle entered {seen} times, the design has {wanted} stitches"
-        channels = [c for c in self.recording.channels if c.axis in self.plan.axes]
-        end_s = float(self._sewn.time_s.max(initial=0.0))
-        lack = self._coverage.lack(channels, 0.0, end_s)
+        own = [c for c in self.recording.channels if c.axis in self.plan.axes or c.name == NEEDLE]
+        lack = self._coverage.lack(own, 0.0, self._sewn.until_s)
         return "" if lack is None else lack.why
 
     def unseen(self, reading: RunReading) -> str:  # noqa: ARG002
@@ -129,12 +136,19 @@ class StitchRun:
         _ = self.sewn
         return self.unseen_why()
 
+    @property
+    def _read_beside(self) -> list[Channel]:
+        """Channels that are read beside the needle's, sample by sample."""
+        kinds = (ChannelKind.LOAD, ChannelKind.TORQUE_SHARE)
+        found = [self.recording.find(kind, axis) for kind in kinds for axis in self.plan.axes]
+        return [channel for channel in found if channel is not None]
+
     def _read(self) -> Sewn:
         axes, count = self.plan.axes, len(self.turns)
         shape = (count, len(axes))
         residual, at = np.full(shape, np.nan), np.full(shape, np.nan)
         force, force_at = np.full(shape, np.nan), np.full(shape, np.nan)
-        seen, was = 0, False
+        seen, was, until_s = 0, False, 0.0
         for block in self.recording:
             times, needle = self._times(block), block.samples[NEEDLE] != 0
             if not len(needle):
@@ -144,19 +158,29 @@ class StitchRun:
             for k, axis in enumerate(axes):
                 load = self.recording.find(ChannelKind.LOAD, axis)
                 if load is not None:
-                    inside = needle & (number >= 0) & (number < count)
-                    off = np.abs(
-                        block.samples[load.name][inside] - self.places_m[number[inside], k]
-                    )
-                    _keep(residual[:, k], at[:, k], number[inside], off, times[inside])
+                    stood = block.samples[load.name][: len(needle)]
+                    inside = (needle & (number >= 0) & (number < count))[: len(stood)]
+                    of = number[: len(stood)][inside]
+                    off = np.abs(stood[inside] - self.places_m[of, k])
+                    _keep(residual[:, k], at[:, k], of, off, times[: len(stood)][inside])
                 pull = self.recording.find(ChannelKind.TORQUE_SHARE, axis)
                 if pull is not None:
                     # From a stitch until the next it is the way there.
-                    to = np.minimum(number + ~needle, count - 1)
-                    _keep(force[:, k], force_at[:, k], to, block.samples[pull.name], times)
+                    asked = block.samples[pull.name][: len(needle)]
+                    to = np.minimum(number + ~needle, count - 1)[: len(asked)]
+                    _keep(force[:, k], force_at[:, k], to, asked, times)
             seen += int(enters.sum())
             was = bool(needle[-1])
-        return Sewn(residual_m=residual, time_s=at, force=force, force_s=force_at, seen=seen)
+            if needle.any():
+                until_s = float(times[needle][-1])
+        return Sewn(
+            residual_m=residual,
+            time_s=at,
+            force=force,
+            force_s=force_at,
+            seen=seen,
+            until_s=until_s,
+        )
 
     def _times(self, block: RecordingBlock) -> FloatArray:
         channel = self.recording.channel(NEEDLE)
