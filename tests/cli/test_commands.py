@@ -269,7 +269,9 @@ def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
     code, out, _ = run(capsys, *words, *extra, "--json", "--report", tmp_path)
     found = json.loads(out)
     assert code == 0
-    assert (tmp_path / "report.html").exists()
+    assert (tmp_path / "report-limits.svg").exists()
+    assert 0.1 < found["binds"]["voltage"] < 1.0
+    assert ("lag" in found["binds"]) == ("--contour" in extra)
     assert found["tried"] == 1
     own, driven = found["bounds"]
     assert own["duration_s"] < driven["duration_s"] < found["duration_s"]

@@ -20,6 +20,7 @@ from threadline.options import NO_CONTOUR, Options
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import Trials, plan_job, prove_plan, with_shaping
 from threadline.report import write_report
+from threadline.report.strips import binding_lines, binding_of
 from threadline.search import FastestJob, Rung, fastest_job
 from threadline.search.allowance import options_at
 from threadline.verdict import Spec, closing, criteria_json, verdict_rows
@@ -80,14 +81,18 @@ def fastest_optimal(
         }
         again = command_line("prove", job, asked | words)
     page = None
+    plan = plan_job(read, machine, options_at(machine, options, best, highest_m_s))
+    bound = binding_of(plan)
+    binds = {} if bound is None else bound.binds
     if report is not None:
-        plan = plan_job(read, machine, options_at(machine, options, best, highest_m_s))
         page = write_report(prove_plan(plan, spec, trials=trials, actual=actual), report)
     if json:
         told = {"report": str(page)} if page is not None else {}
-        print_json(_content(found) | {"margin": margin, "command": again} | told)
+        print_json(_content(found) | {"margin": margin, "command": again, "binds": binds} | told)
     else:
         _show(found, f"{read.name} on {machine.name}, optimal{margin_words(margin)}")
+        for line in [] if bound is None else binding_lines(bound):
+            say(line)
         if again is not None:
             say(f"To prove it: {again}")
         if page is not None:

@@ -20,9 +20,11 @@ from threadline.report.document import (
 from threadline.report.figures import all_figures
 from threadline.report.publish import write_document
 from threadline.report.seam import seam_figure, seam_run
+from threadline.report.strips import binding_lines, binding_of, strips_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.targets import calculate
+from threadline.trajectory.optimal.binding import BINDS
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
 
@@ -41,6 +43,9 @@ def write_motion(proof: Proof, folder: Path) -> Path:
         sewn_run = seam_run(proof)
         header, rows = verdict_rows(proof.verdict)
         figures = all_figures(proof, traces)
+        bound = binding_of(plan)
+        if bound is not None:
+            figures["limits"] = strips_figure(plan, bound)
         seam = seam_figure(proof, sewn_run.recording)
         if seam is not None:
             figures = {"seam": seam, **figures}
@@ -62,6 +67,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
                         for line in [
                             *feed_lines(plan),
                             *motion_lines(plan),
+                            *([] if bound is None else binding_lines(bound)),
                             *calculate(plan).lines(),
                         ]
                     ],
@@ -179,6 +185,13 @@ def _caption(name: str) -> str:
             "Planned and actual displacement, velocity and acceleration; actual velocity and "
             "acceleration are differences over one tick. Where the planned velocity steps, its "
             "acceleration is infinite, and not drawn."
+        )
+    if name == "limits":
+        return (
+            "How much of each limit the planned motion uses, of the axis that uses most of its "
+            f"own; black where it is {BINDS:.0%} or more. The lag is what the loops make of the "
+            "motion, as a share of the contour that is allowed; volts and current are of what the "
+            "reserve leaves."
         )
     return (
         "Contour and tracking error along the job with the worst place and its program line, and "

@@ -46,7 +46,22 @@ def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False
         If friction and reserve leave a drive nothing to move with.
     """
     own = axis_limits(machine, axes)
-    acceleration = own.acceleration.copy()
+    demand = demands_of(machine, axes, of_loads=of_loads)
+    with np.errstate(divide="ignore"):
+        acceleration = np.minimum(own.acceleration, (1.0 / demand[:, :, 1]).min(axis=0))
+    return replace(own, acceleration=acceleration, demand=demand[demand[:, :, 0].any(axis=1)])
+
+
+def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
+    """Return the (3, axes, 2) shares of volts at the controller, volts and current that are needed.
+
+    For 1 m/s and for 1 m/s^2 of each axis, of what friction and reserve leave; see ``limits_of``.
+
+    Raises
+    ------
+    PlanError
+        If friction and reserve leave a drive nothing to move with.
+    """
     demand = np.zeros((len(_UNITS), len(axes), 2))
     for k, axis in enumerate(axes):
         if machine.source_of(axis) is not None:
@@ -62,8 +77,7 @@ def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False
                     remedy="Lower the friction, or give the drive more.",
                 )
             demand[m, k] = speed / left, push / left
-            acceleration[k] = min(acceleration[k], left / push) if push > 0.0 else acceleration[k]
-    return replace(own, acceleration=acceleration, demand=demand[demand[:, :, 0].any(axis=1)])
+    return demand
 
 
 def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, FloatArray]]:

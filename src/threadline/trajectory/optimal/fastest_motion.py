@@ -22,6 +22,7 @@ from threadline.trajectory.types import TrajectoryBlock
 MOST_PIECES = 20_000
 """Pieces of one run that are solved together; where a run has more, the motion rests between."""
 GAP = 1e-4
+_LEAD_RAMPS = 4.0  # of the time that the jerk takes: how long a lead-in lasts at the feed
 
 
 def fastest_blocks(
@@ -37,15 +38,18 @@ def fastest_blocks(
     of_loads
         Whether loads are to follow it, and no motors.
     """
-    follower = None
-    if np.isfinite(contour_m):
-        answers = answers_of(machine)
-        follower = Follower(
-            answers=tuple(answers.get(axis) for axis in path.axes),
-            radius_m=path.radius_m,
-            tolerance_m=contour_m,
-        )
+    follower = follower_of(path, machine, contour_m) if np.isfinite(contour_m) else None
     yield from limited_blocks(path, limits_of(machine, path.axes, of_loads=of_loads), follower)
+
+
+def follower_of(path: PlannedPath, machine: Machine, contour_m: float) -> Follower:
+    """Return what is known of the loops of a machine whose loads follow ``path``."""
+    answers = answers_of(machine)
+    return Follower(
+        answers=tuple(answers.get(axis) for axis in path.axes),
+        radius_m=path.radius_m,
+        tolerance_m=contour_m,
+    )
 
 
 def least_time_s(path: PlannedPath, limits: Limits) -> float:
@@ -62,7 +66,7 @@ def limited_blocks(
     for run in _runs(path):
         moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
         if moves.any():
-            elements = _elements(run, moves, path.radius_m)
+            elements = _elements(run, moves, path.radius_m, _LEAD_RAMPS * limits.ramp_s)
             if follower is None:
                 block = in_time(fastest(elements, limits, GAP), limits, now)
             else:
@@ -127,7 +131,10 @@ def _joined(parts: list[PieceBlock]) -> PieceBlock:
 
 
 def _elements(
-    run: PieceBlock, moves: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], radius_m: FloatArray
+    run: PieceBlock,
+    moves: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+    radius_m: FloatArray,
+    lead_s: float,
 ) -> Elements:
     c = run.coefficients[moves]
     if c.shape[1] < 4:
@@ -140,4 +147,5 @@ def _elements(
         1.0,
         from_rest=True,
         to_rest=True,
+        lead_s=lead_s,
     )

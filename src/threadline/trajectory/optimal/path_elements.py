@@ -17,6 +17,7 @@ from threadline.arrays import FloatArray, IntArray
 
 DEGREE = 5
 _LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
+_LEAST_LEAD_SHARE = 1e-4
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
 _ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
 
@@ -123,6 +124,7 @@ def elements_of(
     *,
     from_rest: bool,
     to_rest: bool,
+    lead_s: float = np.inf,
 ) -> Elements:
     """Return the elements of consecutive pieces of one run.
 
@@ -140,6 +142,9 @@ def elements_of(
         Parameter length of the first piece.
     from_rest, to_rest
         Whether the run starts, or ends, here.
+    lead_s
+        How long a lead-in takes at the feed at most: in it the feed bounds the rate of its
+        parameter, which is the speed at its end alone.
     """
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
@@ -155,9 +160,9 @@ def elements_of(
         guard_cap=np.full(count, np.inf),
     )
     if from_rest:
-        whole = _with_lead_in(whole)
+        whole = _with_lead_in(whole, lead_s)
     if to_rest:
-        whole = reverse(_with_lead_in(reverse(whole)))
+        whole = reverse(_with_lead_in(reverse(whole), lead_s))
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
     parts = np.where(straight, _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE)
     if from_rest:
@@ -181,14 +186,14 @@ def reverse(elements: Elements) -> Elements:
     )
 
 
-def _with_lead_in(elements: Elements) -> Elements:
+def _with_lead_in(elements: Elements, lead_s: float) -> Elements:
     """Replace the first part of the first element by one that starts from rest.
 
     Its ends have the position, velocity and acceleration of the path run through as
     ``w^3 - w^4 / 2`` of its parameter; on a straight piece it is exactly that.
     """
     first = elements.take(slice(0, 1))
-    share = np.array([_LEAD_SHARE])
+    share = np.clip(lead_s * np.sqrt(first.cap), _LEAST_LEAD_SHARE, _LEAD_SHARE)
     head = restricted(first.c, np.zeros(1), share)[0]
     rest = Elements(
         c=restricted(first.c, share, 1.0 - share),
