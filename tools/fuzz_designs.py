@@ -1,13 +1,13 @@
-"""Embroidery designs, damaged: those of every format that can be written here.
+"""Embroidery designs of every format, and measured cams, damaged.
 
-HUS has no writer: its reader is fuzzed with a file of one's own,
-``python tools/fuzz_designs.py FILE``.
+``python tools/fuzz_designs.py FILE`` damages a file of one's own.
 """
 
 from __future__ import annotations
 
 import io
 import random
+import struct
 import sys
 import tempfile
 from collections import Counter
@@ -20,12 +20,14 @@ import pystitch
 from threadline.errors import ThreadlineError
 from threadline.jobs import Job, read_job
 from threadline.jobs.embroidery.t15 import t15_bytes
+from threadline.laws.cam import Triangle, read_cam
 from threadline.machine import load_machine
 
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]
 Mutate = Callable[[random.Random, bytes], bytes]
 FRAME = load_machine("schiffli-frame")
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "rosette.dst"
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+EXAMPLE, CAM = EXAMPLES / "rosette.dst", EXAMPLES / "schiffli-cam.csv"
 WRITERS = {
     "dst": pystitch.write_dst,
     "exp": pystitch.write_exp,
@@ -35,6 +37,56 @@ WRITERS = {
     "xxx": pystitch.write_xxx,
     "u01": pystitch.write_u01,
 }
+
+
+def hus_bytes(columns: tuple[bytes, bytes, bytes]) -> bytes:
+    """Return a HUS file of three columns; it has no writer elsewhere.
+
+    All codes are of nine bits, so that the code of a symbol is the symbol; runs are copies from one
+    byte back.
+    """
+    packed = [_packed(column) for column in columns]
+    offsets, at = [], 42
+    for part in packed:
+        offsets.append(at)
+        at += len(part)
+    head = struct.pack("<3I4h3I8sH", 0x00C8FC5D, len(columns[0]), 0, 0, 0, 0, 0, *offsets, b"", 0)
+    return head + b"".join(packed)
+
+
+def _packed(column: bytes) -> bytes:
+    symbols: list[int] = []
+    at = 0
+    while at < len(column):
+        run = 1
+        while run < 256 and column[at : at + 1] == column[at + run : at + run + 1]:
+            run += 1
+        symbols.append(column[at])
+        if run > 3:
+            symbols.append(253 + run - 1)
+            at += run
+        else:
+            at += 1
+    symbols.append(510)
+    bits = ""
+    for first in range(0, len(symbols), 1000):
+        block = symbols[first : first + 1000]
+        # Lengths are always 9 (11 less 2), of 511 symbols; the distance is always of exponent 0.
+        bits += f"{len(block):016b}{0:05b}{11:05b}{511:09b}{0:05b}{0:05b}"
+        bits += "".join(f"{symbol:09b}" for symbol in block)
+    bits += "0" * (-len(bits) % 8)
+    return int(bits, 2).to_bytes(len(bits) // 8, "big")
+
+
+def hus_seed() -> bytes:
+    """Return a design with every command of HUS."""
+    numbers = random.Random(3)
+    acts = bytes(numbers.choice((0x80, 0x80, 0x80, 0x81, 0x84, 0x88)) for _ in range(200))
+    ways = [bytes(numbers.randrange(256) for _ in range(200)) for _ in "XY"]
+    still = bytes(40)
+    return hus_bytes(
+        (acts + b"\x80" * 40 + b"\x90", ways[0] + still + b"\0", ways[1] + still + b"\0")
+    )
 
 
 def seeds() -> dict[str, bytes]:
@@ -48,7 +100,13 @@ def seeds() -> dict[str, bytes]:
     ways = np.array([[numbers.randint(-165, 165) for _ in "XY"] for _ in range(200)])
     sewn = np.array([numbers.random() < 0.9 for _ in ways], dtype=np.int64)
     found["t15"] = t15_bytes(ways, sewn, {50, 200})
+    found["hus"] = hus_seed()
     return found
+
+
+def read_cam_file(path: Path) -> None:
+    """Read a cam with the triangle of the example."""
+    read_cam(path, Triangle(b_m=0.165, c_m=0.135))
 
 
 def damaged(rng: random.Random, data: bytes, mutate: Mutate | None = None) -> bytes:
@@ -82,9 +140,13 @@ def fuzz_designs(mutate: Mutate) -> dict[str, Target]:
     def maker(data: bytes) -> Callable[[random.Random], bytes]:
         return lambda rng: damaged(rng, data, mutate)
 
+    cam = CAM.read_bytes()
     return {
-        f"design-{suffix}": (f"a.{suffix}", maker(data), read_design, 1)
-        for suffix, data in seeds().items()
+        "cam": ("a.csv", lambda rng: mutate(rng, cam), read_cam_file, 1),
+        **{
+            f"design-{suffix}": (f"a.{suffix}", maker(data), read_design, 1)
+            for suffix, data in seeds().items()
+        },
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from threadline.options import Options, parse_feed
 from threadline.pipeline import REPEATED, open_job, plan_job, prove
 from threadline.shaping import FlexibleMode
 from threadline.shaping.law_residual import lasting_windows_s, residual_m, ringing
+from threadline.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.targets.stitch_pace import Moves, Pace
 from threadline.targets.stitched import stitch
 from threadline.verdict import load_spec
@@ -135,6 +137,39 @@ def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path
     assert stitched.pace.swings_m(moves, turns).max() < 0.95e-4
     assert stitched.pace.most_swings_m(moves, turns).max() == pytest.approx(1e-4, rel=0.03)
     assert proof.verdict.result("stitch_residual", "X").measured > 0.9e-4
+
+
+def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> None:
+    """Slowed it would swing more: every stitch takes the window that it is still after."""
+    mode = FlexibleMode(12.0, 0.02)
+    made = made_law(
+        Demand(
+            mode=mode, band=0.1, move_m=0.0165, residual_m=5e-5, acceleration_m_s2=6.334,
+            jerk_m_s3=usual_jerk_m_s3(0.0165, 6.334),
+        )
+    )  # fmt: skip
+    job = read_job(examples / "rosette.dst", MACHINE)
+    notch = stitch(job, MACHINE, made.law, 1e-4, None)
+    sine = stitch(job, MACHINE, SINE, 1e-4, None)
+    assert np.ptp(notch.turns.turn_s) == 0.0
+    assert np.ptp(sine.turns.turn_s) > 0.1
+    assert notch.duration_s < 0.9 * sine.duration_s
+    window = notch.turns.turn_s[:1] / 3.0
+    assert 0.8 * made.window_s < window[0] < 1.25 * made.window_s
+    for ratio in (0.95, 1.0, 1.05):
+        aside = FlexibleMode(12.0 * ratio, 0.02)
+        assert residual_m(made.law, aside, 0.0165, window)[0] <= 1e-4
+    swings = notch.pace.most_swings_m(notch.turns.moves, notch.turns.turn_s)
+    assert swings.max() <= 1e-4
+
+
+def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can(examples: Path) -> None:
+    """A hundredth of a micrometre, and no endless search for a window."""
+    job = read_job(examples / "rosette.dst", MACHINE)
+    begun = process_time()
+    plan = stitch(job, MACHINE, SINE, 1e-8, None)
+    assert process_time() - begun < 20.0
+    assert plan.turns.turn_s.max() == pytest.approx(6.0)
 
 
 def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
 from threadline.pipeline import Proof, plan_job, prove
+from threadline.report import write_report
 from threadline.signals import Recording, RecordingBlock
 from threadline.verdict import Status, judge, load_spec
 
@@ -61,6 +63,32 @@ def test_the_stitch_that_is_off_is_named() -> None:
     assert found.job_line == plan.stitched.turns.line[turn]
     assert 3e-4 - 1e-4 < found.measured < 3e-4 + 1e-4
     assert verdict.result("stitch_residual", "X").status is Status.PASSED
+
+
+def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
+    """The table beside a report: its worst rows are the verdict's, and its places the design's."""
+    write_report(proof(), tmp_path)
+    with (tmp_path / "report-stitches.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    verdict, turns = proof().verdict, proof().plan.stitched.turns
+    assert [int(row["stitch"]) for row in rows] == list(range(1, 186))
+    assert [int(row["block"]) for row in rows] == turns.block[turns.stitch > 0].tolist()
+    for axis in "XY":
+        for name, scale in (("stitch_residual {} [mm]", 1e-3), ("servo_force {}", 1.0)):
+            worst = max(rows, key=lambda row: float(row[name.format(axis)]))
+            found = verdict.result(name.split()[0], axis)
+            told = float(worst[name.format(axis)]) * scale
+            assert told == pytest.approx(found.measured, rel=1e-5)
+            assert found.note.startswith(f"block {worst['block']}, stitch {worst['stitch']}")
+            assert int(worst["record"]) == found.job_line
+        ways = np.diff([float(row[f"{axis} [mm]"]) for row in rows])
+        sewn = [float(row[f"move {axis} [mm]"]) for row in rows[1:]]
+        # Between two blocks the frame travels: a turn without a stitch.
+        assert np.isclose(ways, sewn, atol=1e-6).sum() >= len(sewn) - 1
+    used = max(float(row["window_use"]) for row in rows)
+    assert 0.3 < used <= verdict.result("window_use").measured  # that of a travel
+    slow = [row for row in rows if float(row["alone it can at [stitch/min]"]) < 60.0]
+    assert slow and all(float(row["speed [stitch/min]"]) < 60.5 for row in slow)
 
 
 def test_a_frame_that_is_off_while_the_needle_is_up_sews_well() -> None:

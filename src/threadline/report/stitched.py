@@ -20,6 +20,7 @@ from threadline.report.document import (
     origin_facts,
 )
 from threadline.report.drawn_run import DrawnRun, drawn_run, run_words
+from threadline.report.each_stitch import stitch_lines
 from threadline.report.publish import write_document
 from threadline.report.stitched_figures import (
     design_figure,
@@ -31,6 +32,7 @@ from threadline.report.style import figure_style
 from threadline.search import Comparison
 from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
+from threadline.writing import staged_file, together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +46,8 @@ _CAPTIONS = {
     "that the slowest stitch alone would need.",
 }
 _DRAWN = ("stitch_residual",)
+STITCHES = "report-stitches.csv"
+"""Every stitch as a row of a table, beside the page."""
 _WORST = 10
 _MINUTE = 60.0
 _LEFT_OUT = ("feed-mode", "limits", "interpolation")
@@ -80,7 +84,11 @@ def write_stitched(proof: Proof, folder: Path) -> Path:
             captions={**_CAPTIONS, "design": _CAPTIONS["design"] + run.words(proof)},
             facts=_facts(proof),
         )
-        return write_document(document, folder, "report")
+        with together():
+            page = write_document(document, folder, "report")
+            with staged_file(folder / STITCHES) as file:
+                file.writelines(f"{line}\n".encode() for line in stitch_lines(proof, run.recording))
+        return page
 
 
 def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
@@ -176,8 +184,12 @@ def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
         )
     header = ["stitch", "record", "move mm", "residual mm", "stitches/min", "alone it can at"]
     several = f", {run_words(proof.verdict, drawn.number)}" if drawn.words(proof) else ""
-    title = f"The stitches that are farthest off{several}"
-    return Table(title=title, header=header, rows=rows)
+    return Table(
+        title=f"The stitches that are farthest off{several}",
+        header=header,
+        rows=rows,
+        note=f"All stitches of that run are in {STITCHES}, which lies beside this page.",
+    )
 
 
 def _facts(proof: Proof) -> list[tuple[str, str]]:

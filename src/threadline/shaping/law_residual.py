@@ -22,7 +22,8 @@ from threadline.laws import Law, gauss
 from threadline.shaping.response import ComplexArray
 from threadline.shaping.types import FlexibleMode
 
-_RADIANS = 6.0  # of the mode in a panel of 16 nodes: quadrature right to rounding
+_RADIANS, _POINTS = 6.0, 16  # of the mode in a panel of so many nodes: right to rounding
+_LITTLE, _FEW_POINTS = 0.5, 6
 _PER_PERIOD = 32  # windows tried in a period of the mode
 _CHUNK = 2_000_000
 _FINER = 16  # in a scan for all lengths at once
@@ -66,8 +67,10 @@ def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)
     pole = mode.damping_ratio * omega + 1j * damped
     edges = law.edges
-    panels = max(1, ceil(omega * float(window_s.max()) * float(np.diff(edges).max()) / _RADIANS))
-    u, weights = gauss(edges, panels)
+    turned = omega * float(window_s.max()) * float(np.diff(edges).max())
+    # On the short stretches of a table the law is a cubic and the mode hardly turns.
+    points = _POINTS if turned > _LITTLE else _FEW_POINTS
+    u, weights = gauss(edges, max(1, ceil(turned / _RADIANS)), points)
     moment = law(u, 2) * weights
     out = np.empty(window_s.shape, dtype=np.complex128)
     rows = max(1, _CHUNK // len(u))
@@ -84,11 +87,16 @@ def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray
 
 
 def lasting_windows_s(
-    law: Law, mode: FlexibleMode, moves_m: FloatArray, residual: float
+    law: Law,
+    mode: FlexibleMode,
+    moves_m: FloatArray,
+    residual: float,
+    longest_s: float = np.inf,
 ) -> FloatArray:
     """Return (n,) shortest windows from which on every longer one keeps the residual.
 
     All from one scan of windows, 512 in a period of the mode; the amplitude goes with the length.
+    Where no window up to ``longest_s`` does, it is that.
 
     Parameters
     ----------
@@ -96,12 +104,14 @@ def lasting_windows_s(
         (n,) lengths, 0 or more; where nothing is to be kept the window is 0.
     residual
         Amplitude, m.
+    longest_s
+        Windows beyond it are no matter.
     """
     longest = float(moves_m.max(initial=0.0))
     if longest == 0.0:
         return np.zeros(len(moves_m))
     begin = _SHORTEST / mode.frequency_hz
-    coarse = _grid(law, mode, longest, begin, residual)
+    coarse = _grid(law, mode, longest, begin, residual, longest_s)
     windows = np.linspace(begin, float(coarse[-1]), _FINER * len(coarse))
     # The largest amplitude from each window on, which falls.
     worst = np.maximum.accumulate(np.abs(swing(law, mode, windows))[::-1])[::-1]
@@ -186,10 +196,16 @@ def _bound_s(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> fl
 
 
 def _grid(
-    law: Law, mode: FlexibleMode, move_m: float, window_s: float, residual: float
+    law: Law,
+    mode: FlexibleMode,
+    move_m: float,
+    window_s: float,
+    residual: float,
+    longest_s: float = np.inf,
 ) -> FloatArray:
     """Return the windows to be tried from ``window_s`` to where the bound is ``residual``."""
-    end = max(_bound_s(law, mode, move_m, residual), window_s + 1.0 / mode.frequency_hz)
+    bound = min(_bound_s(law, mode, move_m, residual), longest_s)
+    end = max(bound, window_s + 1.0 / mode.frequency_hz)
     periods = (end - window_s) * mode.frequency_hz
     if periods > _MOST_PERIODS:
         raise OptionError(

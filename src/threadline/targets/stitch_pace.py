@@ -30,6 +30,8 @@ _ROUNDS = 200
 _SLOWER = 1.03  # by so much at a time
 _MODES = 4  # of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
+_EVEN_TURNS, _AT_FIRST = 97, 4096  # turns that are tried, and moves that are looked at first
+_ASIDE = (0.95, 1.0, 1.05)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,8 +86,9 @@ class Pace:
             ],
             axis=1,
         )
+        longest_s = self.share * self.shaft.slowest_turn.si
         still = [
-            [lasting_windows_s(law, mode, lengths, tolerance_m) for mode in modes]
+            [lasting_windows_s(law, mode, lengths, tolerance_m, longest_s) for mode in modes]
             for modes in self.modes.values()
         ]
         self.still_s = np.stack(
@@ -148,7 +151,8 @@ class Pace:
                 pole = omega * (mode.damping_ratio + 1j * np.sqrt(1.0 - mode.damping_ratio**2))
                 fresh = np.zeros(len(turns_s), dtype=np.complex128)
                 moved = np.flatnonzero(ways)
-                fresh[moved] = ways[moved] * swing(self.law, mode, windows[moved])
+                which, of = np.unique(windows[moved], return_inverse=True)
+                fresh[moved] = ways[moved] * swing(self.law, mode, which)[of]
                 kept = np.exp(-pole * (windows + np.concatenate(([0.0], rests[:-1]))))
                 total += np.abs(_carried(fresh, kept)) * np.exp(-pole.real * late)
             worst = np.maximum(worst, total)
@@ -187,7 +191,44 @@ class Pace:
                 break
             wanted = np.where(over, np.minimum(turns * _SLOWER, longest), wanted)
             turns = self.followed(wanted)
-        return turns
+        even = self._even_turn_s(moves, float(turns.mean()))
+        return turns if even is None else np.full(len(turns), even)
+
+    def _even_turn_s(self, moves: Moves, below_s: float) -> float | None:
+        """Return the shortest turn, the same for all and below ``below_s``, that will do; or None.
+
+        A law made for a mode is still after one window and not after every longer one: slowed, it
+        is worse. What is taken leaves each move alone within tolerance on modes ``_ASIDE`` as well,
+        so that no swing is counted on to meet another.
+        """
+        sewn = moves.units[moves.needle == 1]
+        ways_m = np.abs(sewn).max(axis=0, initial=0) * self.tables.unit.si
+        windows = self.rigid_windows_s(moves).max() / self.share
+        shortest = max(float(self.loading_turns_s(moves).max()), float(windows))
+        if shortest >= below_s * _BELOW:
+            return None
+        start = slice(0, _AT_FIRST)
+        first = Moves(units=moves.units[start], needle=moves.needle[start])
+        for turn in np.geomspace(shortest, below_s, _EVEN_TURNS)[:-1].tolist():
+            window = np.array([self.share * turn])
+            alone_m = [
+                way * float(np.abs(swing(self.law, _aside(mode, ratio), window))[0])
+                for way, modes in zip(ways_m.tolist(), self.modes.values(), strict=True)
+                for mode in modes
+                for ratio in _ASIDE
+            ]
+            if max(alone_m, default=0.0) > self.tolerance_m:
+                continue
+            if all(
+                self.most_swings_m(some, np.full(len(some.needle), turn)).max() <= self.tolerance_m
+                for some in (first, moves)
+            ):
+                return float(turn)
+        return None
+
+
+def _aside(mode: FlexibleMode, ratio: float) -> FlexibleMode:
+    return FlexibleMode(mode.frequency_hz * ratio, mode.damping_ratio)
 
 
 def _modes_of(machine: Machine) -> Modes:

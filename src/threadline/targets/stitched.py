@@ -123,7 +123,7 @@ class Stitched:
     def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
         """Return how it was planned, for people."""
         speed = f"{60.0 / float(self.turns.turn_s.max()):.4g}"
-        if not self.constant:
+        if np.ptp(self.turns.turn_s) > 0.0:
             fastest = 60.0 / float(self.turns.turn_s.min())
             return f"{self.law.name}, {speed} to {fastest:.4g} stitches a minute"
         return f"{self.law.name}, {speed} stitches a minute"

@@ -50,30 +50,40 @@ def _at(stitched: Stitched, turn: int, value: float, note: str = "", axis: str =
 
 def _window_use(stitched: Stitched) -> Finding:
     """Return the largest share of its window that a move needs within the limits of the axes."""
-    windows = stitched.turns.window * float(stitched.commands.clock.period_s)
-    needed = stitched.pace.rigid_windows_s(stitched.turns.moves)
-    use = needed / windows
+    use = window_uses(stitched)
     worst = int(np.argmax(use))
     note = ""
     if use[worst] > SLACK:
+        needed = stitched.pace.rigid_windows_s(stitched.turns.moves)
         turn_s = float(needed[worst]) / stitched.pace.share
         note = f"{_out(use > SLACK, 'turns')}; it can at {_speed(turn_s)}"
     # A window is rounded to a period of the timer, and is not too short for that.
-    period_s = float(stitched.commands.clock.period_s)
-    return _at(stitched, worst, max(0.0, float(use[worst] - period_s / windows[worst])), note)
+    rounded = 1.0 / float(stitched.turns.window[worst])
+    return _at(stitched, worst, max(0.0, float(use[worst]) - rounded), note)
 
 
-def _step_rates(stitched: Stitched) -> list[Finding]:
-    """Return the highest rate of steps of each axis, Hz."""
+def window_uses(stitched: Stitched) -> FloatArray:
+    """Return (n,) share of its window that the move of each turn needs within the limits."""
+    windows = stitched.turns.window * float(stitched.commands.clock.period_s)
+    return np.asarray(stitched.pace.rigid_windows_s(stitched.turns.moves) / windows)
+
+
+def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
+    """Return (n,) highest rate of steps of an axis in each turn, Hz; 0 where it stands."""
     commands, turns = stitched.commands, stitched.turns
     shortest = np.array([t.intervals.min() for t in commands.library], dtype=np.float64)
     tick_s = np.full(len(turns), float(commands.clock.period_s))
     if commands.counted_by == "angle":
         tick_s *= turns.window / commands.window_angle
+    table = np.abs(turns.moves.units[:, column]) - 1
+    return np.where(table >= 0, 1.0 / (shortest[np.maximum(table, 0)] * tick_s), 0.0)
+
+
+def _step_rates(stitched: Stitched) -> list[Finding]:
+    """Return the highest rate of steps of each axis, Hz."""
     found = []
-    for k, axis in enumerate(commands.axes):
-        table = np.abs(turns.moves.units[:, k]) - 1
-        rates = np.where(table >= 0, 1.0 / (shortest[np.maximum(table, 0)] * tick_s), 0.0)
+    for k, axis in enumerate(stitched.axes):
+        rates = step_rates_hz(stitched, k)
         worst = int(np.argmax(rates))
         found.append(_at(stitched, worst, float(rates[worst]), axis=axis))
     return found

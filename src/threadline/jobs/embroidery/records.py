@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -13,20 +12,15 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import JobError, Place
 from threadline.input_files import open_binary
-from threadline.jobs.embroidery.t15 import SUFFIX, read_t15
+from threadline.jobs.embroidery import hus, t15
 
-_READERS = {
-    ".dst": "DstReader",
-    ".exp": "ExpReader",
-    ".pes": "PesReader",
-    ".jef": "JefReader",
-    ".vp3": "Vp3Reader",
-    ".hus": "HusReader",
-    ".xxx": "XxxReader",
-    ".u01": "U01Reader",
+_OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
+    hus.SUFFIX: hus.read_hus,
+    t15.SUFFIX: t15.read_t15,
 }
-"""Readers of pystitch, by the ending of the file."""
-SUFFIXES = (*_READERS, SUFFIX)
+"""Readers of this house; the others are those of pystitch."""
+_PEERS = (".dst", ".exp", ".pes", ".jef", ".vp3", ".xxx", ".u01")
+SUFFIXES = (*_PEERS, *_OWN)
 UNIT_M = 1e-4
 """Of these formats: 0.1 mm."""
 MAX_BYTES = 64 * 1024 * 1024
@@ -87,7 +81,8 @@ def read_records(path: Path) -> Records:
     suffix = path.suffix.lower()
     if suffix == ".dst":
         _check_dst(content, place)
-    decoded = read_t15(content, place) if suffix == SUFFIX else _decoded(content, suffix, place)
+    own = _OWN.get(suffix)
+    decoded = own(content, place) if own is not None else _decoded(content, suffix, place)
     table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
     if not np.isfinite(table).all():
         raise _not_of_its_format(suffix, "a place that is no number", place)
@@ -108,21 +103,19 @@ def read_records(path: Path) -> Records:
 
 def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
     """Return x, y and code of every record, as pystitch reads them."""
-    from pystitch import EmbPattern
+    from threadline.jobs.embroidery.peer_readers import CutOffError, read_with_peer
 
-    pattern = EmbPattern()
-    reader = importlib.import_module(f"pystitch.{_READERS[suffix]}")
-    stream = io.BytesIO(content)
     try:
-        reader.read(stream, pattern)
+        stitches, read = read_with_peer(content, suffix)
+    except CutOffError as error:
+        raise _not_of_its_format(suffix, str(error), place) from error
     except Exception as error:
         # It raises whatever its arithmetic meets in a damaged file.
         raise _not_of_its_format(suffix, f"{type(error).__name__} in its reader", place) from error
-    if suffix == ".exp" and (stream.tell() < len(content) or len(content) % 2):
+    if suffix == ".exp" and (read < len(content) or len(content) % 2):
         # It has no mark of its end: what its reader left is lost.
-        why = f"byte {stream.tell() - 2} of {len(content)} is no record"
+        why = f"byte {read - 2} of {len(content)} is no record"
         raise _not_of_its_format(suffix, why, place)
-    stitches: list[list[float]] = pattern.stitches
     return stitches
 
 

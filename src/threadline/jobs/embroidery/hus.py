@@ -1,0 +1,226 @@
+"""HUS designs: three columns (what, X, Y) of a byte for each record, packed one after the other.
+
+The packing is that of LHA's dynamic Huffman methods: blocks of at most 65 535 symbols, each with
+its own code lengths; a symbol below 256 is a byte, 510 ends the column, and any other repeats what
+was unpacked before. A reader of pystitch told the layout; its results are what this one is tested
+against. It is read here because a damaged file may ask that one for gigabytes.
+
+======  =====================================================
+offset  what
+======  =====================================================
+0       u32 LE, 0x00C8 in its upper half
+4       u32 records
+8       u32 colours
+20      u32 offsets of the columns what, X and Y
+======  =====================================================
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import JobError, Place
+
+SUFFIX = ".hus"
+MOST_RECORDS = 10_000_000
+_MAGIC = 0xC8
+_HEADER = struct.Struct("<3I8x3I")
+_STITCH, _JUMP, _COLOUR, _TRIM, _END = 0x80, 0x81, 0x84, 0x88, 0x90
+_ACTS = {_STITCH: 0, _JUMP: 1, _COLOUR: 5, _TRIM: 2, _END: 4}  # by the numbers of pystitch
+_LONGEST_CODE = 16
+_END_OF_COLUMN = 510
+_SHORTEST_COPY = 253  # a symbol less this is the length of a copy
+
+
+def read_hus(content: bytes, place: Place) -> FloatArray:
+    """Return x, y (in units of the format, Y down) and act of every record, shape (n, 3).
+
+    Raises
+    ------
+    JobError
+        If it is no HUS file, cut off, or says something that is not known.
+    """
+    if len(content) < _HEADER.size:
+        raise _damaged(f"it has {len(content)} bytes", place)
+    magic, count, _, *offsets = _HEADER.unpack_from(content)
+    if magic >> 16 != _MAGIC:
+        raise _damaged(f"it begins with {magic:#010x}", place)
+    if not 0 < count <= MOST_RECORDS:
+        raise _damaged(f"it says that it has {count} records, at most {MOST_RECORDS}", place)
+    ends = [*offsets[1:], len(content)]
+    columns = []
+    for what, begin, end in zip(("command", "X", "Y"), offsets, ends, strict=True):
+        if not _HEADER.size <= begin < end <= len(content):
+            raise _damaged(f"its column {what} is from {begin} to {end}", place)
+        try:
+            unpacked = _Unpacker(content[begin:end]).unpack(count)
+        except ValueError as error:
+            raise _damaged(f"column {what}: {error}", place) from error
+        if len(unpacked) < count:
+            raise _damaged(f"column {what} has {len(unpacked)} of {count} records", place)
+        columns.append(np.frombuffer(bytes(unpacked[:count]), dtype=np.uint8))
+    acts = columns[0]
+    ended = np.flatnonzero(acts == _END)
+    last = int(ended[0]) + 1 if len(ended) else count
+    foreign = np.flatnonzero(~np.isin(acts[:last], list(_ACTS)))
+    if len(foreign):
+        record = int(foreign[0])
+        raise _damaged(f"record {record + 1} is the unknown command {acts[record]:#04x}", place)
+    ways = np.stack(columns[1:], axis=1).view(np.int8)[:last].astype(np.float64)
+    numbers = np.array([_ACTS.get(code, 0) for code in range(256)])
+    table = np.empty((last, 3))
+    table[:, :2] = np.cumsum(ways, axis=0)
+    table[:, 1] *= -1.0  # Y up in the file
+    table[:, 2] = numbers[acts[:last]]
+    return table
+
+
+def _damaged(why: str, place: Place) -> JobError:
+    return JobError(
+        f"the file cannot be read as HUS: {why}",
+        place=place,
+        remedy="It is damaged, or its name has the ending of another format; export it again.",
+    )
+
+
+class _Code:
+    """A Huffman code by its lengths; ``always`` where there is but one symbol, of no bits."""
+
+    def __init__(self, lengths: list[int], always: int = 0) -> None:
+        self.lengths, self.always = lengths, always
+        self.width = max(lengths, default=0)
+        if self.width > _LONGEST_CODE:
+            raise ValueError(f"a code of {self.width} bits, at most {_LONGEST_CODE} are possible")
+        self.symbols: list[int] = []
+        for width in range(1, self.width + 1):
+            span = 1 << (self.width - width)
+            for symbol, length in enumerate(lengths):
+                if length == width:
+                    self.symbols += [symbol] * span
+        if len(self.symbols) > 1 << self.width:
+            raise ValueError("more codes than their lengths allow")
+
+
+class _Unpacker:
+    """A column and how far it has been read; behind its end there are zeros."""
+
+    def __init__(self, packed: bytes) -> None:
+        self.data, self.bits, self.at = packed + bytes(4), 8 * len(packed), 0
+
+    def peek(self) -> int:
+        """Return the next 16 bits."""
+        byte = self.at >> 3
+        three = int.from_bytes(self.data[byte : byte + 3], "big")
+        return three >> (8 - (self.at & 7)) & 0xFFFF
+
+    def take(self, count: int) -> int:
+        """Return the next ``count`` bits, at most 16."""
+        value = self.peek() >> (16 - count)
+        self.at += count
+        if self.at > self.bits:
+            raise ValueError("it is cut off")
+        return value
+
+    def symbol(self, code: _Code) -> int:
+        """Return the next symbol of a code."""
+        if not code.lengths:
+            return code.always
+        at = self.peek() >> (16 - code.width)
+        if at >= len(code.symbols):
+            raise ValueError("bits that are no code")
+        found = code.symbols[at]
+        self.at += code.lengths[found]
+        if self.at > self.bits:
+            raise ValueError("it is cut off")
+        return found
+
+    def length(self) -> int:
+        """Return a length of a code that is not packed itself: 3 bits, from 7 on ones behind."""
+        found = self.take(3)
+        while found >= 7 and self.take(1):
+            found += 1
+            if found > _LONGEST_CODE:
+                raise ValueError(f"a code of more than {_LONGEST_CODE} bits")
+        return found
+
+    def lengths_code(self) -> _Code:
+        """Return the code of the lengths of the symbols."""
+        count = self.take(5)
+        if count == 0:
+            return _Code([], self.take(5))
+        lengths: list[int] = []
+        while len(lengths) < count:
+            if len(lengths) == 3:
+                lengths += [0] * self.take(2)
+                if len(lengths) >= count:
+                    break
+            lengths.append(self.length())
+        return _Code(lengths[:count])
+
+    def symbols_code(self, of_lengths: _Code) -> _Code:
+        """Return the code of bytes and copies."""
+        count = self.take(9)
+        if count == 0:
+            return _Code([], self.take(9))
+        lengths: list[int] = []
+        while len(lengths) < count:
+            short = self.symbol(of_lengths)
+            if short == 0:
+                lengths.append(0)
+            elif short == 1:
+                lengths += [0] * (3 + self.take(4))
+            elif short == 2:
+                lengths += [0] * (20 + self.take(9))
+            else:
+                lengths.append(short - 2)
+        return _Code(lengths[:count])
+
+    def distances_code(self) -> _Code:
+        """Return the code of how far back a copy begins."""
+        count = self.take(5)
+        if count == 0:
+            return _Code([], self.take(5))
+        return _Code([self.length() for _ in range(count)])
+
+    def unpack(self, most: int) -> bytearray:
+        """Return at least ``most`` bytes where there are so many.
+
+        Raises
+        ------
+        ValueError
+            If the column is cut off, or its bits are no code.
+        """
+        out, left = bytearray(), 0
+        symbols = distances = _Code([])
+        while len(out) < most:
+            if left == 0:
+                if self.at >= self.bits:
+                    break
+                left = self.take(16)
+                if left == 0:
+                    raise ValueError("a block of no symbols")
+                symbols = self.symbols_code(self.lengths_code())
+                distances = self.distances_code()
+            left -= 1
+            symbol = self.symbol(symbols)
+            if symbol < 256:
+                out.append(symbol)
+                continue
+            if symbol == _END_OF_COLUMN:
+                break
+            exponent = self.symbol(distances)
+            back = 1 if exponent == 0 else 1 + (1 << exponent - 1) + self.wide(exponent - 1)
+            if back > len(out):
+                raise ValueError(f"a copy from {back} bytes back, of {len(out)}")
+            length = symbol - _SHORTEST_COPY
+            piece = out[-back:]
+            out += (piece * (length // back + 1))[:length]
+        return out
+
+    def wide(self, count: int) -> int:
+        """Return the next ``count`` bits, which may be more than 16."""
+        high = max(0, count - 16)
+        return self.take(high) << min(count, 16) | self.take(min(count, 16)) if count else 0

@@ -1,0 +1,110 @@
+"""Designs that are cut off or lie about themselves: refused, and never read as a shorter design."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from pystitch import EmbPattern, HusReader
+from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
+
+from threadline.errors import JobError, Place
+from threadline.jobs import read_job
+from threadline.jobs.embroidery.hus import read_hus
+from threadline.machine import load_machine
+
+MACHINE = load_machine("schiffli-frame")
+SAMPLES = SHARED_SAMPLES / "embroidery"
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz_designs.py"
+WHERE = Place("a.hus")
+
+
+@pytest.fixture(scope="module")
+def made() -> Iterator[ModuleType]:
+    """The tool that makes sound designs in every format."""
+    spec = importlib.util.spec_from_file_location("fuzz_designs", TOOL)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "fuzz_designs", module)
+        spec.loader.exec_module(module)
+        yield module
+
+
+def last_stitch(content: bytes, suffix: str) -> int:
+    """Return how many bytes it takes until nothing of the stitches is lacking any more."""
+    if suffix == "pes":  # pictures of it follow
+        return content.rindex(b"\xff\x00", 0, len(content) - 6 * 38)
+    if suffix == "xxx":  # colours of it follow
+        return content.rindex(b"\x7f\x7f")
+    return len(content) - 1
+
+
+@pytest.mark.parametrize("suffix", ["dst", "pes", "jef", "vp3", "xxx", "u01", "hus", "t15"])
+def test_a_design_that_is_cut_off_is_refused_wherever_that_is(
+    suffix: str, made: ModuleType, tmp_path: Path
+) -> None:
+    """EXP alone cannot tell: it has no header, and no mark of its end."""
+    content = made.seeds()[suffix]
+    file = tmp_path / f"a.{suffix}"
+    file.write_bytes(content)
+    read_job(file, MACHINE)
+    for cut in np.linspace(1, last_stitch(content, suffix) - 3, 60).astype(int).tolist():
+        file.write_bytes(content[:cut])
+        with pytest.raises(JobError) as refused:
+            read_job(file, MACHINE)
+        assert "\n" not in str(refused.value), cut
+        assert refused.value.place is not None
+
+
+def records_of_peer(content: bytes) -> np.ndarray:
+    pattern = EmbPattern()
+    HusReader.read(io.BytesIO(content), pattern)
+    return np.array(pattern.stitches)
+
+
+def test_hus_is_read_as_another_library_reads_it(made: ModuleType) -> None:
+    """That one tells a trim that moves as a jump and a trim; places and stitches are the same."""
+    content = made.hus_seed()
+    ours, theirs = read_hus(content, WHERE), records_of_peer(content)
+    assert np.array_equal(ours[ours[:, 2] == 0], theirs[theirs[:, 2] == 0])
+    assert np.array_equal(ours[-1], theirs[-1])
+    assert len(ours) == 241
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
+def test_a_real_hus_is_read_as_another_library_reads_it() -> None:
+    content = (SAMPLES / "Star.HUS").read_bytes()
+    assert np.array_equal(read_hus(content, WHERE), records_of_peer(content))
+
+
+@pytest.mark.parametrize(
+    ("at", "put", "said"),
+    [
+        (0, b"\x00\x00\x00\x00", "it begins with 0x00000000"),
+        (4, b"\x00\x00\x00\x00", "0 records, at most 10000000"),
+        (4, b"\xff\xff\xff\xff", "4294967295 records, at most 10000000"),
+        (4, b"\x80\x96\x98\x00", "column command has 241 of 10000000 records"),
+        (20, b"\xff\xff\xff\x7f", "its column command is from 2147483647"),
+        (42, b"\x00\x00", "column command: a block of no symbols"),
+        # Lengths of lengths: one of them, of 3 bits of ones and as many again as it takes.
+        (44, b"\x0f\xff\xff\xff", "column command: a code of more than 16 bits"),
+    ],
+)
+def test_a_hus_that_asks_for_more_than_it_has_is_refused_at_once(
+    at: int, put: bytes, said: str, made: ModuleType
+) -> None:
+    """The peer's reader would fill the memory with some of these."""
+    content = bytearray(made.hus_seed())
+    content[at : at + len(put)] = put
+    begun = time.process_time()
+    with pytest.raises(JobError, match=said):
+        read_hus(bytes(content), WHERE)
+    assert time.process_time() - begun < 1.0
