@@ -14,6 +14,7 @@
         PlanError          [PLAN]           a job that this machine cannot do
           LimitError       [PLAN-LIMIT]     a planned motion beyond a limit of the machine
           BudgetError      [PLAN-BUDGET]    more work than the machine file allows
+        StoreError         [STORE]          a folder of runs
         CommandError       [COMMAND]        a command that a machine cannot take in its state
       LinkFaultError       [FAULT]          the machine or its link: the program exits with 3
 """
@@ -159,6 +160,12 @@ class BudgetError(PlanError):
     """More ticks, operations or memory than the machine file allows."""
 
     code = "PLAN-BUDGET"
+
+
+class StoreError(InputError):
+    """A folder of runs that cannot be used, or a run that is not there."""
+
+    code = "STORE"
 
 
 class CommandError(InputError):

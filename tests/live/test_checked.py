@@ -46,7 +46,7 @@ def _changed(block: TickBlock, row: int) -> Iterator[TickBlock]:
 
 
 def test_one_changed_row_is_refused(proof: Proof, written: Path) -> None:
-    assert check_runnable(written, proof.plan, proof.spec, None) is proof.plan.commands
+    assert check_runnable(written, proof.plan, proof.spec, None)[0] is proof.plan.commands
     table = tick_table(proof.plan.commands)
     (block,) = table
     for row in (0, 700, len(block) - 1):
@@ -162,12 +162,24 @@ def test_the_command_runs_what_it_proves(
     assert ended.value.code in (None, 0)
     capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
-        main(["run", str(job), *how, "--link", "sim", "--speed", "0", "--json", "--proof",
-              str(proof), "--recording", str(ran)])  # fmt: skip
+        main(["run", str(job), *how, "--link", "sim", "--speed", "0", "--json", "--store",
+              str(tmp_path / "runs"), "--proof", str(proof), "--recording", str(ran)])  # fmt: skip
     assert ended.value.code in (None, 0)
     content = json.loads(capsys.readouterr().out)
     assert content["passed"]
     assert (content["ended"], content["link"], content["late_ticks"]) == ("completed", "sim", 0)
+    (folder,) = (path for path in (tmp_path / "runs").iterdir() if path.is_dir())
+    assert (folder.name, str(folder / "trace.mcap")) == (content["run"], content["trace"])
+    csv = tmp_path / "out.csv"
+    for command in (("runs",), ("report", "last", "--csv", str(csv))):
+        with pytest.raises(SystemExit) as ended:
+            main([*command, "--store", str(tmp_path / "runs"), "--json"])
+        assert ended.value.code in (None, 0)
+        told = json.loads(capsys.readouterr().out)
+        told = told[0] if isinstance(told, list) else told
+        assert (told["run"], told["passed"]) == (folder.name, True)
+    assert read_recording(csv).job_sha256 == content["job_sha256"]
+    assert (folder / "report" / "report.html").stat().st_size > 1000
     first, second = read_recording(proved), read_recording(ran)
     assert first.channels == second.channels
     for channel in first.channels:
@@ -187,10 +199,11 @@ def test_the_command_runs_what_it_proves(
     ],
 )
 def test_wrong_input_is_one_line(
-    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["run", str(EXAMPLES / arguments[0]), *arguments[1:]])
+        main(["run", str(EXAMPLES / arguments[0]), *arguments[1:], "--store", str(tmp_path / "r")])
+    assert not (tmp_path / "r").exists()
     assert ended.value.code == 2
     captured = capsys.readouterr()
     assert said in captured.err

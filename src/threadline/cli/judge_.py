@@ -16,7 +16,8 @@ from threadline.verdict import closing, verdict_json, verdict_rows
 
 def judge(
     recordings: Annotated[
-        list[Path], typer.Argument(help="Recordings (.npz, .csv, .plt) of one and the same job.")
+        list[Path],
+        typer.Argument(help="Recordings (.mcap, .npz, .csv, .plt) of one and the same job."),
     ],
     spec: SpecOption = None,
     job: Annotated[

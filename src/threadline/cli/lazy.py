@@ -41,6 +41,8 @@ COMMANDS = {
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
     "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
+    "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
+    "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),

@@ -15,6 +15,7 @@ from threadline.cli.operator_keys import at_the_keys
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import plot_every
+from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import (
     DEFAULT_INTERPOLATION_TEXT,
     DEFAULT_LIMITS_TEXT,
@@ -45,7 +46,6 @@ from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.desk import Desk
-from threadline.live.kept import Kept
 from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import REAL_TIME, sim_link
 from threadline.live.supervised import (
@@ -59,7 +59,8 @@ from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, w
 from threadline.plan import Plan
 from threadline.proof_file import write_proof
 from threadline.signals import Ended
-from threadline.signals.files import write_recording
+from threadline.signals.files import read_recording, write_recording
+from threadline.store.run_store import RunStore
 from threadline.verdict import Verdict, closing, judge, load_spec, verdict_json, verdict_rows
 
 LINKS = ("sim",)
@@ -81,6 +82,7 @@ def run(
             help="Of sim: its seconds in a second; 1 is real time, 0 as fast as it can.",
         ),
     ] = REAL_TIME,
+    store: StoreOption = DEFAULT_STORE,
     proof_file: Annotated[
         Path | None,
         typer.Option(
@@ -157,7 +159,6 @@ def run(
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     check_machine(chosen)
-    kept = Kept()
     with progress_bar(not json) as progress, tempfile.TemporaryDirectory() as folder:
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         check_halts(plan, answered=pass_stops or sys.stdin.isatty())
@@ -166,8 +167,14 @@ def run(
             proof = prove_plan(plan, asked, progress, trials)
             tell(doubts(proof))
             write_proof(proof, proof_file)
-        table = check_runnable(proof_file, plan, asked, override)
-        with closed(Desk()) as desk, at_the_keys(desk, plan.duration_s, progress) as watch:
+        table, known = check_runnable(proof_file, plan, asked, override)
+        told = {"link": link, **({"override": override} if override else {})}
+        kept = RunStore(store).begin(plan, known, told, speed)
+        with (
+            closed(Desk()) as desk,
+            at_the_keys(desk, plan.duration_s, progress) as watch,
+            kept,
+        ):
             ended, text, _ = run_table(
                 table,
                 chosen,
@@ -178,19 +185,31 @@ def run(
                 pass_stops=pass_stops,
                 watch=watch,
             )
-    told = {"link": link, **({"override": override} if override else {})}
-    happened = kept.recording(plan, told)
+    happened = read_recording(kept.trace)
+    verdict = judge([happened], plan, asked)
+    content = {
+        **verdict_json(verdict, plan),
+        **told,
+        "run": kept.path.name,
+        "trace": str(kept.trace),
+        "ended": ended.value,
+    }
+    kept.judged(content, ended.value, text)
     if recording is not None:
         write_recording(happened, recording, plot_every=plot_every(chosen))
-    verdict = judge([happened], plan, asked)
     if ended is Ended.FAULT:
         if not json:
             _show(verdict, plan, link)
-        raise LinkFaultError(text, remedy="The machine has braked; look at it, then home it.")
+        raise LinkFaultError(
+            text,
+            remedy=f"What was recorded is in {kept.path}. The machine has braked; look at it, "
+            "then home it.",
+        )
     if json:
-        print_json({**verdict_json(verdict, plan), **told, "ended": ended.value})
+        print_json(content)
     else:
         _show(verdict, plan, link)
+        say(f"Run: {kept.path}")
     raise typer.Exit(0 if verdict.passed else 1)
 
 

@@ -18,7 +18,9 @@ from threadline.signals import Ended, TickTable, tick_table
 from threadline.verdict import Spec
 
 
-def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | None) -> TickTable:
+def check_runnable(
+    proof_file: Path, plan: Plan, spec: Spec, override: str | None
+) -> tuple[TickTable, ProofFile]:
     """Return the rows that may be run: those that the proof is a proof of, and none else.
 
     Parameters
@@ -59,7 +61,7 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
         raise OptionError(
             "there is nothing to override: the job is in specification", remedy="Leave it out."
         )
-    return table
+    return table, proof
 
 
 def check_machine_runs(machine: Machine) -> None:

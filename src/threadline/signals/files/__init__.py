@@ -12,6 +12,7 @@ from threadline.signals.files.array import read_array, write_array
 from threadline.signals.files.common import Written, clear_errors
 from threadline.signals.files.plt import read_plt, write_plt
 from threadline.signals.files.recording_csv import read_recording_csv, write_recording_csv
+from threadline.signals.files.recording_mcap import read_recording_mcap, write_recording_mcap
 from threadline.signals.files.recording_npz import read_recording_npz, write_recording_npz
 from threadline.signals.files.table import read_table_npz, write_table_csv, write_table_npz
 from threadline.signals.files.table_text import read_table_csv
@@ -23,6 +24,7 @@ __all__ = [
     "read_plt",
     "read_recording",
     "read_recording_csv",
+    "read_recording_mcap",
     "read_recording_npz",
     "read_table",
     "read_table_csv",
@@ -31,6 +33,7 @@ __all__ = [
     "write_plt",
     "write_recording",
     "write_recording_csv",
+    "write_recording_mcap",
     "write_recording_npz",
     "write_table_csv",
     "write_table_npz",
@@ -40,11 +43,13 @@ _RECORDING_READERS: dict[str, Callable[[Path], Recording]] = {
     ".npz": read_recording_npz,
     ".csv": read_recording_csv,
     ".plt": read_plt,
+    ".mcap": read_recording_mcap,
 }
 _RECORDING_WRITERS: dict[str, Callable[[Recording, Path], Written]] = {
     ".npz": write_recording_npz,
     ".csv": write_recording_csv,
     ".plt": write_plt,
+    ".mcap": write_recording_mcap,
 }
 _TABLE_READERS: dict[str, Callable[[Path], TickTable]] = {
     ".npz": read_table_npz,
@@ -63,7 +68,7 @@ def _ending(path: Path, among: Mapping[str, object], what: str) -> str:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording: ``.npz`` and ``.csv`` of ours, ``.csv`` from anywhere, ``.plt``.
+    """Read a recording: ``.npz``, ``.mcap``, ``.csv`` of ours, ``.csv`` from anywhere, ``.plt``.
 
     Raises
     ------
@@ -79,7 +84,9 @@ def read_recording(path: str | Path) -> Recording:
 def write_recording(
     recording: Recording, path: str | Path, *, plot_every: int | None = None
 ) -> Written:
-    """Write a recording; the ending of ``path`` says how. Only ``.npz`` keeps every clock.
+    """Write a recording; the ending of ``path`` says how.
+
+    Only ``.npz`` and ``.mcap`` keep every clock.
 
     Parameters
     ----------

@@ -34,11 +34,27 @@ def events_cell(events: Iterable[Event], *, ticks: bool = False) -> str:
     ticks
         Write the tick of each; otherwise the row tells it.
     """
-    items = [[e.kind, e.operation, e.name, e.value, *([e.tick] if ticks else [])] for e in events]
+    items = [event_item(e) if ticks else event_item(e)[:-1] for e in events]
     if not items:
         return ""
     text = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
     return '"' + text.replace('"', '""') + '"'
+
+
+def event_item(event: Event) -> list[Any]:
+    """Return an event as it stands in files: kind, operation, name, value, tick."""
+    return [event.kind, event.operation, event.name, event.value, event.tick]
+
+
+def event_from(item: Any, place: Place) -> Event:
+    """Return the event that ``event_item`` wrote.
+
+    Raises
+    ------
+    RecordingError
+        If it is none.
+    """
+    return _event(item, None, place)
 
 
 def parse_events_cell(cell: str, tick: int | None, place: Place) -> list[Event]:

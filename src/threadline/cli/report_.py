@@ -1,0 +1,78 @@
+"""``threadline report``: a run of the store, judged again and written as a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.output import print_json, say
+from threadline.cli.outputs import check_outputs
+from threadline.cli.prove import show_proof
+from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
+from threadline.cli.shared_options import JsonOption, SpecOption, report_folder
+from threadline.pipeline import Proof
+from threadline.recorded import judge_files
+from threadline.report import write_report
+from threadline.signals.files import write_recording
+from threadline.store.run_store import TRACE, RunStore
+from threadline.verdict import verdict_json
+from threadline.writing import together
+
+
+def report(
+    run: Annotated[str, typer.Argument(help="Name of the run (threadline runs), or last.")],
+    store: StoreOption = DEFAULT_STORE,
+    spec: SpecOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            parser=report_folder,
+            metavar="<path>",
+            help="Folder for the report; default: report, in that of the run.",
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Write the recording to this file, too: .csv, .npz, .plt.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Judge the recording of a run again, and write what there is to see of it.
+
+    The job and the machine must be what they were.
+
+    Exit status: 0 in spec, 1 out of spec or not complete, 2 wrong input.
+
+    Example: threadline report last --csv run.csv
+    """
+    folder = RunStore(store).find(run)
+    pages = out or folder / "report"
+    check_outputs(file=csv, folder=pages)
+    judged = judge_files([folder / TRACE], {}, spec)
+    recording = judged.recordings[0]
+    proof = Proof(
+        plan=judged.plan,
+        recording=recording,
+        verdict=judged.verdict,
+        spec=judged.spec,
+        judged=(recording,),
+    )
+    with together(csv):
+        if csv is not None:
+            write_recording(recording, csv)
+        written = write_report(proof, pages)
+    if json:
+        content = verdict_json(judged.verdict, judged.plan)
+        print_json({**content, "run": folder.name, "report": str(written)})
+    else:
+        show_proof(proof)
+        say(f"Report: {written}")
+    raise typer.Exit(0 if judged.verdict.passed else 1)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("report")(report)

@@ -1,0 +1,47 @@
+"""``threadline runs``: what ran, with what result."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.output import print_json, print_table, say
+from threadline.cli.shared_options import JsonOption
+from threadline.store.index import RUNNING, RunRecord
+from threadline.store.run_store import RunStore
+
+DEFAULT_STORE = Path("runs")
+StoreOption = Annotated[
+    Path, typer.Option("--store", help="Folder of runs; it is made with the first of them.")
+]
+
+
+def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
+    """List the runs of a store, the latest first.
+
+    Example: threadline runs --store runs
+    """
+    records = RunStore(store).index.runs() if store.is_dir() else []
+    if json:
+        print_json([asdict(record) for record in records])
+    elif not records:
+        say(f"There are no runs in {str(store)!r}; threadline run makes one.")
+    else:
+        header = ["run", "machine", "link", "ended", "verdict", "late", "note"]
+        print_table(f"Runs in {store}", header, [_row(record) for record in records])
+
+
+def _row(record: RunRecord) -> list[str]:
+    verdict = {True: "in spec", False: "not in spec", None: "-"}[record.passed]
+    ended = "not told" if record.ended == RUNNING else record.ended
+    note = f"override: {record.override}" if record.override else record.text
+    late = str(record.late_ticks)
+    return [record.run, record.machine, record.link, ended, verdict, late, note]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("runs")(runs)

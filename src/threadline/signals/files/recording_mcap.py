@@ -1,0 +1,215 @@
+"""Recordings in MCAP files, written block by block: what a crash leaves can be read.
+
+MCAP (mcap.dev) is a container of messages. Channels, clocks and what was run stand in the schema;
+each block is one message, which is whole in the file as soon as it has been written.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Chunk, Message, Schema
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from threadline.errors import Place, RecordingError
+from threadline.input_files import KnownFile
+from threadline.signals.event import Event
+from threadline.signals.files.channel_units import in_si
+from threadline.signals.files.common import (
+    Written,
+    atomic_file,
+    clear_errors,
+    parse_json,
+    reading,
+    written,
+)
+from threadline.signals.files.events import event_from, event_item
+from threadline.signals.files.recording_meta import (
+    OPERATION_REMEDY,
+    TITLE,
+    operation_fault,
+    recording_from,
+    recording_meta,
+)
+from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
+
+ENCODING = "threadline-block-1"
+BROKEN_OFF = "the trace breaks off: the program that wrote it ended before the run did"
+_MOST_RECORD_BYTES = 1 << 28
+_LENGTH = struct.Struct("<I")
+_RECORD = struct.Struct("<BQ")  # kind and length
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+class TraceWriter:
+    """Writes a recording while it is being made; every block is in the file when it was given.
+
+    Parameters
+    ----------
+    file
+        Opened for writing; the caller closes it.
+    recording
+        What is to be said of it: its blocks are not read.
+    """
+
+    def __init__(self, file: IO[bytes], recording: Recording) -> None:
+        self._file, self._channels = file, recording.channels
+        self._writer = Writer(file, use_chunking=False, compression=CompressionType.NONE)
+        self._writer.start(profile="threadline", library="threadline")
+        meta = {"format": TITLE, **recording_meta(recording)}
+        text = json.dumps(meta, ensure_ascii=False, sort_keys=True, allow_nan=False)
+        schema = self._writer.register_schema("threadline.recording", ENCODING, text.encode())
+        self._topic = self._writer.register_channel("recording", ENCODING, schema)
+        self._clock = recording.channels[0].clock
+        self._count = 0
+
+    def write(self, block: RecordingBlock) -> None:
+        """Write a block."""
+        parts = [np.ascontiguousarray(block.samples[c.name], "<f8") for c in self._channels]
+        head = {
+            "first": dict(block.first_tick),
+            "lengths": [len(part) for part in parts],
+            "events": [event_item(event) for event in block.events],
+        }
+        text = json.dumps(head, ensure_ascii=False, allow_nan=False).encode()
+        data = _LENGTH.pack(len(text)) + text + b"".join(part.tobytes() for part in parts)
+        tick = block.first_tick[self._clock.name]
+        at_ns = max(round(self._clock.period_s * tick * 10**9), 0)
+        self._writer.add_message(self._topic, at_ns, data, at_ns, self._count)
+        self._file.flush()
+        self._count += 1
+
+    def finish(self) -> None:
+        """Write the end: without it the file says that it breaks off."""
+        self._writer.finish()  # type: ignore[no-untyped-call]  # the library leaves out "-> None"
+        self._file.flush()
+
+
+def write_recording_mcap(recording: Recording, path: Path) -> Written:
+    """Write ``recording`` as an MCAP file, block by block."""
+    with atomic_file(path) as file:
+        writer = TraceWriter(file, recording)
+        for block in recording:
+            writer.write(block)
+        writer.finish()
+    return written(path)
+
+
+def read_recording_mcap(path: Path) -> Recording:
+    """Read what ``TraceWriter`` wrote; a file that breaks off ends in an event of a fault.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged before its end, or something else.
+    """
+    with clear_errors(path), path.open("rb") as file:
+        schema = next((r for r, _ in _records(file, path) if isinstance(r, Schema)), None)
+        if schema is None or schema.encoding != ENCODING:
+            raise RecordingError(
+                "the MCAP file holds no recording of Threadline",
+                place=Place(str(path)),
+                remedy="Write its channels as CSV.",
+            )
+        meta = parse_json(schema.data.decode(), Place(str(path)))
+        if not isinstance(meta, dict) or meta.pop("format", None) != TITLE:
+            raise RecordingError(
+                "the file does not hold a recording of a known version", place=Place(str(path))
+            )
+        recording = recording_from(meta, path, _blocks)
+        for _ in recording:  # what is damaged is told now, and not in the middle of a judgement
+            pass
+    return in_si(recording, Place(str(path)))
+
+
+def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
+    """Yield schemas and messages of the data section, then None and True at its regular end.
+
+    A record that is not whole is where the program that wrote the file ended: nothing follows.
+    """
+    if file.read(len(_MAGIC)) != _MAGIC:
+        raise RecordingError("the file is no MCAP file", place=Place(str(path)))
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        kind, length = _RECORD.unpack(head)
+        if length > _MOST_RECORD_BYTES:
+            raise RecordingError(
+                f"a record promises {length} bytes, limit {_MOST_RECORD_BYTES}",
+                place=Place(str(path)),
+                remedy="The file is damaged.",
+            )
+        content = file.read(length)
+        if len(content) < length:
+            return
+        stream = ReadDataStream(BytesIO(content))
+        if kind == Opcode.SCHEMA:
+            yield Schema.read(stream), False
+        elif kind == Opcode.MESSAGE:
+            yield Message.read(stream, length), False
+        elif kind == Opcode.CHUNK:  # of a tool that packed the file
+            for record in breakup_chunk(Chunk.read(stream)):
+                yield record, False
+        elif kind == Opcode.DATA_END:
+            yield None, True
+            return
+
+
+def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
+    place = Place(str(known.path))
+    last: Mapping[str, int] = {channel.clock.name: 0 for channel in channels}
+    with reading(known), known.path.open("rb") as file:
+        for record, ended in _records(file, known.path):
+            if isinstance(record, Message):
+                block = _block(bytes(record.data), channels, place)
+                last = block.first_tick
+                yield block
+            if ended:
+                return
+    nothing = {channel.name: np.empty(0) for channel in channels}
+    tick = max(last.values())
+    fault = Event(tick=tick, kind="fault", operation=-1, name=BROKEN_OFF)
+    yield RecordingBlock(first_tick=dict(last), samples=nothing, events=(fault,))
+
+
+def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> RecordingBlock:
+    def damaged(why: str) -> RecordingError:
+        return RecordingError(f"a block is damaged: {why}", place=place, remedy="Fetch it again.")
+
+    if len(data) < _LENGTH.size:
+        raise damaged("it has no head")
+    (size,) = _LENGTH.unpack_from(data)
+    head = parse_json(data[_LENGTH.size : _LENGTH.size + size].decode(errors="replace"), place)
+    try:
+        first = {str(name): int(tick) for name, tick in head["first"].items()}
+        lengths = [int(n) for n in head["lengths"]]
+        items = list(head["events"])
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
+        raise damaged("its head is none") from error
+    clocks = {channel.clock.name for channel in channels}
+    rest = len(data) - _LENGTH.size - size
+    if set(first) != clocks or min(lengths, default=0) < 0 or len(lengths) != len(channels):
+        raise damaged("it has other clocks or channels than the file")
+    if rest != 8 * sum(lengths) or min(first.values()) < 0:
+        raise damaged(f"it has {rest} bytes of samples, promised are {8 * sum(lengths)}")
+    samples = {}
+    at = _LENGTH.size + size
+    for channel, n in zip(channels, lengths, strict=True):
+        values = np.frombuffer(data, "<f8", n, at).astype(np.float64)
+        at += 8 * n
+        if not np.isfinite(values).all():
+            raise damaged(f"channel {channel.name!r} has samples that are no numbers")
+        if channel.kind is ChannelKind.OPERATION:
+            for value in np.unique(values).tolist():
+                if (fault := operation_fault(value)) is not None:
+                    raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
+        samples[channel.name] = values
+    events = tuple(event_from(item, place) for item in items)
+    return RecordingBlock(first_tick=first, samples=samples, events=events)

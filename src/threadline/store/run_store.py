@@ -1,0 +1,187 @@
+"""Runs as folders: what each was made from, what happened, and what came of it.
+
+A run is written as it goes: its folder and row are there before anything moves, each block of the
+trace and each change of state is in its file when it happened.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any, Self
+
+from threadline import __version__
+from threadline.errors import StoreError, ThreadlineError
+from threadline.foreign_messages import nearest
+from threadline.plan import Plan
+from threadline.proof_file import ProofFile
+from threadline.signals import Channel, Recording, RecordingBlock, Stream
+from threadline.signals.files.recording_mcap import TraceWriter
+from threadline.store.index import RunIndex, RunRecord
+
+INDEX, PROOF, TRACE, EVENTS, VERDICT = (
+    "index.sqlite", "proof.json", "trace.mcap", "events.jsonl", "verdict.json",
+)  # fmt: skip
+_NAME = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+class RunStore:
+    """A folder of runs.
+
+    Parameters
+    ----------
+    folder
+        It is made when there is something to put into it.
+    url
+        Of the index; the file ``index.sqlite`` in the folder when None.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be used.
+    """
+
+    def __init__(self, folder: Path, url: str | None = None) -> None:
+        self.folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(
+                f"cannot keep runs in {str(folder)!r}: {error.strerror or error}",
+                remedy="Give another folder with --store.",
+            ) from error
+        self.index = RunIndex(url or f"sqlite:///{folder / INDEX}")
+
+    def begin(self, plan: Plan, proof: ProofFile, told: Mapping[str, str], speed: float) -> OpenRun:
+        """Make the folder and the row of a run that is about to move.
+
+        Parameters
+        ----------
+        told
+            What is said of it besides the options of the plan: ``link``, ``override``.
+        """
+        now = datetime.now().astimezone()
+        stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
+        for number in range(1, 1000):
+            name = f"{now:%Y%m%d-%H%M%S}-{stem}" + (f"-{number}" if number > 1 else "")
+            path = self.folder / name
+            with suppress(FileExistsError):
+                path.mkdir()
+                break
+        shutil.copyfile(proof.path, path / PROOF)
+        for file in (plan.job.file, plan.machine.file, plan.machine.parameters):
+            if file and Path(file).is_file():
+                shutil.copyfile(file, path / Path(file).name)
+        record = RunRecord(
+            run=name,
+            started=now.isoformat(timespec="seconds"),
+            job=plan.job.name,
+            machine=plan.machine.name,
+            link=told["link"],
+            speed=speed,
+            level=proof.level,
+            proof_passed=proof.passed,
+            override=told.get("override", ""),
+            job_sha256=plan.job.sha256,
+            machine_sha256=plan.machine.sha256,
+            commands_sha256=proof.sha256("commands"),
+            proof_sha256=str(proof.content["sha256"]),
+            threadline=__version__,
+        )
+        self.index.add(record)
+        return OpenRun(path, plan, {**told, "run": name}, self.index)
+
+    def find(self, run: str) -> Path:
+        """Return the folder of a run; the last one is ``last``.
+
+        Raises
+        ------
+        StoreError
+            If there is none of that name.
+        """
+        names = [record.run for record in self.index.runs()]
+        if run == "last" and names:
+            return self.folder / names[0]
+        if run not in names:
+            raise StoreError(
+                f"there is no run {run[:60]!r} in {str(self.folder)!r}",
+                remedy=nearest(run, names) if names else "threadline run makes one.",
+            )
+        return self.folder / run
+
+
+class OpenRun:
+    """A run that is being written: a sink of an executor.
+
+    Attributes
+    ----------
+    path
+        Its folder.
+    """
+
+    def __init__(self, path: Path, plan: Plan, told: Mapping[str, str], index: RunIndex) -> None:
+        self.path, self._plan, self._told, self._index = path, plan, told, index
+        self._events: IO[str] = (path / EVENTS).open("w", encoding="utf-8")
+        self._trace: IO[bytes] = (path / TRACE).open("wb")
+        self._writer: TraceWriter | None = None
+
+    @property
+    def trace(self) -> Path:
+        """The file of the recording."""
+        return self.path / TRACE
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        """Write the description of what follows."""
+        plan = self._plan
+        described = Recording(
+            channels=channels,
+            blocks=Stream.of(()),
+            job_sha256=plan.job.sha256,
+            machine_sha256=plan.machine.sha256,
+            simulated=simulated,
+            origin={**plan.options, **self._told},
+        )
+        self._writer = TraceWriter(self._trace, described)
+
+    def block(self, block: RecordingBlock) -> None:
+        """Write samples, and the events among them."""
+        assert self._writer is not None
+        self._writer.write(block)
+
+    def state(self, tick: int, state: str, cause: str, text: str) -> None:
+        """Write that the executor went to a state."""
+        line = {"tick": tick, "state": str(state), "cause": str(cause), "text": text}
+        self._events.write(json.dumps(line, ensure_ascii=False) + "\n")
+        self._events.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, error: BaseException | None, _trace: object
+    ) -> None:
+        """Write the end of the trace; where the run was left in between, write that it was."""
+        if error is None and self._writer is not None:
+            self._writer.finish()
+        self._trace.close()
+        self._events.close()
+        if error is not None:
+            text = error.message if isinstance(error, ThreadlineError) else "the program was ended"
+            self._index.end(self.path.name, ended="fault", text=text, late_ticks=0, passed=None)
+
+    def judged(self, content: Mapping[str, Any], ended: str, text: str) -> None:
+        """Keep the verdict, and how it ended."""
+        line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        (self.path / VERDICT).write_text(f"{line}\n", encoding="utf-8")
+        self._index.end(
+            self.path.name,
+            ended=ended,
+            text=text,
+            late_ticks=int(content["late_ticks"]),
+            passed=bool(content["passed"]),
+        )

@@ -1,0 +1,118 @@
+"""Traces in MCAP: nothing is lost on the way, and what a crash leaves can be read and judged."""
+
+from __future__ import annotations
+
+import io
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from tests.live.bench import table_of_counts, there_and_back, winder
+from threadline.errors import RecordingError
+from threadline.signals import Ended, Recording, Stream
+from threadline.signals.files import read_recording, write_recording
+from threadline.signals.files.recording_mcap import BROKEN_OFF, TraceWriter
+from threadline.twin import simulate
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    whole = simulate(table_of_counts(there_and_back(cruise=20)), winder(), settle_s=0.1)
+    blocks = []
+    for block in whole:
+        first = block.first_tick["servo"]
+        for at in range(0, len(block.samples["operation"]), 25):
+            part = {name: values[at : at + 25] for name, values in block.samples.items()}
+            blocks.append(replace(block, first_tick={"servo": first + at}, samples=part, events=()))
+        blocks[-1] = replace(blocks[-1], events=block.events)
+    return replace(
+        whole, blocks=Stream.of(blocks), origin={"job": "a.prg", "why": "\u00e4 \U0001f9f5"}
+    )
+
+
+def whole_file(recording: Recording) -> tuple[bytes, list[int]]:
+    """Return the bytes of the file, and how long it was after each block."""
+    file, lengths = io.BytesIO(), []
+    writer = TraceWriter(file, recording)
+    for block in recording:
+        writer.write(block)
+        lengths.append(file.tell())
+    writer.finish()
+    return file.getvalue(), lengths
+
+
+def test_nothing_is_lost(recording: Recording, tmp_path: Path) -> None:
+    write_recording(recording, tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    assert found.channels == recording.channels
+    assert (found.origin, found.simulated) == (recording.origin, True)
+    assert found.machine_sha256 == recording.machine_sha256
+    for channel in recording.channels:
+        for ours, theirs in zip(
+            found.samples(channel.name), recording.samples(channel.name), strict=True
+        ):
+            assert np.array_equal(ours, theirs)
+    assert [b.events for b in found] == [b.events for b in recording]
+    assert found.outcome().ended is Ended.COMPLETED
+
+
+def test_the_peers_reader_reads_it(recording: Recording) -> None:
+    """The library of the format checks its own magic, index and statistics."""
+    content, lengths = whole_file(recording)
+    reader = make_reader(io.BytesIO(content), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(lengths)
+    # Log times are the time of the machine, of 5 ms a tick.
+    times = [message.log_time for _, _, message in reader.iter_messages()]
+    assert times == [block.first_tick["servo"] * 5_000_000 for block in recording]
+
+
+@given(st.data())
+def test_what_a_crash_leaves(
+    recording: Recording, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Cut anywhere after the head: every whole block is there, and it says that it broke off."""
+    content, lengths = whole_file(recording)
+    cut = data.draw(st.integers(lengths[0] - 10, lengths[-1] + 4))
+    path = tmp_path_factory.mktemp("cut") / "a.mcap"
+    path.write_bytes(content[:cut])
+    found = read_recording(path)
+    blocks = list(found)
+    whole = sum(length <= cut for length in lengths)
+    assert len(blocks) == whole + 1
+    for ours, theirs in zip(blocks, recording, strict=False):
+        if ours is not blocks[-1]:
+            assert np.array_equal(ours.samples["X.load"], theirs.samples["X.load"])
+    assert blocks[-1].events[-1].name == BROKEN_OFF
+    assert found.outcome().ended is Ended.FAULT
+
+
+@given(st.data())
+def test_a_damaged_file_is_refused_in_one_line_or_reads(
+    recording: Recording, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    content = bytearray(whole_file(recording)[0])
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.mktemp("damaged") / "a.mcap"
+    path.write_bytes(content)
+    with suppress(RecordingError):
+        list(read_recording(path))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89MCAP0\r\n", b"PK\x03\x04" * 9, b"\x89MCAP0\r\n\x03" + b"\xff" * 8]
+)
+def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"other\.mcap"):
+        read_recording(path)

@@ -1,0 +1,162 @@
+"""Runs are kept as they go: what is there before anything moves, and what a crash leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.bench import table_of_counts, there_and_back, winder
+from threadline import __version__
+from threadline.errors import LinkFaultError, StoreError
+from threadline.live import sim_process
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.wire import Connection
+from threadline.options import Options
+from threadline.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.proof_file import ProofFile, read_proof, write_proof
+from threadline.signals import Ended
+from threadline.signals.files import read_recording
+from threadline.store.index import RUNNING
+from threadline.store.run_store import OpenRun, RunStore
+from threadline.verdict import load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ROWS = there_and_back(cruise=600)
+
+
+@pytest.fixture(scope="module")
+def proof() -> Proof:
+    options = Options(interpolation="linear")
+    plan = plan_job(open_job(EXAMPLES / "x-180.prg", winder(), options), winder(), options)
+    return prove_plan(plan, load_spec(None, winder()))
+
+
+@pytest.fixture
+def known(proof: Proof, tmp_path: Path) -> ProofFile:
+    write_proof(proof, tmp_path / "a.proof.json")
+    return read_proof(tmp_path / "a.proof.json")
+
+
+def execute(run: OpenRun, end: socket.socket, speed: float, kill_at: int = 0) -> Executor:
+    desk = Desk()
+    executor = Executor(Connection(end), winder(), desk, run, speed=speed)
+    executor.connect()
+    executor.enable()
+    executor.home()
+    executor.start(table_of_counts(ROWS))
+    while not executor.over:
+        executor.step()
+        if kill_at and executor.tick >= kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+    desk.close()
+    return executor
+
+
+def machine(theirs: socket.socket, ours: socket.socket, speed: float) -> int:
+    pid = os.fork()
+    if not pid:
+        ours.close()
+        sim_process.serve(theirs, winder(), np.zeros(3, np.int64), speed)
+        os._exit(0)
+    return pid
+
+
+def test_a_run_has_all_that_it_was_made_from(
+    proof: Proof, known: ProofFile, tmp_path: Path
+) -> None:
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim", "override": "a test"}, 0.0)
+    # Before anything moves.
+    (record,) = store.index.runs()
+    assert (record.ended, record.passed, record.override) == (RUNNING, None, "a test")
+    assert (record.job_sha256, record.machine_sha256, record.threadline) == (
+        proof.plan.job.sha256, proof.plan.machine.sha256, __version__,
+    )  # fmt: skip
+    assert record.commands_sha256 == proof.plan.commands.rows_sha256()
+    assert (run.path / "proof.json").read_bytes() == known.path.read_bytes()
+    assert (run.path / "x-180.prg").read_bytes() == (EXAMPLES / "x-180.prg").read_bytes()
+    ours, theirs = socket.socketpair()
+    pid = machine(theirs, ours, 0.0)
+    theirs.close()
+    with run:
+        executor = execute(run, ours, 0.0)
+    ours.close()
+    os.waitpid(pid, 0)
+    assert executor.ended == (Ended.COMPLETED, "")
+    run.judged({"late_ticks": 0, "passed": True}, "completed", "")
+    (record,) = store.index.runs()
+    assert (record.ended, record.passed) == ("completed", True)
+    states = [
+        json.loads(line)["state"] for line in (run.path / "events.jsonl").read_text().splitlines()
+    ]
+    assert states == ["enabled", "homing", "idle", "running", "idle"]
+    found = read_recording(run.trace)
+    assert len(found.samples("X.load")[1]) == len(ROWS) + 101
+    assert (found.origin["link"], found.origin["run"]) == ("sim", run.path.name)
+    assert store.find("last") == store.find(run.path.name) == run.path
+    store.index.close()
+
+
+@pytest.mark.parametrize("tick", [35, 480, 1233])
+def test_a_crash_loses_at_most_a_second(
+    proof: Proof, known: ProofFile, tmp_path: Path, tick: int
+) -> None:
+    """kill -9 at a tick of the run: the trace has all up to the last report, and says it broke."""
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim"}, 0.0)
+    ours, theirs = socket.socketpair()
+    pid = machine(theirs, ours, 0.0)
+    theirs.close()
+    executor = os.fork()
+    if not executor:
+        execute(run, ours, 0.0, tick)
+        os._exit(1)
+    ours.close()
+    assert os.waitstatus_to_exitcode(os.waitpid(executor, 0)[1]) == -signal.SIGKILL
+    os.waitpid(pid, 0)
+    found = read_recording(run.trace)
+    samples = len(found.samples("X.load")[1])
+    assert tick <= samples <= tick + 5  # a second is 200
+    assert found.outcome().ended is Ended.FAULT
+    (record,) = store.index.runs()
+    assert record.ended == RUNNING
+    with run:
+        pass  # of this process, which has written nothing
+    store.index.close()
+
+
+def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_path: Path) -> None:
+    store = RunStore(tmp_path / "runs")
+    with (
+        pytest.raises(LinkFaultError),
+        store.begin(proof.plan, known, {"link": "sim"}, 0.0),
+    ):
+        raise LinkFaultError("the machine did not answer")
+    again = store.begin(proof.plan, known, {"link": "sim"}, 0.0)
+    with again:
+        pass
+    records = store.index.runs()
+    assert len({record.run for record in records}) == 2
+    assert {record.text for record in records} == {"", "the machine did not answer"}
+    with pytest.raises(StoreError, match="there is no run 'nothing'"):
+        store.find("nothing")
+    store.index.close()
+
+
+def test_a_store_that_cannot_be_used_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("text")
+    with pytest.raises(StoreError, match="cannot keep runs in"):
+        RunStore(file)
+    folder = tmp_path / "damaged"
+    folder.mkdir()
+    (folder / "index.sqlite").write_bytes(b"no database at all, but long enough to be read" * 40)
+    with pytest.raises(StoreError, match="cannot be used"):
+        RunStore(folder)
