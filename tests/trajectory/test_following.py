@@ -160,6 +160,27 @@ def test_a_long_move_uses_all_the_volts_that_are_left_to_it():
     assert limits.acceleration[0] == pytest.approx(3.6 / AMPERES_PER_M_S2, rel=1e-6)
 
 
+def test_the_machine_file_says_what_is_kept_for_the_loop(tmp_path):
+    """With 0.75 of 4 A left instead of 0.9; where loads follow, 1.1215 times as much is counted.
+
+    The volts of a tick are held for 5 ms; motor and load follow them with a pole at 46.7 1/s, so
+    that the current begins pT / (1 - exp(-pT)) above its mean.
+    """
+    file = tmp_path / "kept.toml"
+    file.write_text(
+        'base = "lathe-winder"\n[drives.x.amplifier]\nreserve = "25 % exact, assumed"\n'
+    )
+    kept = load_machine(str(file))
+    assert limits_of(kept, ("X",)).acceleration[0] == pytest.approx(
+        3.0 / AMPERES_PER_M_S2, rel=1e-6
+    )
+    held = 46.7 * 5e-3 / (1.0 - np.exp(-46.7 * 5e-3))
+    assert limits_of(kept, ("X",), of_loads=True).acceleration[0] == pytest.approx(
+        3.0 / AMPERES_PER_M_S2 / held, rel=1e-3
+    )
+    assert limits_of(kept, ("Y",)).acceleration[0] == limits_of(WINDER, ("Y",)).acceleration[0]
+
+
 def test_friction_that_takes_all_that_a_drive_has_is_refused():
     body = WINDER.bodies["x"]
     friction = replace(body.inertia, si=0.4, unit="N*m")

@@ -130,6 +130,7 @@ class Amplifier:
 
     ``limits`` says what the current limit holds of a motor with inductance: the current itself
     (``state``), or what is taken from an integrator that runs on beyond it (``output``).
+    ``reserve`` is the share of volts and current that a plan leaves to the loop.
     """
 
     mode: Literal["voltage", "current"]
@@ -137,6 +138,7 @@ class Amplifier:
     voltage_limit: Annotated[Quantity, Units(("V",), positive=True)] | None = None
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
     limits: Literal["state", "output"] = "state"
+    reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:

@@ -66,15 +66,17 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
     for k, axis in enumerate(axes):
         if machine.source_of(axis) is not None:
             continue
+        kept = machine.drive_of(axis).amplifier.reserve
+        reserve = RESERVE if kept is None else kept.si
         for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):
-            left = (1.0 - RESERVE) * limit - still
+            left = (1.0 - reserve) * limit - still
             if not left > 0.0:
                 raise PlanError(
                     f"axis {axis}: friction takes {still:.3g} of the {limit:.3g} {_UNITS[m]} of "
-                    f"drives.{machine.controller_of(axis).drive}, and {RESERVE:.0%} are kept for "
+                    f"drives.{machine.controller_of(axis).drive}, and {reserve:.0%} are kept for "
                     "its loop: nothing is left to move with",
                     place=machine.place,
-                    remedy="Lower the friction, or give the drive more.",
+                    remedy="Lower friction or reserve, or give the drive more.",
                 )
             demand[m, k] = speed / left, push / left
     return demand
