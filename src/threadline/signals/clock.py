@@ -38,7 +38,8 @@ class Clock:
 
     def time_s(self, tick: int) -> float:
         """Return the instant of ``tick`` in seconds, correctly rounded."""
-        return float(self.period_s * tick)
+        # The quotient of two whole numbers is correctly rounded, and no fraction is shortened.
+        return self.period_s.numerator * int(tick) / self.period_s.denominator
 
     def times_s(self, first_tick: int, count: int, stride: int = 1) -> FloatArray:
         """Return (count,) instants from ``first_tick`` on, one every ``stride`` ticks."""

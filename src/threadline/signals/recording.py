@@ -109,16 +109,18 @@ class Recording:
     simulated: bool
     origin: Mapping[str, str] = field(default_factory=dict)
     runs: int = 1
+    _by_kind: dict[tuple[ChannelKind, str], Channel] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        first = {(c.kind, c.axis): c for c in reversed(self.channels)}
+        object.__setattr__(self, "_by_kind", first)
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         return iter(self.blocks)
 
     def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
         """Return the channel of ``kind`` and ``axis``, or None when the machine has none."""
-        for channel in self.channels:
-            if channel.kind is kind and channel.axis == axis:
-                return channel
-        return None
+        return self._by_kind.get((kind, axis))
 
     def channel(self, name: str) -> Channel:
         """Return the channel called ``name``.

@@ -17,6 +17,8 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.trajectory.types import TrajectoryBlock
 
+_ROUNDED = 1.0 + 1e-12
+"""A bound is taken to be so much further: it is rounded otherwise than the value that it bounds."""
 _NOTHING = 1e-14  # leading coefficients that are nothing beside the others would spoil the roots
 
 
@@ -29,6 +31,11 @@ def derivatives(block: TrajectoryBlock, column: int, highest: int) -> list[Float
         powers = np.arange(1.0, len(last))[:, None]
         found.append(last[1:] * powers * rate if len(last) > 1 else np.zeros_like(last))
     return found
+
+
+def hull_of(poly: FloatArray) -> FloatArray:
+    """Return Bernstein's coefficients of (order, n) polynomials, between which each stays."""
+    return _bernstein(len(poly)) @ poly
 
 
 @cache
@@ -49,7 +56,7 @@ def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
     if ends[first] > above:
         above = float(ends[first])
         best = (above, first, 0.0 if poly[0, first] >= above else 1.0)
-    bounds = (_bernstein(len(poly)) @ poly).max(axis=0)
+    bounds = hull_of(poly).max(axis=0)
     candidates = np.flatnonzero(bounds > above)
     for piece in candidates[np.argsort(-bounds[candidates], kind="stable")].tolist():
         if bounds[piece] <= above:
@@ -62,8 +69,11 @@ def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
 
 def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
     """Return the largest absolute value of polynomials, as ``highest`` does the highest."""
-    up = highest(poly, above)
-    down = highest(-poly, above if up is None else up[0])
+    hull = hull_of(poly)
+    above_hull, below_hull = float(hull.max()), -float(hull.min())
+    up = None if above_hull * _ROUNDED <= above else highest(poly, above)
+    best = above if up is None else up[0]
+    down = None if below_hull * _ROUNDED <= best else highest(-poly, best)
     return up if down is None else down
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from threadline.errors import RecordingError
@@ -44,10 +44,11 @@ class Coverage:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._seen: dict[str, _Seen] = {}
+        self._lacks: dict[tuple[tuple[str, ...], float, float], Lack | None] = {}
         self.watched: Recording = replace(recording, blocks=Stream(self._blocks))
 
     def _blocks(self) -> Iterator[RecordingBlock]:
-        self._seen = {}
+        self._seen, self._lacks = {}, {}
         for block in self._recording:
             for channel in self._recording.channels:
                 count = len(block.samples[channel.name])
@@ -84,8 +85,14 @@ class Coverage:
         goes on: what that one holds was not laid beside it. Of several the one that leaves least to
         be seen is told. Known once the recording was read to its end.
         """
-        found: list[Lack] = []
         channels = list(channels)
+        asked = tuple(channel.name for channel in channels), begin_s, end_s
+        if asked not in self._lacks:  # many measures read the same channels
+            self._lacks[asked] = self._lack(channels, begin_s, end_s)
+        return self._lacks[asked]
+
+    def _lack(self, channels: Sequence[Channel], begin_s: float, end_s: float) -> Lack | None:
+        found: list[Lack] = []
         last_s, longest = max(
             (
                 (float(c.clock.time_s(seen.end - c.stride)), c.name)

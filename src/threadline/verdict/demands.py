@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.plan import Plan
-from threadline.trajectory.extremes import derivatives, farthest, highest
+from threadline.trajectory.extremes import derivatives, farthest, highest, hull_of
 from threadline.trajectory.types import TrajectoryBlock
 from threadline.verdict.finding import Finding
 
 SLACK = 1.001  # limits hold between samples too, to a thousandth
 _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
+_BELOW = (0, 1, 2)
+"""Orders of what may step below a demand."""
+_ROUNDED = 1e-12
+"""Part by which a bound is taken to be further: it is rounded otherwise than what it bounds."""
 _STEPPED = ("position", "velocity", "acceleration")
 
 
@@ -38,16 +40,28 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
         for column, (axis, row) in enumerate(zip(axes, rows, strict=True))
         if np.isfinite(limits[row]).all()
     }
+    before: list[dict[int, float]] = [{1: 0.0, 2: 0.0} for _ in axes]  # at rest before the start
+    last: TrajectoryBlock | None = None
     for block in plan.motion.trajectory:
         for column in range(len(axes)) if len(block) else ():
             polys = derivatives(block, column, max(_ORDERS.values()))
-            for row in demands.values():
-                row[column].take(block, polys)
+            steps = {below: _step(polys[below], before[column].get(below)) for below in _BELOW}
+            before[column] = {below: steps[below][2] for below in _BELOW}
+            for order, row in zip(_ORDERS.values(), demands.values(), strict=True):
+                row[column].take(block, polys[order])
+                # A step of position is a velocity without bound: above that it says no more.
+                for below in range(min(1, order - 1), order):
+                    size, piece, _ = steps[below]
+                    row[column].step(below, size, block, piece, 0.0)
             if column in reach:
                 reach[column].take(block, polys[0])
-    for row in demands.values():
-        for demand in row:
-            demand.stop()
+        last = block if len(block) else last
+    for order, row in zip(_ORDERS.values(), demands.values(), strict=True):
+        for column, demand in enumerate(row if last is not None else ()):
+            assert last is not None
+            for below in range(1, order):
+                # The step into the standstill after the end.
+                demand.step(below, abs(before[column][below]), last, len(last) - 1, 1.0)
     found = {name: [demand.worst for demand in row] for name, row in demands.items()}
     found["travel"] = [axis_reach.worst for axis_reach in reach.values()]
     return found
@@ -61,41 +75,46 @@ def _place(
     return time_s, int(block.operation[piece]), tuple(position.tolist())
 
 
+def _step(poly: FloatArray, before: float | None) -> tuple[float, int, float]:
+    """Return the largest step into a piece of (order, n) polynomials, which, and the last end.
+
+    Parameters
+    ----------
+    before
+        The end before the first piece; None where nothing was before it.
+    """
+    starts, ends = poly[0], poly.sum(axis=0)
+    steps = np.abs(starts[1:] - ends[:-1])
+    piece = int(np.argmax(steps)) + 1 if len(steps) else 0
+    size = float(steps[piece - 1]) if piece else 0.0
+    first = 0.0 if before is None else abs(float(starts[0]) - before)
+    if first >= size:
+        size, piece = first, 0
+    return size, piece, float(ends[-1])
+
+
 class _Demand:
     """The largest absolute value of one derivative of one axis."""
 
     def __init__(self, axis: str, order: int, tick_s: float) -> None:
         self._axis, self._order, self._tick_s = axis, order, tick_s
-        # What the derivatives below were before the next piece; at rest before the start.
-        self._below: dict[int, float] = dict.fromkeys(range(1, order), 0.0)
-        self._end: tuple[float, int, tuple[float, ...]] = (0.0, 0, ())
         self._value = 0.0
         self.worst = Finding(value=0.0, axis=axis)
 
-    def take(self, block: TrajectoryBlock, polys: Sequence[FloatArray]) -> None:
-        """Compare the pieces of a block, and the steps at their starts."""
-        found = farthest(polys[self._order], self._value)
+    def take(self, block: TrajectoryBlock, poly: FloatArray) -> None:
+        """Compare the (order, n) pieces of a block."""
+        found = farthest(poly, self._value)
         if found is not None:
             self._set(found[0], _place(block, found[1], found[2]), "")
-        # A step of position is a velocity without bound; what it is above that says no more.
-        for below in range(min(1, self._order - 1), self._order):
-            starts, ends = polys[below][0], polys[below].sum(axis=0)
-            before = self._below.get(below, starts[0])
-            steps = np.abs(starts - np.concatenate([[before], ends[:-1]]))
-            piece = int(np.argmax(steps))
-            self._step(below, float(steps[piece]), _place(block, piece, 0.0))
-            self._below[below] = float(ends[-1])
-        self._end = _place(block, len(block) - 1, 1.0)
 
-    def stop(self) -> None:
-        """Compare the step into the standstill after the end."""
-        for below in range(1, self._order):
-            self._step(below, abs(self._below[below]), self._end)
-
-    def _step(self, below: int, step: float, place: tuple[float, int, tuple[float, ...]]) -> None:
-        value = step / self._tick_s ** (self._order - below)
+    def step(
+        self, below: int, size: float, block: TrajectoryBlock, piece: int, where: float
+    ) -> None:
+        """Compare a step of a derivative below, at a place in a piece."""
+        value = size / self._tick_s ** (self._order - below)
         if value > self._value:
-            self._set(value, place, f"the {_STEPPED[below]} steps; taken over one tick")
+            note = f"the {_STEPPED[below]} steps; taken over one tick"
+            self._set(value, _place(block, piece, where), note)
 
     def _set(self, value: float, place: tuple[float, int, tuple[float, ...]], note: str) -> None:
         self._value = value
@@ -120,7 +139,13 @@ class _Reach:
 
     def take(self, block: TrajectoryBlock, poly: FloatArray) -> None:
         """Widen the reach by a block, of whose positions ``poly`` are the polynomials."""
-        for sign, limit in ((1.0, self._high), (-1.0, -self._low)):
+        hull = hull_of(poly)
+        for sign, limit, most in (
+            (1.0, self._high, float(hull.max())),
+            (-1.0, -self._low, -float(hull.min())),
+        ):
+            if most - limit + _ROUNDED * (abs(most) + abs(limit)) <= self._value:
+                continue
             beyond = sign * poly
             beyond[0] -= limit
             found = highest(beyond, self._value)

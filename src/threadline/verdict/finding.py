@@ -123,6 +123,8 @@ class Found:
 
     def worst(self) -> Finding:
         """Return the worst finding of all runs, the first of equals."""
+        if len(self.value) == 1:
+            return self.of(0)
         if self.parts:
             return reduce(Finding.worse, (part.worst() for part in self.parts))
         blank = np.isnan(self.value)
