@@ -1,14 +1,13 @@
 """A machine on the way: rows in, samples out, its state kept between; stops and waits are honoured.
 
-A simulated machine that is driven live is a session; ``simulate`` is a loop over one. What it keeps
-between two calls is one state, which is why the file is longer than most.
+A simulated machine that is driven live is a session; ``simulate`` is a loop over one.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,8 @@ from threadline.signals import (
     TickBlock,
 )
 from threadline.twin.channels import readings_of, run_phases, samples_of, tick_channels
-from threadline.twin.kernel import Engine, Reading, Run
+from threadline.twin.kernel import Engine, Run
+from threadline.twin.session_part import Part, joined
 
 _HALTING = ("stop", "wait")
 _AT_ONCE = 1 << 16
@@ -268,7 +268,7 @@ class Session:
             self._take(rows)
         first = self.tick
         end = None if ticks is None else first + max(ticks, 0)
-        parts: list[_Part] = []
+        parts: list[Part] = []
         while end is None or self.tick < end:
             self._meet_events()
             part = self._moving(end) or self._still(end)
@@ -325,7 +325,7 @@ class Session:
             return self._run.tripped(wait.name) == bool(wait.value)
         return self._inputs.get(wait.name) == wait.value
 
-    def _moving(self, end: int | None) -> _Part | None:
+    def _moving(self, end: int | None) -> Part | None:
         """Return rows up to the next halt, as many as are there in one piece."""
         if self._halted is not None or self._held or not self._rows:
             return None
@@ -344,9 +344,9 @@ class Session:
             self._told.append(replace(event, tick=self.tick + event.tick - self._row))
         self._position = travelled[-1] + counts[n - 1]
         self._row, self._operation = self._row + n, int(operation[n - 1])
-        return _Part(travelled, operation[:n])
+        return Part(travelled, operation[:n])
 
-    def _still(self, end: int | None) -> _Part | None:
+    def _still(self, end: int | None) -> Part | None:
         """Return ticks at which the command stands still; None where nobody asked for them."""
         if end is None:
             return None
@@ -356,11 +356,11 @@ class Session:
         if self._row and self._halted is None and not self._held and self._ended is None:
             self._tell("late", value=float(n))
         still = np.broadcast_to(self._position, (n, len(self._position)))
-        return _Part(still, np.full(n, self._operation))
+        return Part(still, np.full(n, self._operation))
 
     # --- samples ---------------------------------------------------------------------------
 
-    def _run_over(self, part: _Part) -> None:
+    def _run_over(self, part: Part) -> None:
         part.read = self._run.advance(part.travelled, self._readings, every=self._every)
         failure = self._run.failure()
         if failure is not None:
@@ -370,9 +370,13 @@ class Session:
                 remedy="Check stiffness, friction and gains in the machine file.",
             )
 
-    def _block(self, first: int, parts: list[_Part]) -> RecordingBlock:
+    def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         begin = -(-first // self._every) * self._every
-        whole = parts[0] if len(parts) == 1 else self._joined(parts)
+        whole = (
+            parts[0]
+            if len(parts) == 1
+            else joined(parts, len(self._position), self._values.count, self._readings)
+        )
         kept = slice(begin - first, None, self._every)
         samples = samples_of(
             self._machine, self.channels, self._start, whole.read, whole.travelled[kept]
@@ -380,25 +384,3 @@ class Session:
         samples["operation"] = whole.operation[kept].astype(np.float64)
         events, self._told = tuple(self._told), []
         return RecordingBlock(first_tick={self._clock: begin}, samples=samples, events=events)
-
-    def _joined(self, parts: list[_Part]) -> _Part:
-        """Return parts that follow each other as one; without any, one of no ticks."""
-        nothing = np.zeros((0, len(self._position)), dtype=np.int64)
-        unread = np.zeros((0, self._values.count))
-        return _Part(
-            np.concatenate([nothing, *(part.travelled for part in parts)]),
-            np.concatenate([nothing[:, 0], *(part.operation for part in parts)]),
-            {
-                reading: np.concatenate([unread, *(part.read[reading] for part in parts)])
-                for reading in self._readings
-            },
-        )
-
-
-@dataclass(slots=True)
-class _Part:
-    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, (n, runs) readings."""
-
-    travelled: IntArray
-    operation: IntArray
-    read: Mapping[Reading, FloatArray] = field(default_factory=dict)
