@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from threadline.cli.main import main
 from threadline.errors import PlanError
 from threadline.jobs import Job, read_job
+from threadline.jobs.operations import Move
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options
@@ -21,7 +22,7 @@ from threadline.pipeline import plan_job, prove, prove_plan
 from threadline.search import mismatch
 from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.levels import gapped, left_ringing, stepped, time_optimal_s
-from threadline.search.move_list import move_list
+from threadline.search.move_list import move_list, overlapped
 from threadline.verdict import Spec, load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
@@ -146,7 +147,8 @@ def test_the_fastest_is_in_spec_and_shorter_than_every_shaper(
             in_spec.append(proof.verdict.result("cycle_time").measured)
     assert found["unit"] == "s"
     assert found["verdict"]["passed"]
-    assert found["unshaped_s"] < found["best"] < min(filter(None, in_spec)) - 0.3
+    assert found["unshaped_overlapped_s"] < found["unshaped_s"] - 0.4
+    assert found["unshaped_overlapped_s"] < found["best"] < min(filter(None, in_spec)) - 0.3
     assert not found["unshaped_passed"]
     assert found["intervals"] == [[found["best"], found["best"]]]
     assert found["limited_by"] == "residual_vibration"
@@ -166,7 +168,8 @@ def test_move_by_move_it_is_near_the_time_optimum(best: tuple[dict[str, Any], Pa
         assert move["unshaped_s"] < move["time_optimal_s"]
         assert move["command_s"] + move["wait_s"] < move["time_optimal_s"] + 2.0 * SCAN_S
     saved = sum(m["command_s"] + m["wait_s"] - m["unshaped_s"] for m in found["moves"])
-    assert found["best"] - found["unshaped_s"] == pytest.approx(saved, abs=1e-6)
+    # A contact that is waited for may come a scan sooner or later, at three places.
+    assert found["best"] - found["unshaped_overlapped_s"] == pytest.approx(saved, abs=0.031)
     assert found["time_optimal_moves_s"] == pytest.approx(
         sum(m["time_optimal_s"] for m in found["moves"])
     )
@@ -307,8 +310,51 @@ def test_a_specification_that_asks_little_keeps_the_cycle_as_it_is(
     )
     code, out, _ = run(capsys, "fastest", CYCLE, "-m", PLACER, "-s", spec)
     assert code == 0
+    assert "1 cycles tried on the twin; unshaped it takes 8.010 s and is in spec" in out
+    assert "what the list lets overlap saves 0." in out
+    listed = tmp_path / "listed.toml"
+    text = CYCLE.read_text(encoding="utf-8")
+    listed.write_text(text.replace("\nmove =", "\noverlap = false\nmove ="), encoding="utf-8")
+    code, out, _ = run(capsys, "fastest", listed, "-m", PLACER, "-s", spec)
+    assert code == 0
     assert "fastest: a cycle of 8.010 s; 1 cycles tried on the twin" in out
-    assert out.splitlines()[-1] == f"To prove it: threadline prove {CYCLE} -m {PLACER} -s {spec}"
+    assert out.splitlines()[-1] == f"To prove it: threadline prove {listed} -m {PLACER} -s {spec}"
+
+
+def test_only_what_a_switch_guards_overlaps() -> None:
+    """Behind lift, across and the first of the return; a tool, a vacuum and the end come at rest.
+
+    The rest is cut to when the piston passes its switch: dead time, then speed times lag to go as
+    an exponential, here by hand for the lift, 6 mm before its end.
+    """
+    machine = load_machine(PLACER)
+    job = overlapped(read_job(CYCLE, machine), machine)
+    rests = [o.tags.get("rest") for o in job if isinstance(o, Move)]
+    lift = 0.1 + 0.06 * np.log(0.2 * 0.06 / 0.006)
+    assert [rest is not None for rest in rests] == [False, True, True, False, True, False]
+    assert rests[1] == pytest.approx(lift, abs=1e-5)
+    again = [o.tags.get("rest") for o in overlapped(job, machine) if isinstance(o, Move)]
+    assert again == rests
+
+
+def test_a_rest_that_a_list_writes_is_the_one_that_passes(tmp_path: Path) -> None:
+    machine = load_machine(PLACER)
+    spans = []
+    for rest in ("", 'rest = "0 s"\n', 'rest = "2 s"\n'):
+        file = tmp_path / "a.toml"
+        file.write_text(
+            '[[operation]]\nvalve = "main_air"\n\n[[operation]]\n'
+            f'move = {{ Z = "100 mm" }}\n{rest}\n[[operation]]\ndwell = "10 ms"\n',
+            encoding="utf-8",
+        )
+        job = read_job(file, machine)
+        scheduled = plan_job(job, machine, Options()).scheduled
+        spans.append(scheduled.commands.duration_ticks - scheduled.moves[0].last_tick)
+        file.write_text(move_list(job, machine), encoding="utf-8")
+        assert next(o for o in read_job(file, machine) if isinstance(o, Move)).tags == (
+            next(o for o in job if isinstance(o, Move)).tags
+        )
+    assert spans == [34 + 1, 1 + 1, 200 + 1]
 
 
 def test_moves_of_two_cylinders_at_once_are_refused_with_their_line(

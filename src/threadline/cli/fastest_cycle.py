@@ -129,13 +129,14 @@ def _command(
     """Return the command that proves the fastest; None where only a move list can say it."""
     if found.job is None:
         return None
+    overlaps = cycle_s(found.base) < cycle_s(found.unshaped)
     if written is not None:
         return command_line("prove", written, asked)
     by_axis: dict[str, set[str]] = {}
     for move in found.moves:
         by_axis.setdefault(move.axis, set()).add(move.how)
     one_each = all(len(how) == 1 for how in by_axis.values())
-    if not one_each or any(move.wait_s or " for " in move.how for move in found.moves):
+    if overlaps or not one_each or any(move.wait_s or " for " in move.how for move in found.moves):
         return None
     shaper = ", ".join(f"{axis}={next(iter(how))}" for axis, how in by_axis.items())
     plain = all(how == {UNSHAPED_WORD} for how in by_axis.values())
@@ -156,6 +157,7 @@ def _content(found: FastestCycle) -> dict[str, Any]:
             "criteria": criteria_json(found.proof.verdict),
         },
         "unshaped_s": cycle_s(found.unshaped),
+        "unshaped_overlapped_s": cycle_s(found.base),
         "unshaped_passed": found.unshaped.verdict.passed,
         "moves_s": sum(move.command_s + move.wait_s for move in found.moves),
         "unshaped_moves_s": sum(move.unshaped_s for move in found.moves),
@@ -194,6 +196,9 @@ def _show(found: FastestCycle, title: str) -> None:
     unshaped = f"unshaped it takes {cycle_s(found.unshaped):.3f} s and is " + (
         "in spec" if found.unshaped.verdict.passed else "out of spec"
     )
+    saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
+    if saved_s > 0.0:
+        unshaped += f"; what the list lets overlap saves {saved_s:.3f} s"
     if found.cycle_s is None:
         say(
             f"no cycle in spec was found ({found.tried} tried): {found.limited_by} fails; "

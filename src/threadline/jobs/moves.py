@@ -34,7 +34,7 @@ from threadline.units import parse_quantity
 
 TOP_KEYS = ("name", "operation")
 OPERATION_KEYS = {
-    "move": ("move", "shaper", "levels"),
+    "move": ("move", "shaper", "levels", "rest", "overlap"),
     "dwell": ("dwell",),
     "valve": ("valve", "on"),
     "vacuum": ("vacuum", "on"),
@@ -45,6 +45,8 @@ OPERATION_KEYS = {
 DEFAULT_TIMEOUT_S = 2.0
 """How long an input is waited for unless the list says otherwise."""
 MAX_BYTES = 4 * 1024 * 1024
+REST, OVERLAP, NEVER = "rest", "overlap", "never"
+"""Tags of a move: s that the list waits behind its last switching; whether that may be cut."""
 STEP_EVENT = "step "
 """What the name of the ``ToolEvent`` that begins a step begins with."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
@@ -193,13 +195,20 @@ class _Reader:
 
     def _how(self, row: Mapping[str, Any], index: int) -> Mapping[str, float | str]:
         """Return how a move is to be commanded, where the list itself says it."""
-        given = {key: row[key] for key in ("shaper", "levels") if key in row}
+        given: dict[str, float | str] = {k: row[k] for k in ("shaper", "levels") if k in row}
         if len(given) > 1:
             self.refuse("a move has a shaper or levels, not both", index, "levels")
         for key, text in given.items():
             if not isinstance(text, str) or not text:
                 example = {"shaper": "um-zv", "levels": "1 for 180 ms, 0 for 60 ms, 1 for 290 ms"}
                 self.refuse(f"{key} = {text!r} is no text", index, key, f'"{example[key]}".')
+        if REST in row:
+            rest_s = self._number(row[REST], "s", index, REST)
+            if not 0.0 <= rest_s <= 86400.0:
+                self.refuse(f"{REST} = {row[REST]!r} is not within 0 ... 24 h", index, REST)
+            given[REST] = rest_s
+        if not self._flag(row, index, OVERLAP, True):
+            given[OVERLAP] = NEVER
         return given or NO_TAGS
 
     def _time(self, row: Mapping[str, Any], index: int, key: str) -> float:

@@ -18,7 +18,7 @@ from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_plan
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
 from threadline.search.fastest import RANGE
-from threadline.search.move_list import with_choices
+from threadline.search.move_list import overlapped, with_choices
 from threadline.verdict import Spec, Status
 
 _ROUNDS = 14
@@ -36,6 +36,8 @@ class FastestCycle:
         Of it; where none is in spec, of the one that came closest.
     unshaped
         Proof of the job as it is, without a shaper.
+    base
+        The same with what may overlap overlapped.
     moves
         Every move, in order.
     limited_by
@@ -47,6 +49,7 @@ class FastestCycle:
     job: Job | None
     proof: Proof
     unshaped: Proof
+    base: Proof
     moves: tuple[MoveChoice, ...]
     limited_by: str
     tried: int
@@ -77,7 +80,7 @@ def fastest_cycle(
     Parameters
     ----------
     job
-        A move list; what it says itself of its moves is not kept.
+        A move list; what it says itself of its moves is not kept, but for what must not overlap.
     spec
         Its limits of the residual vibration lead the search; the twin is judged by all of it.
     actual
@@ -95,17 +98,18 @@ def fastest_cycle(
     _check_one_by_one(job)
     plain = with_choices(job, {}, {})
     unshaped = try_plan(plan_job(plain, machine, Options()), spec, trials, actual)
-    forecast = CycleForecast(
-        job, machine, spec, unshaped.plan.scheduled, machine if actual is None else actual
-    )
+    free = overlapped(plain, machine)
+    base = try_plan(plan_job(free, machine, Options()), spec, trials, actual)
+    forecast = CycleForecast(free, machine, spec, base, machine if actual is None else actual)
     best: tuple[Job, Proof, Cycle] | None = None
-    closest: tuple[float, Proof, Cycle | None] = (_excess(unshaped), unshaped, None)
-    limited_by = RANGE if unshaped.verdict.passed else _failing(unshaped)
-    if unshaped.verdict.passed:
+    closest: tuple[float, Proof, Cycle | None] = (_excess(base), base, None)
+    limited_by = RANGE if base.verdict.passed else _failing(base)
+    if base.verdict.passed:
         return FastestCycle(
-            job=plain,
-            proof=unshaped,
+            job=free,
+            proof=base,
             unshaped=unshaped,
+            base=base,
             moves=forecast.told(None),
             limited_by=RANGE,
             tried=1,
@@ -135,6 +139,7 @@ def fastest_cycle(
             job=None,
             proof=closest[1],
             unshaped=unshaped,
+            base=base,
             moves=forecast.told(closest[2]),
             limited_by=_failing(closest[1]),
             tried=tried,
@@ -143,6 +148,7 @@ def fastest_cycle(
         job=best[0],
         proof=best[1],
         unshaped=unshaped,
+        base=base,
         moves=forecast.told(best[2]),
         limited_by=limited_by,
         tried=tried,

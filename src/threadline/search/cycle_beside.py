@@ -11,11 +11,14 @@ from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, plan_job, prove_plan
 from threadline.search.cycle import FastestCycle, cycle_s
 from threadline.search.cycle_robust import MEASURE, BandRun, RobustCycle, band_machines, over_band
-from threadline.search.move_list import with_choices
+from threadline.search.move_list import overlapped, with_choices
 from threadline.verdict import Spec, Verdict
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei")
 """Shapers that every move of a cycle may have alike; each is made for the machine's own modes."""
+
+
+AS_LISTED = "unshaped, as listed"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,23 +58,30 @@ def cycles_beside(
 ) -> tuple[BesideRow, ...]:
     """Return rows for the cycle unshaped, with one shaper for every move, and as it was found.
 
+    All but the first have overlapped what the list lets overlap.
     Of the shapers the shortest in spec on the machine as its file says is shown, and with a band
     the shortest in spec on all machines of it, too; where none is, that with the least vibration.
     ``actual`` runs the cycles where it isn't the machine that they are made for.
     """
     machines = band_machines(machine, band) if band is not None else ()
     rows = {}
+    free = overlapped(with_choices(job, {}, {}), machine)
     for number, name in enumerate(SHAPERS):
         if progress is not None:
             progress("cycles side by side", number / len(SHAPERS))
         try:
-            plan = plan_job(with_choices(job, {}, {}), machine, Options(shaper=name))
+            plan = plan_job(free, machine, Options(shaper=name))
             proof = prove_plan(plan, spec, None, NOMINAL, actual)
             over = over_band(plan, spec, machines)
         except (PlanError, RecordingError):
             continue  # its valves cannot make that command, or the cycle comes to no end
         rows[name] = _row(name, cycle_s(proof), proof.verdict, over)
-    shown = [rows["none"]] if "none" in rows else []
+    listed = found.unshaped
+    shown = [
+        _row(AS_LISTED, cycle_s(listed), listed.verdict, over_band(listed.plan, spec, machines))
+    ]
+    if "none" in rows and rows["none"].cycle_s < shown[0].cycle_s:
+        shown.append(rows["none"])
     shaped = [row for name, row in rows.items() if name != "none"]
     if shaped:
         chosen = [_best(shaped, [row.passed for row in shaped])]
@@ -97,7 +107,7 @@ def _best(rows: list[BesideRow], passed: list[bool]) -> BesideRow:
 def _row(name: str, duration_s: float, verdict: Verdict, over: tuple[BandRun, ...]) -> BesideRow:
     found = [r.measured for r in verdict.results if r.name == MEASURE and r.measured is not None]
     return BesideRow(
-        name="unshaped" if name == "none" else name,
+        name="unshaped, overlapped" if name == "none" else name,
         cycle_s=duration_s,
         worst_m=max(found, default=0.0),
         passed=verdict.passed,

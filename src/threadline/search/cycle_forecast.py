@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from threadline.search.levels import LevelCommand, time_optimal_s
 from threadline.search.move_commands import MoveCommands, step_scans
 from threadline.search.move_list import with_choices
 from threadline.signals import ChannelKind
-from threadline.targets.schedule import REST_LAGS, Scheduled, ScheduledMove
+from threadline.targets.schedule import REST_LAGS, ScheduledMove
 from threadline.targets.schedule_moves import levels_text
 from threadline.verdict import Spec
 from threadline.verdict.switch_run import SwitchRun
@@ -82,15 +83,16 @@ class CycleForecast:
     ----------
     machine
         The one that commands are made for.
-    base
+    unshaped
         The job without a shaper.
     actual
         The machine that runs the cycles, on which what a command leaves ringing is forecast.
     """
 
     def __init__(
-        self, job: Job, machine: Machine, spec: Spec, base: Scheduled, actual: Machine
+        self, job: Job, machine: Machine, spec: Spec, unshaped: Proof, actual: Machine
     ) -> None:
+        base = unshaped.plan.scheduled
         self._job, self._machine, self._base = job, machine, base
         self._scan_s = float(base.commands.clock.period_s)
         axes = {move.axis for move in base.moves}
@@ -98,7 +100,11 @@ class CycleForecast:
         self._turn = self._turns(actual, axes)
         self._limits = [self._limit(spec, move) for move in base.moves]
         self._share = dict.fromkeys(axes, 1.0)
-        self._bias = [0j] * len(base.moves)
+        self._bias: list[complex] = [0j] * len(base.moves)
+        # What one command runs into, a stop for instance, another of other duration does not.
+        self._own: list[dict[int, complex]] = [{} for _ in base.moves]
+        run = SwitchRun(unshaped.recording, unshaped.plan)
+        self._pauses = self._between(run, [0] * len(base.moves))
         self._tried: set[tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]] = set()
         commands = MoveCommands(job, machine, self._scan_s, self._turns(machine, axes))
         self._commands = [
@@ -139,10 +145,11 @@ class CycleForecast:
     def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
         """Return what may follow a state: every command behind every wait within the limit."""
         axis, sign = move.axis, 1.0 if move.forward else -1.0
-        pause = self._pause(index)
+        pause = self._pauses[index]
         most = self._share[axis] * self._limits[index]
         commands = self._commands[index]
-        left = sign * np.array([command.left for command in commands]) + self._bias[index]
+        bias = [self._own[index].get(c.scans, self._bias[index]) for c in commands]
+        left = sign * np.array([command.left for command in commands]) + np.array(bias)
         scans = np.array([command.scans for command in commands])
         turn = self._turn[axis]
         quiet = abs(state.ringing[axis]) < 1e-9
@@ -169,16 +176,20 @@ class CycleForecast:
             )
         return found
 
-    def _pause(self, index: int) -> int:
-        """Return the scans between the move before and this one, as scheduled unshaped."""
-        if not index:
-            return 0
-        before, now = self._base.moves[index - 1], self._base.moves[index]
-        return max(now.first_tick - before.last_tick, 0)
+    def _between(self, run: SwitchRun, waits: Sequence[int]) -> list[int]:
+        """Return the scans before each move since the one before, as a cycle ran, but for waits.
+
+        They are not those of the schedule where the list waits for a piston that is on its way.
+        """
+        pauses = [0]
+        for (before, now), wait in zip(pairwise(run.moves), waits[1:], strict=True):
+            pauses.append(max(round((now.begin_s - before.end_s) / self._scan_s) - wait, 0))
+        return pauses
 
     def learn(self, cycle: Cycle, proof: Proof) -> None:
         """Take over what the twin found beyond the forecast; ask for less where that is unknown."""
         run = SwitchRun(proof.recording, proof.plan)
+        self._pauses = self._between(run, cycle.waits)
         known: dict[str, tuple[float, complex]] = {}
         learned = False
         for index, move in enumerate(run.moves):
@@ -188,12 +199,16 @@ class CycleForecast:
             forecast = complex(aged + sign * cycle.commands[index].left)
             found = self._measured(run, index)
             if found is None:
-                known[axis] = move.end_s, forecast + self._bias[index]
+                scans = cycle.commands[index].scans
+                bias = self._own[index].get(scans, self._bias[index])
+                known[axis] = move.end_s, forecast + bias
                 continue
             known[axis] = move.end_s, found
             fresh = found - forecast
-            learned = learned or abs(fresh - self._bias[index]) > 0.02 * self._limits[index]
-            self._bias[index] = fresh
+            scans = cycle.commands[index].scans
+            believed = self._own[index].get(scans, self._bias[index])
+            learned = learned or abs(fresh - believed) > 0.02 * self._limits[index]
+            self._bias[index] = self._own[index][scans] = fresh
         if not learned:
             for axis in self._share:
                 self._share[axis] *= _LESS

@@ -23,7 +23,7 @@ from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, simulate, try_plan
 from threadline.plan import Plan
 from threadline.plant.pneumatic import flow_mode, step_ringing
-from threadline.search.move_list import with_choices
+from threadline.search.move_list import overlapped, with_choices
 from threadline.shaping.onoff.flow_levels import (
     FlowCommand,
     FlowMove,
@@ -179,8 +179,9 @@ def robust_cycle(
         enough.
     """
     machines = band_machines(machine, band)
-    plain = plan_job(with_choices(job, {}, {}), machine, Options())
-    search = _Search(job, machine, spec, band, plain)
+    free = overlapped(with_choices(job, {}, {}), machine)
+    plain = plan_job(free, machine, Options())
+    search = _Search(free, machine, spec, band, plain)
     watched = replace(spec, criteria=(*spec.criteria, *search.by_step()))
     for tried in range(1, _ROUNDS + 1):
         if progress is not None:

@@ -6,10 +6,12 @@ What is written reads back as the same job, to the last digit of every place and
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 from threadline.errors import OptionError
+from threadline.jobs.moves import OVERLAP, REST
 from threadline.jobs.operations import (
     Dwell,
     Job,
@@ -23,22 +25,86 @@ from threadline.machine import Machine
 from threadline.signals import Stream
 from threadline.units import parse_quantity
 
+_LEAST_LEFT_M = 1e-4
+
 
 def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[int, float]) -> Job:
     """Return ``job`` with its moves commanded as told, and waits before them.
 
-    Operations that it is told of are those of ``job``; a wait is one more operation.
+    Operations that it is told of are those of ``job``; a wait is one more operation. How long the
+    list waits for a move to come to rest stays.
     """
     found: list[Operation] = []
     for index, operation in enumerate(job):
         if isinstance(operation, Move):
             if waits.get(index, 0.0) > 0.0:
                 found.append(Dwell(waits[index], operation.source))
-            tags = dict([how[index]]) if index in how else {}
+            tags = {k: v for k, v in operation.tags.items() if k in {REST, OVERLAP}}
+            tags |= dict([how[index]]) if index in how else {}
             found.append(replace(operation, tags=tags))
         else:
             found.append(operation)
     return replace(job, operations=Stream.of(found), sha256="")
+
+
+def overlapped(job: Job, machine: Machine) -> Job:
+    """Return ``job`` with less rest behind moves that another cylinder need not wait out.
+
+    Such a move is one cylinder's, the list waits behind it for an end switch that this cylinder
+    closes there, and what comes next is the move of another: the switch is the list's condition
+    for it. The rest is cut to the instant at which the piston passes the switch, so that one that
+    is stuck on sends the other no sooner. A move that another operation follows, a tool or a
+    vacuum, comes to rest first; so does one with ``overlap = false``, or a ``rest`` of its own.
+    """
+    operations = list(job)
+    found: list[Operation] = []
+    position = job.start
+    for index, operation in enumerate(operations):
+        kept = operation
+        if isinstance(operation, Move):
+            moved = _moved(job.axes, position, operation.target)
+            if OVERLAP not in operation.tags and REST not in operation.tags and len(moved) == 1:
+                rest_s = _least_rest_s(job, operations, index, moved[0], machine)
+                if rest_s is not None:
+                    kept = replace(operation, tags={**operation.tags, REST: rest_s})
+            position = operation.target
+        found.append(kept)
+    return replace(job, operations=Stream.of(found), sha256="")
+
+
+def _moved(
+    axes: tuple[str, ...], begin: tuple[float, ...], end: tuple[float, ...]
+) -> tuple[str, ...]:
+    return tuple(axis for axis, a, b in zip(axes, begin, end, strict=True) if a != b)
+
+
+def _least_rest_s(
+    job: Job, operations: list[Operation], index: int, axis: str, machine: Machine
+) -> float | None:
+    """Return the rest behind a move that another cylinder's follows behind waits; else None.
+
+    Behind the last switching the piston has dead time and then, at the most, speed times lag to go,
+    which it does as an exponential; the last of the switches that are waited for counts.
+    """
+    move = operations[index]
+    assert isinstance(move, Move)
+    cylinder = machine.cylinders[axis]
+    end_m = dict(zip(job.axes, move.target, strict=True))[axis]
+    rests = []
+    for after in operations[index + 1 :]:
+        if isinstance(after, WaitInput):
+            contact = machine.contacts[after.name]
+            if contact.cylinder == axis and contact.at is not None and after.value:
+                left_m = abs(end_m - contact.at.si)
+                to_go = cylinder.speed.si * cylinder.lag.si / max(left_m, _LEAST_LEFT_M)
+                rests.append(cylinder.delay.si + cylinder.lag.si * math.log(max(to_go, 1.0)))
+        elif isinstance(after, Move):
+            others = _moved(job.axes, move.target, after.target)
+            guarded = bool(rests) and bool(others) and axis not in others
+            return round(max(rests), 6) if guarded else None
+        elif not isinstance(after, ToolEvent):
+            return None
+    return None
 
 
 def move_list(job: Job, machine: Machine) -> str:
@@ -72,7 +138,7 @@ def _operation_lines(
             )
             return [
                 f"move = {{ {places} }}",
-                *(f"{k} = {_quoted(str(v))}" for k, v in tags.items()),
+                *(_tag(key, value) for key, value in tags.items()),
             ]
         case Dwell(duration_s=duration):
             return [f"dwell = {_text(duration, 's', 1e3, 'ms')}"]
@@ -87,6 +153,15 @@ def _operation_lines(
             ]
         case _:
             raise OptionError(f"a move list has no {type(operation).__name__}")
+
+
+def _tag(key: str, value: float | str) -> str:
+    """Return what a move says of itself beside where it goes."""
+    if key == REST:
+        return f"{key} = {_text(float(value), 's', 1e3, 'ms')}"
+    if key == OVERLAP:
+        return f"{key} = false"
+    return f"{key} = {_quoted(str(value))}"
 
 
 def _text(value: float, unit: str, factor: float, shown: str) -> str:

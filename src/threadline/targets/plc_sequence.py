@@ -306,7 +306,7 @@ def _stand(
     for axis in machine.cylinders:
         where = [n.watch[axis] for n in cycle if axis in n.watch and output in n.place.on]
         places = {round(w.end_m, 9) for w in where}
-        if axis == own or len(places) != 1 or not all(w.stands for w in where):
+        if axis == own or len(places) != 1 or not all(w.stands or w.arrived for w in where):
             continue
         for name, contact in switches_of(machine, axis).items():
             value = reads(contact, next(iter(places)))

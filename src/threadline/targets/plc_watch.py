@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,9 @@ class Watch:
         Since the origin of the place: before it no switch of the far end is believed.
     gone_ms
         Since the origin: after it no switch of the near end may be on.
+    arrived
+        Whether a switch of the far end was waited for on this way: what follows may rely on it,
+        though the piston still goes the last bit.
     """
 
     axis: str
@@ -43,6 +46,7 @@ class Watch:
     end_m: float
     early_ms: int = 0
     gone_ms: int = 0
+    arrived: bool = False
 
     @property
     def stands(self) -> bool:
@@ -66,17 +70,31 @@ def reads(contact: Contact, place_m: float) -> bool | None:
 def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
     """Return for every place of the net the watch of each cylinder that has end switches."""
     ways = _ways(scheduled)
+    machine = scheduled.machine
     found: list[dict[str, Watch]] = []
-    for place in net.places:
+    for number, place in enumerate(net.places):
         before = found[-1] if found else {}
-        found.append(
-            {
-                axis: _watch(scheduled.machine, place, before.get(axis), axis, moves, net.scan_ms)
-                for axis, moves in ways.items()
-                if switches_of(scheduled.machine, axis)
-            }
-        )
+        now = {
+            axis: _watch(machine, place, before.get(axis), axis, moves, net.scan_ms)
+            for axis, moves in ways.items()
+            if switches_of(machine, axis)
+        }
+        for axis, watch in now.items():
+            last = before.get(axis)
+            same = last is not None and (last.begin_m, last.end_m) == (watch.begin_m, watch.end_m)
+            if same and not watch.stands and last is not None:
+                came = last.arrived or _came(machine, net.places[number - 1], axis, watch.end_m)
+                now[axis] = replace(watch, arrived=came)
+        found.append(now)
     return found
+
+
+def _came(machine: Machine, place: NetPlace, axis: str, end_m: float) -> bool:
+    """Say whether a place waited for a switch of a cylinder that is on where its way ends."""
+    if place.wait is None or not place.wait[1]:
+        return False
+    contact = machine.contacts[place.wait[0]]
+    return contact.cylinder == axis and contact.at is not None and bool(reads(contact, end_m))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.arrays import IntArray
 from threadline.errors import BudgetError, OptionError, Place, PlanError
-from threadline.jobs.moves import STEP_EVENT
+from threadline.jobs.moves import REST, STEP_EVENT
 from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source, ToolEvent, WaitInput
 from threadline.machine import Machine
 from threadline.signals import Clock, Event, SwitchSchedule
@@ -305,7 +305,8 @@ class _Builder:
                 f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
                 f"set the flow to {self._whole(levels):.6g} m/s to meet it"
             )
-        return last + self._ticks(cylinder.delay.si + REST_LAGS * cylinder.lag.si)
+        calm_s = cylinder.delay.si + REST_LAGS * cylinder.lag.si
+        return last + self._ticks(float(how.get(REST, calm_s)))
 
     def _whole(self, levels: Levels) -> float:
         """Return the speed at which the same scans cover the distance that was asked for."""
