@@ -108,11 +108,21 @@ class Walk(RuleBasedStateMachine):
 
     @rule()
     def start(self) -> None:
-        if self.model is State.IDLE and self.bench.wire.machine.position.any():
+        if self.model is State.IDLE and self.executor._stands.any():
             with pytest.raises(CommandError, match="stands at"):
                 self.executor.start(TABLE)
             return
         self.command(Cause.START, lambda: self.executor.start(TABLE))
+
+    @rule(velocity=st.sampled_from([-0.05, 0.02, 0.07]))
+    def jog(self, velocity: float) -> None:
+        self.command(Cause.JOG, lambda: self.executor.jog("X", velocity))
+
+    @precondition(lambda self: self.model is State.JOGGING)
+    @rule()
+    def renew_or_let_go(self) -> None:
+        self.executor.renew()
+        self.executor.let_go()
 
     @rule(cause=st.sampled_from([Cause.HOLD, Cause.RESUME, Cause.STOP]))
     def at_the_desk(self, cause: Cause) -> None:
@@ -125,7 +135,7 @@ class Walk(RuleBasedStateMachine):
             if self.executor.over:
                 break
             self.executor.step()
-        if self.executor.over and self.model in {State.RUNNING, State.STOPPING}:
+        if self.executor.over and self.model in {State.RUNNING, State.STOPPING, State.JOGGING}:
             self.model = State.IDLE
 
     @precondition(lambda self: self.model is State.RUNNING)

@@ -2,29 +2,29 @@
 
 It sends rows at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
 the next refill replaces that tail: whoever dies, the machine comes to rest within its limits.
+What it keeps between two reports is one state, which is why the file is longer than most.
 """
 
 from __future__ import annotations
 
 import select
 from collections.abc import Mapping
-from fractions import Fraction
 from typing import Protocol
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
 from threadline.live.ahead import Ahead, ticks_in
 from threadline.live.desk import Desk
+from threadline.live.greeting import channels_told
 from threadline.live.guards import Guards
+from threadline.live.jogging import JogAhead
 from threadline.live.states import MOVING, Cause, State, next_state
-from threadline.live.wire import PROTOCOL, Connection, Message, event_of
+from threadline.live.wire import Connection, Message, event_of
 from threadline.machine import Machine
 from threadline.signals import (
     Channel,
-    ChannelKind,
-    Clock,
     Ended,
     Event,
     RecordingBlock,
@@ -33,12 +33,15 @@ from threadline.signals import (
 
 DEPTH_S = 0.1
 """Rows are sent no further ahead than this, s."""
+LEASE_S = 0.25
+"""A jog goes on no longer than this after somebody has said that he is there, s."""
 SETTLE_S = 0.5
 """How long the machine is recorded after the last row, s: as long as it is simulated."""
 _ANSWER_S = 60.0  # a machine may have to be built first
 _STEPPED_S = 60.0  # silence of a machine whose time waits for us
 _LEAD_S = 0.02
 """How far ahead of the last report a stop begins in real time, s: what is under way then."""
+_SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
 
 class Sink(Protocol):
@@ -85,7 +88,10 @@ class Executor:
         self._homed = False
         self._stands = np.zeros(len(machine.axes), dtype=np.int64)
         self._began = self._stands  # where the run began
-        self._ahead: Ahead | None = None
+        self._ahead: Ahead | JogAhead | None = None
+        self._number = 0  # of runs and jogs since the machine greeted
+        self._lease = ticks_in(LEASE_S, machine)
+        self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
         self._settle = ticks_in(SETTLE_S, machine) + 1
         self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
@@ -107,30 +113,11 @@ class Executor:
         CommandError
             If it is another machine, or speaks another protocol.
         """
-        hello = self._expect("hello")
-        told, machine = hello.head, self._machine
-        if told["protocol"] != PROTOCOL:
-            raise CommandError(
-                f"the link speaks protocol {told['protocol']}, this program {PROTOCOL}",
-                remedy="Use the same version at either end.",
-            )
-        if told["machine_sha256"] != machine.sha256:
-            raise CommandError(
-                f"the link leads to {told['machine']} (sha256 {told['machine_sha256'][:12]}), the "
-                f"plan is for {machine.name} ({machine.sha256[:12]})",
-                remedy="Give the machine file of the machine that is there.",
-            )
-        clock = Clock(str(told["clock"]), Fraction(told["period"]))
-        self._clock = clock.name
-        self._channels = tuple(
-            Channel(
-                name=c["name"], kind=ChannelKind(c["kind"]), unit=c["unit"], axis=c["axis"],
-                stride=int(c["stride"]), clock=clock,
-            )
-            for c in told["channels"]
-        )  # fmt: skip
+        hello = self._expect("hello").head
+        self._channels = channels_told(hello, self._machine)
+        self._clock = self._channels[0].clock.name
         self._nothing = {channel.name: np.empty(0) for channel in self._channels}
-        self._sink.begin(self._channels, bool(told["simulated"]))
+        self._sink.begin(self._channels, bool(hello["simulated"]))
 
     def enable(self) -> None:
         """Switch the drives on."""
@@ -191,12 +178,53 @@ class Executor:
         """
         next_state(self.state, Cause.START)  # refused before anything is sent
         self._check_start(table)
+        ahead = Ahead(table, self._machine, pass_stops=pass_stops)
+        self._set_out(Cause.START, ahead, table.start_counts)
+
+    def jog(self, axis: str, velocity: float) -> None:
+        """Move an axis until somebody lets go, or does not say for ``LEASE_S`` that he is there.
+
+        Parameters
+        ----------
+        axis, velocity
+            Which, and how fast, m/s or rad/s; at most the manual feed of the machine.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle, or the axis or the speed is none for a jog.
+        """
+        next_state(self.state, Cause.JOG)
+        self._lease_until = self._lease
+        self._set_out(
+            Cause.JOG, JogAhead(self._machine, self._stands, axis, velocity), self._stands
+        )
+
+    def renew(self) -> None:
+        """Say that whoever jogs is still there: the lease counts from now.
+
+        Raises
+        ------
+        CommandError
+            If nothing is jogged: a lease that has run out is not renewed.
+        """
+        if self.state is not State.JOGGING:
+            raise CommandError(
+                f"there is no jog: the machine is {self.state.value}", remedy="Begin one anew."
+            )
+        self._lease_until = self.tick + self._lease
+
+    def let_go(self) -> None:
+        """End a jog: brake now, not after what is held."""
+        if self.state is State.JOGGING:
+            self._brake()
+
+    def _set_out(self, cause: Cause, ahead: Ahead | JogAhead, stands: IntArray) -> None:
+        first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
-        self._guards = Guards(self._machine)  # nothing of the run before is remembered
-        self._ahead = Ahead(table, self._machine, pass_stops=pass_stops)
-        first = self._ahead.extend(self._depth)
-        self._go(Cause.START)
-        self._began = table.start_counts
+        self._guards = Guards(self._machine)  # nothing of the motion before is remembered
+        self._ahead, self._began, self._number = ahead, stands, self._number + 1
+        self._go(cause)
         self._link.send(Message("begin"))
         self._link.send(first)
         self._owes_go = not self._real_time
@@ -293,7 +321,7 @@ class Executor:
 
     def _start_again(self) -> None:
         ahead = self._ahead
-        assert ahead is not None
+        assert isinstance(ahead, Ahead)  # a jog is not held
         ahead.rest_until(self.tick + self._lead)
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
@@ -305,15 +333,16 @@ class Executor:
     def _hear(self, message: Message) -> None:
         if message.kind == "refused":
             self._refused(message)
-        elif message.kind == "report":
-            self._keep(message)
+        elif message.kind == "report" and message.head["run"] == self._number:
+            if self.state is not State.JOGGING:
+                self._keep(message)
             head = message.head
             self.tick = int(head["now"])
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
             self.late_ticks += int(head["late"])
             samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
             inputs = {name: values[-1] for name, values in samples.items() if len(values)}
-            if head["starved"] and self.state in {State.RUNNING, State.HOLDING}:
+            if head["starved"] and self.state in _SENDING:
                 self._fault("refills came too late: the machine has braked by itself")
             if self.ended is None and self._rest is None:
                 why = self._guards.trip(
@@ -367,6 +396,8 @@ class Executor:
                 ended, text = self.ended
                 self._link.send(Message("finish", {"ended": ended.value, "text": text}))
                 self._rest = self.tick
+        elif isinstance(ahead, JogAhead):
+            self._go_on_by_hand(ahead, played=played)
         elif self.state is State.RUNNING and ahead.complete:
             if played:
                 self.ended, self._rest = (Ended.COMPLETED, ""), ahead.end
@@ -377,6 +408,17 @@ class Executor:
             self._command(Cause.RESUME)
         elif self.state is State.RUNNING and self.tick + self._depth > ahead.end:
             self._link.send(ahead.extend(self.tick + self._depth))
+
+    def _go_on_by_hand(self, jog: JogAhead, *, played: bool) -> None:
+        if jog.complete:
+            if played:
+                self.ended, self.over = (Ended.COMPLETED, jog.why), True
+                self._go(Cause.AT_REST, jog.why)
+        elif self.tick >= self._lease_until:
+            jog.why = f"nobody has renewed its lease for {LEASE_S:g} s"
+            self._brake()
+        elif self.tick + self._depth > jog.end:
+            self._link.send(jog.extend(self.tick + self._depth))
 
     # --- ends ------------------------------------------------------------------------------
 

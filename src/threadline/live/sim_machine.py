@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.live.greeting import greeting
 from threadline.live.sim_faults import SimFault
-from threadline.live.wire import PROTOCOL, Message, event_of, event_told
+from threadline.live.wire import Message, event_of, event_told
 from threadline.machine import Machine
-from threadline.signals import Channel, Ended, Event, RecordingBlock, TickBlock
+from threadline.signals import Ended, Event, RecordingBlock, TickBlock
 from threadline.twin import Session
 
 LATE = 0.5
@@ -55,6 +56,7 @@ class SimMachine:
         self._wanted_until = 0  # tick from which on what is held is the spare tail
         self._position = np.zeros(len(machine.axes), dtype=np.int64)  # commanded, from the start
         self._enabled = self._homed = self._begun = False
+        self._number = 0  # of runs and jogs since it was switched on
         self._last = False  # what is held ends with the last row of the run
         self.starved = False
         self.left = False  # the executor has said that it is done
@@ -97,18 +99,7 @@ class SimMachine:
 
     def greet(self) -> None:
         """Say who it is."""
-        channels = [_channel_head(channel) for channel in self._session.channels]
-        self._say(
-            "hello",
-            protocol=PROTOCOL,
-            machine=self._machine.name,
-            machine_sha256=self._machine.sha256,
-            period=str(self._machine.tick_clock.period_s),
-            clock=self._machine.tick_clock.name,
-            simulated=True,
-            position=self._start.tolist(),
-            channels=channels,
-        )
+        self._say("hello", **greeting(self._machine, self._session.channels))
 
     def take(self, message: Message) -> None:
         """Do what the executor says; refuse what is not possible now."""
@@ -150,6 +141,7 @@ class SimMachine:
             self._position = np.zeros_like(self._position)
             self._session = Session(self._machine, start_counts=self._start)
         self._wanted_until, self._last, self._begun = 0, False, True
+        self._number += 1
 
     def _refill(self, message: Message) -> None:
         """Replace what is held from a tick on; refuse what does not fit what was played."""
@@ -257,14 +249,8 @@ class SimMachine:
             told = Event(tick=first, kind="late", operation=-1, value=float(late))
             events.append(event_told(told))
         head = {
-            "tick": first, "now": self.tick, "held": len(self._rows), "starved": self.starved,
-            "late": late, "late_by": late_by, "position": self._position.tolist(), "events": events,
+            "run": self._number, "tick": first, "now": self.tick, "held": len(self._rows),
+            "starved": self.starved, "late": late, "late_by": late_by, "events": events,
+            "position": self._position.tolist(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
-
-
-def _channel_head(channel: Channel) -> dict[str, Any]:
-    return {
-        "name": channel.name, "kind": channel.kind.value, "unit": channel.unit,
-        "axis": channel.axis, "stride": channel.stride,
-    }  # fmt: skip

@@ -1,0 +1,170 @@
+"""An axis moved by hand: from state to state within its limits, never out of its travel.
+
+Speeding up and braking are ruckig's state-to-state moves: time-optimal within velocity,
+acceleration and jerk. Everything is in counts and ticks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Ruckig, Trajectory
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import CommandError
+from threadline.live.braking import CountLimits
+from threadline.live.wire import Message
+from threadline.machine import Machine
+
+_KEPT = 4  # ticks that are remembered behind the machine
+
+
+@dataclass(frozen=True, slots=True)
+class _At:
+    """Where the axis is, counts, and how it moves, counts per tick and tick^2."""
+
+    position: float
+    velocity: float
+    acceleration: float
+
+
+class JogAhead:
+    """A jog as far as it has been sent, tick by tick.
+
+    Parameters
+    ----------
+    machine
+        Whose limits are kept.
+    stands
+        (axes,) counts where it begins.
+    axis
+        Which axis is moved.
+    velocity
+        How fast, m/s or rad/s; its sign is the direction.
+
+    Raises
+    ------
+    CommandError
+        If there is no such axis, or it is told to go faster than its manual feed.
+    """
+
+    def __init__(self, machine: Machine, stands: IntArray, axis: str, velocity: float) -> None:
+        if axis not in machine.axes:
+            raise CommandError(
+                f"there is no axis {axis[:20]!r}", remedy=f"There are {', '.join(machine.axes)}."
+            )
+        self._column = machine.axis_names.index(axis)
+        counts = machine.counts_per_unit[self._column] * float(machine.tick_clock.period_s)
+        limits = CountLimits.of(machine)
+        most = manual_feed(machine)[self._column]
+        if not abs(velocity) * counts <= most * (1.0 + 1e-9):
+            raise CommandError(
+                f"axis {axis}: {abs(velocity):g} is faster than the manual feed, "
+                f"{most / counts:.4g}",
+                remedy="Jog more slowly, or change operator.manual_feed in the machine file.",
+            )
+        self._target = velocity * counts
+        self._low, self._high = float(limits.low[self._column]), float(limits.high[self._column])
+        self._otg, self._asked = Ruckig(1), InputParameter(1)
+        self._asked.control_interface = ControlInterface.Velocity
+        self._asked.max_acceleration = [float(limits.acceleration[self._column])]
+        self._asked.max_jerk = [float(limits.jerk[self._column])]
+        self._stands = stands
+        self._first = 0  # tick of the first state that is kept
+        self._states = [_At(float(stands[self._column]), 0.0, 0.0)]
+        self._before_cut: tuple[list[_At], float] | None = None
+        self.why = ""
+        """Why it ends before anybody let go; empty where it does not."""
+
+    @property
+    def end(self) -> int:
+        """The tick up to which rows have been sent that are wanted."""
+        return self._first + len(self._states) - 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has come to rest, as far as it was sent."""
+        return self._target == 0.0 and self._states[-1].velocity == 0.0
+
+    def forget(self, tick: int) -> None:
+        """Keep nothing of what is before ``tick``."""
+        gone = min(tick - _KEPT - self._first, len(self._states) - 1)
+        if gone > 0:
+            self._states = self._states[gone:]
+            self._first += gone
+
+    def extend(self, until: int) -> Message:
+        """Return the refill with the rows up to tick ``until``, and the tail that brakes."""
+        begin, self._before_cut = self.end, None
+        for _ in range(begin, until):
+            if self.complete:
+                break
+            after = self._step(self._states[-1], self._target)
+            rest = self._braking(after)[-1].position
+            if self._target and not self._low <= rest <= self._high:
+                self._target, self.why = 0.0, "the end of its travel"
+                after = self._step(self._states[-1], 0.0)
+            self._states.append(after)
+        return self._refill(begin, self._braking(self._states[-1])[1:])
+
+    def cut(self, tick: int) -> Message:
+        """Return the refill that comes to rest from ``tick`` on."""
+        tick = min(max(tick, self._first), self.end)
+        self._before_cut = (self._states, self._target)
+        kept = self._states[: tick - self._first + 1]
+        self._target, self._states = 0.0, [*kept, *self._braking(kept[-1])[1:]]
+        return self._refill(tick, [])
+
+    def undo(self) -> bool:
+        """Take back the last cut, which was refused; say whether there was one."""
+        if self._before_cut is None:
+            return False
+        (self._states, self._target), self._before_cut = self._before_cut, None
+        return True
+
+    def _trajectory(self, at: _At, target: float) -> Trajectory:
+        asked = self._asked
+        asked.current_position = [at.position]
+        asked.current_velocity = [at.velocity]
+        asked.current_acceleration = [at.acceleration]
+        asked.target_velocity, asked.target_acceleration = [target], [0.0]
+        found = Trajectory(1)
+        self._otg.calculate(asked, found)
+        return found
+
+    def _step(self, at: _At, target: float) -> _At:
+        return _state(self._trajectory(at, target), 1.0)
+
+    def _braking(self, at: _At) -> list[_At]:
+        """Return the states at the ticks from now on until it rests."""
+        found = self._trajectory(at, 0.0)
+        ticks = ceil(found.duration - 1e-9)
+        states = [_state(found, float(k)) for k in range(1, ticks)]
+        if ticks:
+            states.append(_At(_state(found, float(found.duration)).position, 0.0, 0.0))
+        return [at, *states]
+
+    def _refill(self, begin: int, tail: list[_At]) -> Message:
+        states = [*self._states[begin - self._first :], *tail]
+        places = np.rint([state.position for state in states]).astype(np.int64)
+        counts = np.zeros((len(places) - 1, len(self._stands)), dtype=np.int64)
+        counts[:, self._column] = np.diff(places)
+        at = np.zeros_like(self._stands)
+        at[self._column] = places[0] - self._stands[self._column]
+        head = {"first": begin, "wanted": self.end - begin, "last": False, "events": []}
+        arrays = {"at": at, "counts": counts, "operation": np.full(len(counts), -1)}
+        return Message("refill", head, arrays)
+
+
+def manual_feed(machine: Machine) -> FloatArray:
+    """Return the (axes,) fastest speed by hand, counts per tick: the operator's, else a tenth."""
+    most = CountLimits.of(machine).velocity
+    feed = None if machine.operator is None else machine.operator.manual_feed
+    return np.minimum(most, 0.1 * most if feed is None else feed.si)
+
+
+def _state(trajectory: Trajectory, time: float) -> _At:
+    position, velocity, acceleration = trajectory.at_time(time)
+    return _At(float(position[0]), float(velocity[0]), float(acceleration[0]))

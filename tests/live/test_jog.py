@@ -1,0 +1,141 @@
+"""A jog never runs away: it ends with its lease, at the end of travel, and with its executor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from threadline.errors import CommandError
+from threadline.live.braking import CountLimits
+from threadline.live.jogging import JogAhead, manual_feed
+from threadline.live.states import Cause, State
+
+MM = 1e3 / winder().counts_per_unit[1]
+FAST = 20 * MM / 1e3 / 0.005  # 72 mm/s, the manual feed
+
+
+def jogged(axis: str = "X", velocity: float = FAST, start: np.ndarray | None = None) -> Bench:
+    bench = Bench(start=start).ready()
+    bench.executor.jog(axis, velocity)
+    return bench
+
+
+def test_at_manual_feed_it_ends_within_26_mm_of_the_last_renewal() -> None:
+    """250 ms at 72.3 mm/s are 18.1 mm; a report of 25 ms and braking are less than 2.1 mm."""
+    bench = jogged()
+    bench.go_on()
+    way = bench.wire.machine.position[1] * MM
+    assert 17.0 <= way <= 20.2
+    assert bench.executor.state is State.IDLE
+    assert "nobody has renewed its lease for 0.25 s" in (bench.executor.ended or ("", ""))[1]
+
+
+def test_it_goes_on_while_it_is_renewed_and_no_longer() -> None:
+    bench = jogged()
+    for tick in range(20, 400, 20):
+        bench.go_on(tick)
+        bench.executor.renew()
+    assert bench.executor.state is State.JOGGING
+    renewed, at = bench.executor.tick, bench.wire.machine.position[1] * MM
+    assert at == pytest.approx(1e3 * FAST * renewed * 0.005, abs=2.0)
+    bench.go_on()
+    assert (bench.wire.machine.position[1]) * MM - at <= 26.0
+    with pytest.raises(CommandError, match="there is no jog"):
+        bench.executor.renew()
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 49), st.sampled_from([-1.0, -0.3, 0.5, 1.0]))
+def test_whoever_dies_it_stops_within_10_mm(tick: int, share: float) -> None:
+    """100 ms at 72.3 mm/s are 7.2 mm; from 20 counts per tick it brakes in 0.4 mm."""
+    bench = jogged(velocity=share * FAST)
+    bench.go_on(tick)
+    bench.wire.mute = True
+    machine = bench.wire.machine
+    before = machine.position[1]
+    machine.play(400)
+    assert machine.standing
+    assert abs(machine.position[1] - before) * MM <= 7.2 * abs(share) + 0.5
+
+
+def test_letting_go_brakes_now() -> None:
+    """Not after the 100 ms that are held: v^2 / 2a and what the jerk adds, 0.25 + 0.18 mm."""
+    bench = jogged()
+    bench.go_on(40)
+    at = bench.wire.machine.position[1]
+    bench.executor.let_go()
+    bench.go_on()
+    limits = CountLimits.of(winder())
+    v, a, j = 20.0, limits.acceleration[1], limits.jerk[1]
+    way = v * v / (2 * a) + 0.5 * v * a / j
+    assert (bench.wire.machine.position[1] - at) <= way + 2
+    assert bench.executor.state is State.IDLE
+
+
+def test_a_stop_ends_it_ahead_of_renewals() -> None:
+    bench = jogged()
+    bench.go_on(40)
+    bench.executor.renew()
+    bench.desk.ask(Cause.STOP)
+    bench.go_on()
+    assert bench.executor.state is State.IDLE
+    assert bench.executor.ended is not None
+    assert bench.executor.ended[1] == "stopped by the operator"
+
+
+@pytest.mark.parametrize("share", [1.0, 0.35])
+def test_it_stops_at_the_end_of_its_travel(share: float) -> None:
+    start = np.array([0, round(495.0 / MM), 0])
+    bench = jogged(velocity=share * FAST, start=start)
+    for _ in range(40):
+        bench.go_on(bench.executor.tick + 20)
+        if bench.executor.over:
+            break
+        bench.executor.renew()
+    ends = (start + bench.wire.machine.position)[1] * MM
+    assert 499.0 <= ends <= 500.0 + 0.5 * MM
+    assert bench.executor.ended is not None
+    assert bench.executor.ended[1] == "the end of its travel"
+
+
+@pytest.mark.parametrize("axis", ["A", "X", "Y"])
+def test_it_keeps_acceleration_and_jerk(axis: str) -> None:
+    """By differences of what is sent, tail included; rounding adds half a count, doubled each."""
+    machine = winder()
+    k = machine.axis_names.index(axis)
+    limits = CountLimits.of(machine)
+    speed = manual_feed(machine)[k] / machine.counts_per_unit[k] / 0.005
+    jog = JogAhead(machine, np.zeros(3, np.int64), axis, speed)
+    message = jog.extend(40)
+    places = np.concatenate([[0] * 4, np.cumsum(message.arrays["counts"][:, k])])
+    places = np.concatenate([places, [places[-1]] * 4])
+    assert len(message.arrays["counts"]) > 40
+    assert np.abs(np.diff(places, 2)).max() <= limits.acceleration[k] + 2.0
+    assert np.abs(np.diff(places, 3)).max() <= limits.jerk[k] + 4.0
+    assert np.diff(places).max() == pytest.approx(20, abs=1)
+
+
+def test_what_is_no_jog_is_refused() -> None:
+    bench = Bench()
+    with pytest.raises(CommandError, match="'jog' is not possible while the machine is disabled"):
+        bench.executor.jog("X", FAST)
+    bench.ready()
+    with pytest.raises(CommandError, match="there is no axis 'Q'"):
+        bench.executor.jog("Q", FAST)
+    with pytest.raises(CommandError, match=r"faster than the manual feed, 0\.07226"):
+        bench.executor.jog("X", 1.01 * FAST)
+    assert bench.executor.state is State.IDLE
+    bench.executor.jog("X", FAST)
+    with pytest.raises(CommandError, match="while the machine is jogging"):
+        bench.executor.start(table_of_counts(there_and_back()))
+    bench.go_on()
+    # Now it stands elsewhere: a run that begins at 0 is refused.
+    with pytest.raises(CommandError, match="axis X stands at"):
+        bench.executor.start(table_of_counts(there_and_back()))
+    stands = bench.executor._stands
+    bench.executor.start(table_of_counts(there_and_back(), start=stands))
+    bench.go_on()
+    assert bench.executor.state is State.IDLE
