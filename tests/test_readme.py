@@ -22,14 +22,14 @@ SLOW = {"design": "its search takes minutes; tests/cli/test_design.py runs the c
 def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One verb per arrow, from job to verdict."""
+    """One question, one function; it says the level of its answer."""
     monkeypatch.chdir(ROOT)
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     names: dict[str, object] = {}
     exec(compile(code, "README.md", "exec"), names)
 
     said = capsys.readouterr().out.splitlines()
-    assert said[0] == "in spec (nominal: one run)"
+    assert said[0] == "in spec (repeated)"
     assert 0.0 < float(said[1].split()[2]) <= 0.5  # mm, the limit of the winder's specification
 
 
