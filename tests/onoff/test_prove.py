@@ -232,6 +232,14 @@ def test_limits_of_the_valves_are_judged(shaped: Proof, name: str) -> None:
     assert result.measured == pytest.approx(wanted, abs=1e-9)
 
 
+def test_a_dwell_that_is_kept_is_told_in_words(shaped: Proof) -> None:
+    """No negative time: 0 too short, and how long the quickest valve rested of what it needs."""
+    result = shaped.verdict.result("switching_dwell")
+    assert result.measured == 0.0
+    assert " ms at least, of 20 ms that it needs" in result.note
+    assert float(result.note.split(" rests ")[1].split(" ms")[0]) >= 20.0
+
+
 def test_flow_controls_of_a_closed_valve_are_no_level(shaped: Proof) -> None:
     """All that lets Z down opens while no air goes that way: too much of nothing is not over.
 

@@ -32,7 +32,7 @@ from threadline.machine import Machine
 from threadline.signals import Stream
 from threadline.units import parse_quantity
 
-TOP_KEYS = ("name", "operation")
+TOP_KEYS = ("name", "home", "operation")
 OPERATION_KEYS = {
     "move": ("move", "shaper", "levels", "rest", "overlap"),
     "dwell": ("dwell",),
@@ -102,6 +102,7 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
         start=tuple(0.0 for _ in machine.cylinders),
         operations=Stream.of(operations),
         paced_by="switchings",
+        home=reader.home(table),
     )
 
 
@@ -142,6 +143,23 @@ class _Reader:
                 found.append(ToolEvent(STEP_EVENT + step, 0.0, source))
             found += self._operation(row, index, source, position)
         return found
+
+    def home(self, table: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the order of the way home, where the list says it: every cylinder once."""
+        order = table.get("home", [])
+        axes = tuple(self.machine.cylinders)
+        if "home" in table and sorted(map(str, order if isinstance(order, list) else [])) != (
+            sorted(axes)
+        ):
+            shown = ", ".join(map(str, order))[:80] if isinstance(order, list) else str(order)[:80]
+            example = ", ".join(f'"{axis}"' for axis in reversed(axes))
+            self.refuse(
+                f"home = {shown!r} does not name every cylinder once",
+                None,
+                "home",
+                f"Write them in the order in which they are to come back, like home = [{example}].",
+            )
+        return tuple(order)
 
     def _operation(
         self, row: Mapping[str, Any], index: int, source: Source, position: dict[str, float]

@@ -289,6 +289,9 @@ class Job:
     paced_by
         What its speed is set by: ``feed``, ``needle`` (stitches a second), ``switchings``, or
         ``shaft`` (a stitch in each turn of the machine's main shaft).
+    home
+        Cylinders in the order in which the way home brings them back; empty where a list leaves
+        that to its moves.
     """
 
     name: str
@@ -301,6 +304,7 @@ class Job:
     paced_by: Pace = "feed"
     feed_rule: str = ""
     drawn: tuple[DrawnLine, ...] = ()
+    home: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)

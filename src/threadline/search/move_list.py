@@ -110,6 +110,8 @@ def _least_rest_s(
 def move_list(job: Job, machine: Machine) -> str:
     """Return a job of an on/off machine as a move list that reads back as the same job."""
     lines = [f"name = {_quoted(job.name)}"]
+    if job.home:
+        lines.append(f"home = [{', '.join(map(_quoted, job.home))}]")
     step = ""
     position = dict(zip(job.axes, job.start, strict=True))
     for operation in job:

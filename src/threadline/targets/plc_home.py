@@ -1,16 +1,17 @@
 """The way home: a sequence that brings every cylinder to its start from wherever it stands.
 
-One cylinder after the other, in the order in which the job itself brings them back, each with the
-smallest level that its flow controls make, until its own end switch says that it is there. Then it
-is pressed home for as long as its whole stroke takes: a switch that is stuck on, with the piston
-anywhere, sends no other cylinder on its way before this one is home.
+One cylinder after the other, in the order that the job's ``home`` says or in which its moves bring
+them back, each with the smallest level that its flow controls make, until its own end switch says
+that it is there. Then it is pressed home for as long as its whole stroke takes: a switch that is
+stuck on, with the piston anywhere, sends no other cylinder on its way before this one is home.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
-from threadline.errors import PlanError
+from threadline.errors import Place, PlanError
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Way
 from threadline.targets.plc_net import NetPlace
@@ -21,6 +22,7 @@ HOMING = "homing"
 _AMPLE = 2.0
 _SPARE_S = 1.0
 _WHOLE = 1.2  # strokes
+_SAME_M = 1e-6
 
 
 def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlace, ...]:
@@ -64,12 +66,45 @@ def _scans_ms(time_s: float, scan_ms: int) -> int:
 
 
 def home_order(scheduled: Scheduled) -> tuple[str, ...]:
-    """Return the cylinders in the order in which the job moves each for the last time.
+    """Return the cylinders in the order in which they come back.
 
-    A list ends at its start, so that its last moves are the way back; what never moves comes first.
+    That of the list's ``home``; without it the order in which the list moves each for the last
+    time: a list ends at its start, so that its last moves are the way back. What never moves comes
+    first.
+
+    Raises
+    ------
+    PlanError
+        If the list lets a cylinder move only with another at its start, and brings it home before.
     """
     last = {move.axis: move.first_tick for move in scheduled.moves}
-    return tuple(sorted(scheduled.machine.cylinders, key=lambda axis: last.get(axis, -1)))
+    order = scheduled.job.home
+    if not order:
+        return tuple(sorted(scheduled.machine.cylinders, key=lambda axis: last.get(axis, -1)))
+    for axis, other in _needed(scheduled):
+        if order.index(axis) < order.index(other):
+            raise PlanError(
+                f"home = {', '.join(order)} brings {axis} back before {other}, and the list moves "
+                f"{axis} only with {other} at its start",
+                place=Place(scheduled.job.file),
+                remedy=f"Write {other} before {axis}.",
+            )
+    return order
+
+
+def _needed(scheduled: Scheduled) -> Iterator[tuple[str, str]]:
+    """Yield (cylinder, other) where the list moves the first only with the second at its start."""
+    at = dict(zip(scheduled.job.axes, scheduled.job.start, strict=True))
+    start, moving = dict(at), {move.axis for move in scheduled.moves}
+    away: set[tuple[str, str]] = set()
+    for move in scheduled.moves:
+        away |= {(move.axis, o) for o in moving - {move.axis} if abs(at[o] - start[o]) > _SAME_M}
+        at[move.axis] += (1.0 if move.forward else -1.0) * move.levels.wanted_m
+    for axis in sorted(moving):
+        for other in sorted(moving - {axis}):
+            # Each only with the other at home: their order is the user's.
+            if (axis, other) not in away and (other, axis) in away:
+                yield axis, other
 
 
 def home_switch(machine: Machine, axis: str) -> str:

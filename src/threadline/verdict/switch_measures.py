@@ -270,13 +270,17 @@ def switching_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
 
 
 def switching_dwell(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """By how much a valve switched again sooner than it can, s; negative where room is left."""
+    """By how much a valve switched again sooner than it can, s; 0 where none did.
+
+    The note says which rested shortest, how long, and how long it needs.
+    """
     machine = run.plan.machine
     assert machine.plc is not None
     valves = [
         i for i, n in enumerate(run.commands.outputs) if machine.outputs[n].kind in _VALVE_KINDS
     ]
     worst = Finding(value=None, note="no valve switches twice")
+    need_s, shortest_s = machine.plc.dwell.si, np.inf
     for column in valves:
         values = run.states[:, column]
         at = np.flatnonzero(np.diff(values, prepend=0))
@@ -284,12 +288,13 @@ def switching_dwell(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
             continue
         spans = np.diff(run.time_s[at])
         short = int(np.argmin(spans))
-        value = machine.plc.dwell.si - float(spans[short])
-        if worst.value is None or value > worst.value:
+        if spans[short] < shortest_s:
+            shortest_s = float(spans[short])
             worst = Finding(
-                value=value,
+                value=max(need_s - shortest_s, 0.0),
                 time_s=float(run.time_s[at[short + 1]]),
-                note=f"{run.commands.outputs[column]}, shortest {spans[short] * 1e3:.4g} ms",
+                note=f"{run.commands.outputs[column]} rests {shortest_s * 1e3:.4g} ms at least, "
+                f"of {need_s * 1e3:.4g} ms that it needs",
             )
     return [worst]
 
