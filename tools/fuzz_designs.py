@@ -78,30 +78,47 @@ def _packed(column: bytes) -> bytes:
     return int(bits, 2).to_bytes(len(bits) // 8, "big")
 
 
-def hus_seed() -> bytes:
+def hus_seed(records: int = 200) -> bytes:
     """Return a design with every command of HUS."""
     numbers = random.Random(3)
-    acts = bytes(numbers.choice((0x80, 0x80, 0x80, 0x81, 0x84, 0x88)) for _ in range(200))
-    ways = [bytes(numbers.randrange(256) for _ in range(200)) for _ in "XY"]
+    acts = bytes(numbers.choice((0x80, 0x80, 0x80, 0x81, 0x84, 0x88)) for _ in range(records))
+    ways = [bytes(numbers.randrange(256) for _ in range(records)) for _ in "XY"]
     still = bytes(40)
     return hus_bytes(
         (acts + b"\x80" * 40 + b"\x90", ways[0] + still + b"\0", ways[1] + still + b"\0")
     )
 
 
-def seeds() -> dict[str, bytes]:
-    """Return a sound design in every format."""
+def seeds(design: pystitch.EmbPattern | None = None, records: int = 200) -> dict[str, bytes]:
+    """Return a sound design in every format: that of the examples unless another is given.
+
+    Of T15 and HUS, which have no writer elsewhere, it is one of so many records.
+    """
     found = {}
     for suffix, write in WRITERS.items():
         out = io.BytesIO()
-        write(pystitch.read(str(EXAMPLE)), out)
+        write(pystitch.read(str(EXAMPLE)) if design is None else design.copy(), out)
         found[suffix] = out.getvalue()
     numbers = random.Random(2)
-    ways = np.array([[numbers.randint(-165, 165) for _ in "XY"] for _ in range(200)])
+    ways = np.array([[numbers.randint(-165, 165) for _ in "XY"] for _ in range(records)])
     sewn = np.array([numbers.random() < 0.9 for _ in ways], dtype=np.int64)
-    found["t15"] = t15_bytes(ways, sewn, {50, 200})
-    found["hus"] = hus_seed()
+    found["t15"] = t15_bytes(ways, sewn, {records // 4, records})
+    found["hus"] = hus_seed(records)
     return found
+
+
+def short_design() -> pystitch.EmbPattern:
+    """Return all that a design may have, in few records: a case takes as long as it has records."""
+    design = pystitch.EmbPattern()
+    for k in range(24):
+        design.add_stitch_absolute(pystitch.STITCH, 7 * k, (11 * k) % 60)
+    design.trim()
+    design.add_stitch_absolute(pystitch.JUMP, -150, 90)
+    design.color_change()
+    for k in range(8):
+        design.add_stitch_absolute(pystitch.STITCH, -150 - 20 * (k % 2), 90 + k)
+    design.end()
+    return design
 
 
 def read_cam_file(path: Path) -> None:
@@ -145,7 +162,7 @@ def fuzz_designs(mutate: Mutate) -> dict[str, Target]:
         "cam": ("a.csv", lambda rng: mutate(rng, cam), read_cam_file, 1),
         **{
             f"design-{suffix}": (f"a.{suffix}", maker(data), read_design, 1)
-            for suffix, data in seeds().items()
+            for suffix, data in seeds(short_design(), 40).items()
         },
     }
 

@@ -27,9 +27,15 @@ from threadline.shaping.shaped_law import shaped_windows
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "docs" / "pictures" / "schiffli-claim.png"
 MOVE_M, RESIDUAL_M, BAND, DAMPING, WINDOW_S = 0.0165, 5e-5, 0.1, 0.02, 0.12
-MODES = (6.0, 8.0, 12.0, 16.0, 25.0, 40.0)
+MODES = (
+    6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 18.0, 20.0, 22.0, 25.0, 28.0,
+    32.0, 36.0, 40.0,
+)  # fmt: skip
+PRINTED = (6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 25.0, 32.0, 40.0)
+TICKS = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
 FACTORS = (1.0, 1.5)
-PLAIN = ("trapezoid", "double-parabola", "simple-harmonic", "modified-sine")
+SLOW = 16.0  # modes up to here are what is claimed of ours
+PLAIN = ("trapezoid", "double-parabola", "jerk-limited", "simple-harmonic", "modified-sine")
 
 
 def cam_law() -> Law:
@@ -77,16 +83,23 @@ def main() -> None:
     names = list(next(iter(cases.values())))
     for factor in FACTORS:
         print(f"\nWindows in ms at {factor:g} times the acceleration\n")
-        print("| law | " + " | ".join(f"{hertz:g} Hz" for hertz in MODES) + " |")
-        print("|---|" + "---|" * len(MODES))
+        print("| law | " + " | ".join(f"{hertz:g} Hz" for hertz in PRINTED) + " |")
+        print("|---|" + "---|" * len(PRINTED))
         for name in names:
-            cells = [f"{1e3 * cases[hertz, factor][name]:.0f}" for hertz in MODES]
+            cells = [f"{1e3 * cases[hertz, factor][name]:.0f}" for hertz in PRINTED]
             print(f"| {name} | " + " | ".join(cells) + " |")
         gain = [
             f"{cases[h, factor]['modified-sine'] / cases[h, factor]['made for the mode']:.2f}"
-            for h in MODES
+            for h in PRINTED
         ]
         print("| speed of ours over modified sine's | " + " | ".join(gain) + " |")
+        gains = {
+            h: cases[h, factor]["modified-sine"] / cases[h, factor]["made for the mode"]
+            for h in MODES
+            if h <= SLOW
+        }
+        least = min(gains, key=lambda h: gains[h])
+        print(f"\nup to {SLOW:g} Hz at least {gains[least]:.2f} times as fast, at {least:g} Hz")
     draw(cases, names)
     print(OUT.relative_to(ROOT))
 
@@ -98,16 +111,18 @@ def draw(cases: dict[tuple[float, float], dict[str, float]], names: list[str]) -
         panels = figure.subplots(1, 2, sharey=True)
         for panel, factor in zip(panels, FACTORS, strict=True):
             for k, name in enumerate(names):
-                style = styles[k % len(styles)] | {"marker": "osv^Dxp"[k % 7], "markersize": 3.5}
+                style = styles[k % len(styles)] | {"marker": "osv^Dxp"[k % 7], "markersize": 3}
                 if name.startswith("bound"):
                     style = PLANNED | ({"color": "black"} if "rigid" in name else {})
+                elif name.endswith("shaped"):
+                    style |= {"color": "#5D3A9B", "linestyle": "-", "linewidth": 1.6}
                 elif name == "made for the mode":
                     style = {"color": "#D55E00", "linewidth": 2.4, "marker": "o", "markersize": 4}
                 turns = [60.0 / (3.0 * cases[hertz, factor][name]) for hertz in MODES]
                 panel.plot(MODES, turns, label=name, **style)
             panel.axhline(1.3 * 60.0 / 0.36, label="claimed: + 30 %", **LIMIT)
             panel.set_xscale("log")
-            panel.set_xticks(MODES, [f"{hertz:g}" for hertz in MODES])
+            panel.set_xticks(TICKS, [f"{hertz:g}" for hertz in TICKS])
             panel.minorticks_off()
             panel.set_xlabel("mode of the frame, Hz")
             panel.set_title(f"peak acceleration {6.334 * factor:.2f} m/s²")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -39,6 +39,7 @@ from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.pipeline import open_job, plan_job, target_of, write
+from threadline.signals.files.common import Written
 from threadline.targets.schedule_options import UNSHAPED_WORD
 from threadline.writing import is_stdout, together
 
@@ -135,14 +136,22 @@ def compile_(
     with together(out):
         files = write(plan, target, out)
     if json:
-        print_json({"files": [{"file": str(f.path), "sha256": f.sha256} for f in files]})
+        print_json({"files": [_content(file) for file in files]})
     else:
         tell = note if is_stdout(out) else say
         for file in files:
             tell(f"{file.sha256}  {file.path}")
+            for fact in file.facts:
+                tell(fact)
             for told in file.warnings:
                 if told not in plan.intent.warnings:
                     note(told)
+
+
+def _content(file: Written) -> dict[str, Any]:
+    """Return a written file as JSON content."""
+    facts = {"facts": list(file.facts)} if file.facts else {}
+    return {"file": str(file.path), "sha256": file.sha256, **facts}
 
 
 def register(app: typer.Typer) -> None:

@@ -67,7 +67,7 @@ def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)
     pole = mode.damping_ratio * omega + 1j * damped
     edges = law.edges
-    turned = omega * float(window_s.max()) * float(np.diff(edges).max())
+    turned = omega * float(window_s.max(initial=0.0)) * float(np.diff(edges).max())
     # On the short stretches of a table the law is a cubic and the mode hardly turns.
     points = _POINTS if turned > _LITTLE else _FEW_POINTS
     u, weights = gauss(edges, max(1, ceil(turned / _RADIANS)), points)

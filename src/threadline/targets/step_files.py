@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -49,17 +50,57 @@ def write_steps(stitched: Stitched, path: Path) -> list[Written]:
         ".stitches.csv": _stitches_text(commands),
         ".events.csv": _events_text(stitched),
     }
-    files = []
+    files: list[Written] = []
     for ending, parts in content.items():
         beside = stem.with_name(stem.name + ending)
         with atomic_file(beside) as file:
             for part in parts:
                 file.write(part)
-        files.append(written(beside))
+        facts = table_facts(commands, told) if ending == ".tables.csv" else ()
+        files.append(replace(written(beside), facts=facts))
     with atomic_file(path) as file:
         file.write(json.dumps(_manifest(stitched, files), indent=1, sort_keys=True).encode())
         file.write(b"\n")
     return [written(path), *files]
+
+
+def table_facts(commands: StepPlay, residual_m: FloatArray) -> tuple[str, ...]:
+    """Return what was checked of the tables: counts, intervals, ends, and what rounding leaves.
+
+    Parameters
+    ----------
+    residual_m
+        (tables, A) amplitudes that the steps of each table leave in the slowest mode, m.
+
+    Raises
+    ------
+    PlanError
+        If a table has another count than its length, a step without an interval, or one that is
+        due behind the window.
+    """
+    library, timer_s = commands.library, float(commands.clock.period_s)
+    per_unit = len(library[0]) // library[0].units
+    over = [commands.window_angle - int(table.intervals.sum()) for table in library]
+    for table, left in zip(library, over, strict=True):
+        if len(table) != per_unit * table.units or table.intervals.min() < 1 or left < 0:
+            raise PlanError(
+                f"step tables: that of {table.units} units has {len(table)} steps, the shortest "
+                f"interval {table.intervals.min()}, and ends {left} periods before its window",
+                remedy="Take a finer timer or a longer window.",
+            )
+    shortest = min(library, key=lambda table: int(table.intervals.min()))
+    interval = int(shortest.intervals.min())
+    worst, axis = np.unravel_index(int(np.argmax(residual_m)), residual_m.shape)
+    window_s = commands.window_angle * timer_s
+    return (
+        f"{len(library)} tables of {per_unit} steps a unit, {len(library[0])} to "
+        f"{len(library[-1])}, counted by {commands.counted_by}; window {window_s * 1e3:.6g} ms",
+        f"shortest interval {interval} periods ({interval * timer_s * 1e6:.4g} us at that speed), "
+        f"in the table of {shortest.units} units; the last step is due {min(over)} to {max(over)} "
+        "periods before the end of the window",
+        f"left swinging after the rounded steps: at most {residual_m[worst, axis] * 1e3:.4g} mm on "
+        f"{commands.axes[axis]}, by the table of {library[worst].units} units at that speed",
+    )
 
 
 def write_t15(stitched: Stitched, path: Path) -> Written:

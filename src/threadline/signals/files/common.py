@@ -36,11 +36,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A file that was written, with its hash and what there is to say about it."""
+    """A file that was written, with its hash and what there is to say about it.
+
+    ``warnings`` deserve a second look; ``facts`` are what was checked of its content.
+    """
 
     path: Path
     sha256: str
     warnings: tuple[str, ...] = ()
+    facts: tuple[str, ...] = ()
 
 
 @contextmanager

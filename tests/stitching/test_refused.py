@@ -1,0 +1,69 @@
+"""What cannot be sewn is refused in one line, with status 2 and nothing written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+
+ROSETTE = Path(__file__).resolve().parents[2] / "examples" / "rosette.dst"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *asked: str) -> str:
+    with pytest.raises(SystemExit) as left:
+        main(list(asked))
+    out, err = capsys.readouterr()
+    assert (left.value.code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert err.startswith("error: [")
+    return err
+
+
+SUFFIXES = ("dst", "exp", "pes", "jef", "vp3", "hus", "xxx", "u01", "t15")
+EMPTY = [(suffix, b"") for suffix in SUFFIXES]
+ODD = [(suffix, b"\xff" * 1200) for suffix in SUFFIXES if suffix != "exp"]  # it is stitches there
+
+
+@pytest.mark.parametrize(("suffix", "content"), EMPTY + ODD)
+def test_an_empty_design(
+    suffix: str, content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / f"empty.{suffix}"
+    file.write_bytes(content)
+    assert file.name in refused(capsys, "prove", str(file), "-m", "schiffli-frame")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ('[shaft]\nwindow = "0 deg exact, assumed"', "must be greater than zero"),
+        ('[shaft]\nwindow = "0.001 deg exact, assumed"', "into one period of the timer"),
+        ('[links.x_train]\nstiffness = "0 N/m exact, assumed"', "its drive does not turn with it"),
+    ],
+)
+def test_a_window_too_short_for_the_timer_and_a_frame_that_hangs_on_nothing(
+    change: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "odd.toml"
+    file.write_text(f'base = "schiffli-frame"\nname = "odd"\n{change}\n', encoding="utf-8")
+    assert said in refused(capsys, "prove", str(ROSETTE), "-m", str(file))
+
+
+@pytest.mark.parametrize("feed", ["0 stitch/min", "-5 stitch/min", "400 stitch/min"])
+def test_a_speed_that_is_none(feed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["prove", str(ROSETTE), "-m", "schiffli-frame", f"--feed={feed}"]
+    assert feed.split(maxsplit=1)[0] in refused(capsys, *asked)
+
+
+@pytest.mark.parametrize("records", [bytes(40), b"\x14\x00" * 20])
+def test_a_design_that_stands_still_on_an_axis_is_sewn(
+    records: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twenty stitches in one place, and twenty along X."""
+    file = tmp_path / "still.exp"
+    file.write_bytes(records)
+    with pytest.raises(SystemExit) as left:
+        main(["prove", str(file), "-m", "schiffli-frame", "--nominal"])
+    assert left.value.code == 0, capsys.readouterr().err
