@@ -113,7 +113,8 @@ def lay_out(folder: Path) -> None:
     (folder / "short.toml").write_text(SHORT_MOVES)
     for name in JOBS:
         shutil.copy(LIBRARY / f"{name}.toml", folder / f"{name}-base.toml")
-        shutil.copy(LIBRARY / f"{name}.spec.toml", folder / f"{name}.spec.toml")
+        for own in (name, f"{name}-base"):
+            shutil.copy(LIBRARY / f"{name}.spec.toml", folder / f"{own}.spec.toml")
 
 
 # --- numbers of machine files, one by one ---
@@ -356,12 +357,12 @@ def outputs(rng: random.Random, _index: int) -> Case:
     base = f"{machine}-base.toml"
     files = {"m.toml": f'base = "{base}"\n'}
     out = rng.choice(
-        (JOBS[machine], base, "m.toml", f"{machine}.spec.toml", "line.csv", "soft.csv", "hard.csv",
-         "loop.csv", "folder.csv", "kept.csv", "fifo.csv", "dangling.csv", "new.csv", "no/new.csv",
-         "short.prg/x.csv", "/dev/full", "/dev/null", "/proc/x.csv")
+        (JOBS[machine], base, "m.toml", f"{machine}-base.spec.toml", "line.csv", "soft.csv",
+         "hard.csv", "loop.csv", "folder.csv", "kept.csv", "fifo.csv", "dangling.csv", "new.csv",
+         "no/new.csv", "short.prg/x.csv", "/dev/full", "/dev/null", "/proc/x.csv")
     )  # fmt: skip
     fast = [] if machine in PLAIN else ["--interpolation", "linear"]
-    reads = frozenset({JOBS[machine], base, "m.toml", f"{machine}.spec.toml", "kept.csv"})
+    reads = frozenset({JOBS[machine], base, "m.toml", f"{machine}-base.spec.toml", "kept.csv"})
     reads |= {"line.csv"} if machine == "stitcher" else set()
     reads |= {"soft.csv", "hard.csv"} if machine == "lathe-winder" else set()
     if rng.random() < 0.5:
@@ -375,7 +376,8 @@ def outputs(rng: random.Random, _index: int) -> Case:
             reads,
         )
     report = rng.choice(([], ["--report", rng.choice(("rep", "m.toml", "folder.csv", "taken"))]))
-    return Case(["prove", JOBS[machine], "-m", "m.toml", "--recording", out, *report, *fast], files)
+    into = rng.choice(("--recording", "--recording", "--proof"))
+    return Case(["prove", JOBS[machine], "-m", "m.toml", into, out, *report, *fast], files, reads)
 
 
 def _links(folder: Path, machine_files: list[str]) -> None:

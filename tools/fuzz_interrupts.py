@@ -1,12 +1,13 @@
-"""Interrupts at any moment of every command that writes: SIGINT, SIGTERM, SIGHUP, once or often.
+"""Interrupts at any moment of every command that writes, and disks that are full at any byte.
 
     python tools/fuzz_interrupts.py --cases 300 --seed 1
 
 Every case is a process of its own, forked after the imports, that runs one command in a folder of
-its own and is sent signals at a random moment of the time that the command takes. What ends by a
-signal says so in one line, with the status of that signal, and leaves the folder as it was: no
-output, no temporary file, no folder. What ends well has all of its outputs. Everything else is a
-failure, and the exit status is 1.
+its own. It is sent SIGINT, SIGTERM or SIGHUP, once or often, at a random moment of the time that
+the command takes; or no file of it may be longer than so many bytes. What ends by a signal or by
+the disk says so in one line, with the status of that, and leaves the folder as it was: no output,
+no temporary file, no folder. What ends well has all of its outputs. Everything else is a failure,
+and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import resource
 import signal
 import sys
 import tempfile
@@ -86,12 +88,14 @@ def tree(folder: Path) -> dict[str, bytes | None]:
     }
 
 
-def start(words: list[str], folder: Path, told: Path) -> int:
+def start(words: list[str], folder: Path, told: Path, most_bytes: int) -> int:
     """Run a command in a fork of this process; return its number."""
     child = os.fork()
     if child:
         return child
     try:
+        if most_bytes:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
         os.chdir(folder)
         os.environ["TMPDIR"] = tempfile.tempdir = str(told)
         for number, name in ((1, "out"), (2, "err")):
@@ -112,13 +116,18 @@ def start(words: list[str], folder: Path, told: Path) -> int:
         os._exit(status)
 
 
-def run(words: list[str], wanted: tuple[str, ...], at: list[tuple[float, int]]) -> tuple[int, str]:
+def run(
+    words: list[str],
+    wanted: tuple[str, ...],
+    at: list[tuple[float, int]],
+    most_bytes: int = 0,
+) -> tuple[int, str]:
     """Run a case; return its status and what is wrong with it."""
     with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as side:
         folder, told = Path(made), Path(side)
         lay_out(folder)
         before = tree(folder)
-        child = start(words, folder, told)
+        child = start(words, folder, told, most_bytes)
         for wait_s, number in at:
             time.sleep(wait_s)
             if os.waitpid(child, os.WNOHANG)[0]:
@@ -138,14 +147,14 @@ def run(words: list[str], wanted: tuple[str, ...], at: list[tuple[float, int]]) 
     hidden = [p for p in fresh if any(part.startswith(".") for part in Path(p).parts)]
     if hidden or left:
         return status, f"left behind: {hidden} {left}"
-    if status in STATUS.values():
+    if status in STATUS.values() or (status == 2 and most_bytes):
         if fresh or changed:
-            return status, f"interrupted, and there is {fresh}, changed {changed}"
+            return status, f"ended early, and there is {fresh}, changed {changed}"
         if err.count("\n") != 1 or not err.startswith("error: "):
             return status, f"told otherwise than in one line: {err[-600:]!r}"
     elif status in {0, 1} or -status in STATUS:  # by a signal itself: before the work or behind it
         lacking = [p for p in wanted if p not in fresh and p not in changed]
-        if lacking and at == []:
+        if lacking and not at:
             return status, f"ended well without {lacking}"
         if lacking and len(lacking) < len(wanted):
             return status, f"some of its outputs only: not {lacking}"
@@ -159,6 +168,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--full", type=float, default=0.3, help="share of cases on a full disk")
     given = parser.parse_args()
     lasts: dict[str, float] = {}
     tally: Counter[int] = Counter()
@@ -177,16 +187,19 @@ def main() -> int:
                 print(f"{name}\nuninterrupted: {status} {problem}\n", file=sys.stderr, flush=True)
         number = rng.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
         at = [(rng.uniform(0.0, 1.1) * lasts[name], number)]
-        at += [
-            (rng.choice((0.0, 1e-4, 1e-3, 2e-2)), number) for _ in range(rng.choice((0, 0, 1, 5)))
-        ]
-        status, problem = run(words, wanted, at)
+        again = rng.choice((0, 0, 1, 5))
+        at += [(rng.choice((0.0, 1e-4, 1e-3, 2e-2)), number) for _ in range(again)]
+        most_bytes = 0
+        if rng.random() < given.full:
+            at, most_bytes = [], int(10.0 ** rng.uniform(3.0, 6.0))
+        status, problem = run(words, wanted, at, most_bytes)
         tally[status] += 1
         if problem:
             failures += 1
             if failures <= _SHOWN:
                 again = f"--seed {given.seed} --first {index} --cases 1"
-                print(f"{again}\n{name} {at}\n{problem}\n", file=sys.stderr, flush=True)
+                case = f"{again}\n{name} {at} {most_bytes}"
+                print(f"{case}\n{problem}\n", file=sys.stderr, flush=True)
     shown = ", ".join(f"{count} with status {status}" for status, count in sorted(tally.items()))
     print(f"{tally.total()} cases, {shown}; {failures} failures")
     return 1 if failures else 0

@@ -157,6 +157,14 @@ def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
     assert np.abs(parts[:, 1]).max() <= 1.0
 
 
+def test_a_number_that_does_nothing_has_no_share_and_no_spread() -> None:
+    """Its interval was NaN, which is no number of JSON, with a warning of scipy."""
+    found = influence(lambda x: x[:, 0], [False, False], 2**6, 1)
+    assert found.first[1] == found.total[1] == 0.0
+    assert found.first_interval[:, 1].tolist() == found.total_interval[:, 1].tolist() == [0.0, 0.0]
+    assert np.isfinite(found.first_interval).all() and np.isfinite(found.total_interval).all()
+
+
 @pytest.mark.parametrize(
     ("job", "name", "measure"),
     [

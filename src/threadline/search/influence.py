@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import sobol_indices, truncnorm, uniform
+from scipy.stats import DegenerateDataWarning, sobol_indices, truncnorm, uniform
 
 from threadline.arrays import FloatArray
 from threadline.machine.variants import FARTHEST
@@ -25,7 +26,8 @@ class Influence:
     first, total
         (n,) of each number alone, and with all that it does together with others.
     first_interval, total_interval
-        (2, n) between which they lie, at 95 % confidence, by bootstrap.
+        (2, n) between which they lie, at 95 % confidence, by bootstrap; of a number that does
+        nothing both ends are its share.
     """
 
     first: FloatArray
@@ -58,15 +60,20 @@ def influence(
         dists=dists,
         rng=np.random.default_rng(seed),
     )
-    spread = found.bootstrap(n_resamples=_RESAMPLES)
+    with warnings.catch_warnings(), np.errstate(invalid="ignore"):
+        # A number that does nothing has the same share in every sample, and no spread.
+        warnings.simplefilter("ignore", DegenerateDataWarning)
+        spread = found.bootstrap(n_resamples=_RESAMPLES)
+    first, total = np.atleast_2d(found.first_order)[0], np.atleast_2d(found.total_order)[0]
     return Influence(
-        first=np.atleast_2d(found.first_order)[0],
-        total=np.atleast_2d(found.total_order)[0],
-        first_interval=_interval(spread.first_order),
-        total_interval=_interval(spread.total_order),
+        first=first,
+        total=total,
+        first_interval=_interval(spread.first_order, first),
+        total_interval=_interval(spread.total_order, total),
     )
 
 
-def _interval(spread: Any) -> FloatArray:
+def _interval(spread: Any, share: FloatArray) -> FloatArray:
     ends = spread.confidence_interval
-    return np.stack([np.atleast_2d(ends.low)[0], np.atleast_2d(ends.high)[0]])
+    found = np.stack([np.atleast_2d(ends.low)[0], np.atleast_2d(ends.high)[0]])
+    return np.where(np.isnan(found), share, found)
