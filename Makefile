@@ -43,9 +43,10 @@ $(BENCH_STAMP): requirements/bench.txt pyproject.toml
 bench: $(BENCH_STAMP)  ## Compare with peers in one run; writes benchmarks/results.json
 	.venv-bench/bin/python -m benchmarks
 
-fuzz: $(STAMP)  ## A million hostile inputs, then two hours of hostile command lines
+fuzz: $(STAMP)  ## A million hostile inputs, two hours of hostile command lines, 400 interrupts
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz.py --cases 1000000
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_commands.py --minutes 120
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_interrupts.py --cases 400
 
 lock:  ## Renew the locked requirements (needs uv)
 	for name in run dev bench; do \
