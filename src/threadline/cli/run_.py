@@ -42,10 +42,12 @@ from threadline.cli.shared_options import (
     machine_from,
     options_of,
 )
+from threadline.cli.told import note
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.desk import Desk
+from threadline.live.hold_deviation import hold_deviation_m, hold_limit_m
 from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import REAL_TIME, sim_link
 from threadline.live.supervised import (
@@ -168,6 +170,10 @@ def run(
             tell(doubts(proof))
             write_proof(proof, proof_file)
         table, known = check_runnable(proof_file, plan, asked, override)
+        leaves_m, limit_m = hold_deviation_m(plan), hold_limit_m(asked)
+        if leaves_m > 0.0:
+            where = "so h stands at the next rest" if leaves_m > limit_m else "within the limit"
+            note(f"a hold may stand {1e3 * leaves_m:.2f} mm beside the path, {where}")
         told = {"link": link, **({"override": override} if override else {})}
         kept = RunStore(store).begin(plan, known, told, speed)
         with (
@@ -183,6 +189,7 @@ def run(
                 kept,
                 speed=speed,
                 pass_stops=pass_stops,
+                hold_at_rest=leaves_m > limit_m,
                 watch=watch,
             )
     happened = read_recording(kept.trace)
@@ -193,6 +200,7 @@ def run(
         "run": kept.path.name,
         "trace": str(kept.trace),
         "ended": ended.value,
+        "hold_deviation_m": leaves_m,
     }
     kept.judged(content, ended.value, text)
     if recording is not None:

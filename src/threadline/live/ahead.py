@@ -31,6 +31,11 @@ class Ahead:
         Whose limits every row keeps.
     pass_stops
         Whether stops of the program halt nothing.
+
+    Attributes
+    ----------
+    to_rest
+        Whether the rows end at the next rest of the program: a hold that may not leave the path.
     """
 
     def __init__(self, table: TickTable, machine: Machine, *, pass_stops: bool = False) -> None:
@@ -42,6 +47,7 @@ class Ahead:
         self._rising: FloatArray = np.empty(0)  # places on the way back to the full rate
         self._given: list[tuple[int, Event]] = []  # events that were sent, and for which tick
         self._window.reach(MOST_PLACES)
+        self.to_rest = False
         self._before_cut: tuple[FloatArray, FloatArray, list[tuple[int, Event]]] | None = None
 
     @property
@@ -64,6 +70,11 @@ class Ahead:
         """The stop or wait at which the rows that were sent end, None where there is none."""
         halt = self._window.halt()
         return halt if halt is not None and self.place >= halt.tick else None
+
+    @property
+    def rests(self) -> bool:
+        """Whether the rows that were sent end at the rest that was asked for."""
+        return self.to_rest and self.place >= self._end_of_path()
 
     def pass_halt(self) -> None:
         """Let the run go on after the stop or wait at which it stands."""
@@ -141,7 +152,9 @@ class Ahead:
         """Return the place where rows end for now: a stop, a wait, or the last of them."""
         last = self._window.reach(self.place)
         halt = self._window.halt()
-        return last if halt is None else min(last, halt.tick)
+        rest = self._window.next_rest(self.place) if self.to_rest else None
+        ends = [last if rest is None else rest, last if halt is None else halt.tick]
+        return min(last, *ends)
 
     def _brake(self) -> FloatArray:
         now = self.end

@@ -90,6 +90,7 @@ class Executor:
         self._began = self._stands  # where the run began
         self._ahead: Ahead | JogAhead | None = None
         self._number = 0  # of runs and jogs since the machine greeted
+        self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
@@ -159,7 +160,9 @@ class Executor:
         self._homed = True
         self._go(Cause.HOMED)
 
-    def start(self, table: TickTable, *, pass_stops: bool = False) -> None:
+    def start(
+        self, table: TickTable, *, pass_stops: bool = False, hold_at_rest: bool = False
+    ) -> None:
         """Begin a run. The caller has checked the proof; the limits of each row are checked here.
 
         Parameters
@@ -168,6 +171,8 @@ class Executor:
             The rows.
         pass_stops
             Go on at stops of the program without waiting for anybody.
+        hold_at_rest
+            A hold runs on to the next rest of the program: elsewhere it would leave the path.
 
         Raises
         ------
@@ -179,6 +184,7 @@ class Executor:
         next_state(self.state, Cause.START)  # refused before anything is sent
         self._check_start(table)
         ahead = Ahead(table, self._machine, pass_stops=pass_stops)
+        self._hold_at_rest = hold_at_rest
         self._set_out(Cause.START, ahead, table.start_counts)
 
     def jog(self, axis: str, velocity: float) -> None:
@@ -305,7 +311,10 @@ class Executor:
             self.ended = self.ended or (Ended.STOPPED, "stopped by the operator")
             self._brake()
         elif cause is Cause.HOLD:
-            self._brake()
+            if self._hold_at_rest and isinstance(self._ahead, Ahead):
+                self._ahead.to_rest = True
+            else:
+                self._brake()
         elif cause is Cause.RESUME:
             self._start_again()
 
@@ -322,9 +331,12 @@ class Executor:
     def _start_again(self) -> None:
         ahead = self._ahead
         assert isinstance(ahead, Ahead)  # a jog is not held
+        rested, ahead.to_rest = ahead.to_rest, False
         ahead.rest_until(self.tick + self._lead)
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
+        elif rested:
+            pass  # so do these
         else:
             ahead.start_again()
         if self.tick + self._depth > ahead.end:
@@ -406,8 +418,14 @@ class Executor:
                 self._go(Cause.HOLD, f"{ahead.halt.kind} {ahead.halt.name}".strip())
         elif self.state is State.HOLDING and played and _met(ahead.halt, now):
             self._command(Cause.RESUME)
-        elif self.state is State.RUNNING and self.tick + self._depth > ahead.end:
+        elif self.tick + self._depth > ahead.end and self._goes(ahead):
             self._link.send(ahead.extend(self.tick + self._depth))
+
+    def _goes(self, ahead: Ahead) -> bool:
+        """Say whether rows are to be sent: of a run, and of one on its way to a rest."""
+        return self.state is State.RUNNING or (
+            self.state is State.HOLDING and ahead.to_rest and not ahead.rests
+        )
 
     def _go_on_by_hand(self, jog: JogAhead, *, played: bool) -> None:
         if jog.complete:

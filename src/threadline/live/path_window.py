@@ -6,6 +6,7 @@ A place is a number of rows, whole or not: at place 7.25 a quarter of row 7 has 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import ceil
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from threadline.signals import Event, TickBlock, TickTable
 
 HALTS = frozenset(("stop", "wait"))
 """Kinds of events at which a run stands until somebody or something answers."""
+
+REST_S = 0.05
+"""Time without a count of any axis that makes a rest, s: less may be an axis that turns slowly."""
 
 
 class PathWindow:
@@ -30,6 +34,7 @@ class PathWindow:
     def __init__(self, table: TickTable, *, pass_stops: bool = False) -> None:
         self._halting = HALTS - {"stop"} if pass_stops else HALTS
         self._blocks: Iterator[TickBlock] = iter(table)
+        self._rest_rows = ceil(REST_S / float(table.clock.period_s) - 1e-9)
         axes = len(table.axes)
         self._first = 0  # row of the first kept place
         self._travelled = np.zeros((1, axes), dtype=np.int64)  # counts at the places kept
@@ -89,6 +94,20 @@ class PathWindow:
             return np.zeros(len(places), dtype=np.int64)
         at = places.astype(np.int64) - self._first
         return self._operation[np.clip(at, 0, len(self._operation) - 1)]
+
+    def next_rest(self, place: float) -> int | None:
+        """Return the first row from ``place`` on at which nothing moves; None where none is known.
+
+        A rest has no count of any axis for ``REST_S``.
+        """
+        begin = max(int(place) - self._first, 0)
+        still = (np.diff(self._travelled[begin:], axis=0) == 0).all(axis=1)
+        if len(still) < self._rest_rows:
+            return None
+        found = np.flatnonzero(
+            np.convolve(still, np.ones(self._rest_rows), "valid") >= self._rest_rows - 0.5
+        )
+        return int(found[0]) + begin + self._first if len(found) else None
 
     def halt(self) -> Event | None:
         """Return the next stop or wait that is known of and not passed."""

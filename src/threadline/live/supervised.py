@@ -136,6 +136,7 @@ def run_table(
     *,
     speed: float,
     pass_stops: bool = False,
+    hold_at_rest: bool = False,
     watch: Callable[[Executor], None] | None = None,
 ) -> tuple[Ended, str, int]:
     """Run a checked table from enabling the drives to the end of settling.
@@ -146,8 +147,8 @@ def run_table(
         What ``check_runnable`` returned.
     link
         To the machine.
-    pass_stops
-        Go on at stops of the program without waiting for anybody.
+    pass_stops, hold_at_rest
+        See ``Executor.start``.
     watch
         Called after each step, for progress.
 
@@ -162,7 +163,7 @@ def run_table(
         executor.enable()
         executor.home()
         assert executor.state is State.IDLE
-        executor.start(table, pass_stops=pass_stops)
+        executor.start(table, pass_stops=pass_stops, hold_at_rest=hold_at_rest)
         while not executor.over:
             executor.step()
             if watch is not None:

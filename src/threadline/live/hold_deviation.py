@@ -1,0 +1,52 @@
+"""How far a hold leaves the path: where motors are told more than the path, another rate shows it.
+
+Feed-forward tells motors what makes loads follow at the full rate, and a shaper what makes them
+swing less. At rest the loads stand where the motors do, which is beside the path.
+"""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from threadline.plan import Plan
+from threadline.signals import tick_table
+from threadline.verdict import Spec
+
+_AROUND_S = 2.0  # of the path, before and after: what shaping and smoothing move in time
+_FINER = 4  # points of the path for each tick: half a step of the axis is all that this adds
+_AT_ONCE = 1 << 13
+
+
+def hold_deviation_m(plan: Plan) -> float:
+    """Return the largest distance from the planned path to where a hold would stand, m.
+
+    Rotary axes count at their radius. 0 where motors are told the path itself. Memory is bounded.
+    """
+    motion = plan.motion
+    if motion.timed is None:
+        return 0.0
+    path, table = motion.timed, tick_table(plan.commands)
+    period_s = float(table.clock.period_s)
+    radius, scale = plan.machine.radius_m, plan.machine.counts_per_unit
+    begin_s = motion.rests_s[0]
+    stands, worst, tick = table.start_counts.astype(np.float64), 0.0, 0
+    for block in table:
+        for at in range(0, len(block), _AT_ONCE):
+            places = stands + np.cumsum(block.counts[at : at + _AT_ONCE], axis=0)
+            first_s = tick * period_s - begin_s - _AROUND_S
+            span_s = len(places) * period_s + 2.0 * _AROUND_S
+            times_s = first_s + np.linspace(0.0, span_s, ceil(_FINER * span_s / period_s))
+            near = path(np.clip(times_s, 0.0, path.duration_s)) * radius
+            found, _ = KDTree(near).query(places / scale * radius)
+            worst = max(worst, float(np.max(found, initial=0.0)))
+            stands, tick = places[-1], tick + len(places)
+    return worst
+
+
+def hold_limit_m(spec: Spec) -> float:
+    """Return how far a hold may leave the path, m: the limit of ``contour_error``, if there is."""
+    limits = [c.limit for c in spec.criteria if c.name == "contour_error" and c.limit is not None]
+    return min(limits, default=float("inf"))

@@ -1,0 +1,81 @@
+"""What a hold would leave is computed before the start; beyond the limit it waits for a rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.bench import Bench, table_of_counts, there_and_back
+from threadline.live.hold_deviation import hold_deviation_m, hold_limit_m
+from threadline.live.states import Cause, State
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
+from threadline.plan import Plan
+from threadline.signals import Ended, tick_table
+from threadline.verdict import load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def planned(job: str, name: str, **options: object) -> Plan:
+    machine, how = load_machine(name), Options(**options)  # type: ignore[arg-type]
+    return plan_job(open_job(EXAMPLES / job, machine, how), machine, how)
+
+
+def test_motors_that_are_told_the_path_leave_nothing() -> None:
+    assert hold_deviation_m(planned("x-180.prg", "lathe-winder", interpolation="linear")) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("job", "machine", "options"),
+    [
+        ("x-180.prg", "lathe-winder", {"interpolation": "linear", "shaper": "zv:12Hz:0.02"}),
+        ("stitcher-test-path.seam.toml", "stitcher", {"feed_forward_s": 0.04}),
+    ],
+)
+def test_it_is_the_distance_of_the_rows_from_the_path(
+    job: str, machine: str, options: dict[str, object]
+) -> None:
+    """Against every place of the table and every one of 40 000 of the path, one by one."""
+    plan = planned(job, machine, **options)
+    timed, table = plan.motion.timed, tick_table(plan.commands)
+    assert timed is not None
+    rows = np.concatenate([block.counts for block in table])
+    radius = plan.machine.radius_m
+    places = np.cumsum(rows, axis=0) / plan.machine.counts_per_unit * radius
+    path = timed(np.linspace(0.0, timed.duration_s, 40_000)) * radius
+    worst = max(
+        float(np.sqrt(((path - place) ** 2).sum(axis=1)).min())
+        for place in places[:: max(len(places) // 400, 1)]
+    )
+    found = hold_deviation_m(plan)
+    # A 400th of the places may miss the worst by little; points of the path lie 0.03 mm apart.
+    assert worst - 3e-5 <= found <= worst * 1.05 + 3e-5
+
+
+def test_the_stitchers_feed_forward_may_not_be_held_anywhere() -> None:
+    plan = planned("stitcher-test-path.seam.toml", "stitcher", feed_forward_s=0.04)
+    assert hold_deviation_m(plan) > hold_limit_m(load_spec(None, plan.machine)) > 0.0
+
+
+def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
+    rows = there_and_back(40.0, cruise=100)  # it turns in 8 rows: too short for a rest
+    rows = np.concatenate([rows, np.zeros((12, 3), np.int64), rows])
+    bench = Bench().ready()
+    bench.executor.start(table_of_counts(rows), hold_at_rest=True)
+    bench.go_on(150)
+    bench.desk.ask(Cause.HOLD)
+    bench.go_on(900)
+    assert bench.executor.state is State.HOLDING
+    counts = bench.commanded()
+    # It has played the first half as it is, and stands in the rest behind it.
+    half = np.cumsum(rows[: len(rows) // 2], axis=0)
+    assert counts[899].tolist() == half[-1].tolist()
+    assert np.array_equal(counts[1 : len(half) + 1], half)
+    bench.desk.ask(Cause.RESUME)
+    bench.go_on()
+    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.commanded()[-1].tolist() == rows.sum(axis=0).tolist()
