@@ -21,9 +21,9 @@ from threadline.report.onoff import (
     break_sweep,
     break_sweeps,
     move_sweep,
-    petri_figures,
     train_of,
 )
+from threadline.report.petri_net import petri_figures
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
 from threadline.shaping import FlexibleMode
@@ -104,7 +104,12 @@ def test_break_figure_has_a_panel_for_every_shaper_and_the_circles_of_the_twin()
 
 
 def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
-    """Rows of five; a transition fires at the shaper's time or when the input comes."""
+    """Rows of four; a bar carries the time of its own place, or the input with its timeout.
+
+    The net's own times count on from the last input: on the way down 10 ms behind the wait, then
+    the impulses of the shaper, 0.172 s or 180 ms on the scan, so that the first level lasts 170 ms.
+    Every page has place 0, and the way back to it beside each of its rows.
+    """
     machine = load_machine(TRIMMED)
     scheduled = compile_schedule(
         read_job(examples / "letter-cycle.toml", machine), machine, shaping_of(machine, "zv")
@@ -112,19 +117,29 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
     with figure_style():
         figures = petri_figures(scheduled)
     panels = [panel for figure in figures for panel in figure.axes]
-    assert len(panels) == len(figures) == 2
+    assert len(panels) == len(figures) == 3
     for figure in figures:  # as wide as a page has room for, and no higher
         assert figure.get_size_inches()[0] == 7.2
         assert figure.get_size_inches()[1] < 9.5
+        assert min(t.get_fontsize() for t in figure.axes[0].texts) >= 7.0
     texts = [t.get_text() for panel in panels for t in panel.texts]
     numbers = [int(t) for t in texts if t.isdigit()]
-    assert sorted(numbers) == list(range(1, 50))
-    waits = [e.name for e in scheduled.commands.events if e.kind == "wait"]
-    assert sum(t in waits for t in texts) == len(waits) == 9
-    bars = [line for panel in panels for line in panel.lines if line.get_marker() != "o"]
-    assert len(bars) == 49
+    assert sorted(numbers) == [0, 0, 0, *range(1, 50)]
+    events = [e for e in scheduled.commands.events if e.kind == "wait"]
+    waits = {
+        f"{e.name}\n(at most {late:g} s)"
+        for e, late in zip(events, scheduled.wait_timeouts_s, strict=True)
+    }
+    assert sum(t in waits for t in texts) == len(events) == 9
+    solid = [n for panel in panels for n in panel.lines if n.get_linestyle() == "-"]
+    assert sum(line.get_marker() != "o" for line in solid) == 49
+    dashed = [n for panel in panels for n in panel.lines if n.get_linestyle() == "--"]
+    assert len(dashed) >= 14
     assert sum("main_air" in t.split("\n") for t in texts) == 49  # it opens first and stays open
-    assert "180 ms" in texts  # 0.172 s of the ZV, on the scan of 10 ms after the place's own
+    own_ms = sum(int(t.removesuffix(" ms")) for t in texts if t.endswith(" ms"))
+    scans = scheduled.commands.duration_ticks - len(events)
+    assert own_ms == pytest.approx(10 * scans, abs=10 * len(events))
+    assert "170 ms" in texts
 
 
 def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) -> None:

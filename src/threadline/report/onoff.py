@@ -1,8 +1,7 @@
-"""Figures of an on/off machine: what a broken beam leaves ringing, and the Petri net."""
+"""Figures of an on/off machine: what a broken beam leaves ringing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,6 @@ from threadline.machine import Machine
 from threadline.plant.pneumatic import StepRinging, flow_mode, step_ringing
 from threadline.shaping import FlexibleMode, Shaper, convolve, design
 from threadline.shaping.types import UNSHAPED
-from threadline.targets.plc_net import NetPlace, petri_net
 from threadline.targets.schedule import Scheduled, ScheduledMove
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
 
 KINDS = ("zv", "zvd", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei", "negative-zv")
 MICRO = 1e6
-_PLACES_IN_ROW, _ROWS_ON_PAGE = 5, 9  # what a page of paper has room for, to be read
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,51 +157,4 @@ def break_figure(
         panel.set_visible(False)
     figure.supxlabel("beam broken, ms after the move began (dotted: worst unshaped)")
     figure.supylabel("frame rings then, um")
-    return figure
-
-
-def petri_figures(scheduled: Scheduled) -> list[Figure]:
-    """Draw the Petri net of a schedule: rows of places for each step, bars for transitions.
-
-    A figure is as high as a page of a report; a long schedule has several.
-    """
-    net = petri_net(scheduled)
-    rows: list[tuple[str, list[NetPlace]]] = []
-    for step in dict.fromkeys(place.step for place in net.places):
-        places = [place for place in net.places if place.step == step]
-        for first in range(0, len(places), _PLACES_IN_ROW):
-            named = not first or len(rows) % _ROWS_ON_PAGE == 0
-            rows.append((step if named else "", places[first : first + _PLACES_IN_ROW]))
-    return [
-        _petri_page(rows[first : first + _ROWS_ON_PAGE])
-        for first in range(0, len(rows), _ROWS_ON_PAGE)
-    ]
-
-
-def _petri_page(rows: Sequence[tuple[str, Sequence[NetPlace]]]) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 0.95 * len(rows) + 0.2))
-    panel = figure.subplots()
-    for row, (step, places) in enumerate(rows):
-        panel.text(-0.45, -row, step, ha="right", va="center", weight="bold", fontsize=8)
-        for column, place in enumerate(places):
-            face = "white" if place.wait is None else "#E8E8E8"
-            panel.plot(column, -row, "o", markersize=17, mfc=face, mec="black", zorder=3)
-            panel.text(column, -row, str(place.number), ha="center", va="center", zorder=4)
-            label = f"{place.due_ms} ms" if place.wait is None else place.wait[0]
-            panel.plot([column + 0.5] * 2, [-row - 0.17, -row + 0.17], "k-", linewidth=2.4)
-            panel.annotate(
-                "",
-                (column + 0.8, -row),
-                (column + 0.18, -row),
-                arrowprops={"arrowstyle": "->", "linewidth": 0.8},
-                zorder=1,
-            )
-            panel.text(column + 0.5, -row + 0.2, label, ha="center", va="bottom", fontsize=6)
-            flows = "\n".join(place.on)
-            panel.text(column, -row - 0.2, flows, ha="center", va="top", fontsize=5.5)
-    panel.set_xlim(-1.6, _PLACES_IN_ROW - 0.1)
-    panel.set_ylim(-len(rows) + 0.2, 0.55)
-    panel.set_axis_off()
     return figure

@@ -18,7 +18,8 @@ from threadline.report.document import (
     origin_facts,
 )
 from threadline.report.drawn_run import drawn_run
-from threadline.report.onoff import break_figure, break_sweeps, move_sweep, petri_figures
+from threadline.report.onoff import break_figure, break_sweeps, move_sweep
+from threadline.report.petri_net import petri_figures
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import (
@@ -42,9 +43,11 @@ _CAPTIONS = {
     "circles at the scans that shut the valves; then every kind of shaper, made for "
     "the machine's own mode.",
     "petri-net": "The sequence that the PLC program runs, a Petri net with one token: places "
-    "numbered as in its text, below them the outputs that are on. A bar lets the token pass when "
-    "its input comes, or at its time, counted from the last input that was waited for (before the "
-    "first, from the start). Grey places wait for an input. A broken beam returns the token to "
+    "numbered as in its text, below them the outputs that are on. A bar lets the token pass after "
+    "the time of its own place, or when its input comes; grey places wait for an input, and one "
+    "that does not come in time is a fault. The program's own times count on from the last input "
+    "that was waited for, and add these up. The dashed line is what every place has: a broken "
+    "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "
     "place 0, everything off.",
 }
 

@@ -1,0 +1,103 @@
+"""The Petri net of a schedule, drawn to be read at the width of a page, on screen and on paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from threadline.targets.plc_net import NetPlace, petri_net
+from threadline.targets.schedule import Scheduled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_PLACES_IN_ROW, _ROWS_ON_PAGE = 4, 7  # what a page of paper has room for, to be read
+_SMALL, _PLAIN = 7.0, 8.0  # points
+_BREAK = "#B00000"
+
+
+@dataclass(frozen=True, slots=True)
+class _Bar:
+    """A place, and what lets the token leave it."""
+
+    place: NetPlace
+    label: str
+
+
+def petri_figures(scheduled: Scheduled) -> list[Figure]:
+    """Draw the net: place 0, then rows of places for each step, bars for transitions.
+
+    A bar carries the time of its own place, or the input that is waited for with its timeout. The
+    dashed line beside the rows is every place's way back to place 0. A figure is as high as a page
+    of a report; a long schedule has several.
+    """
+    net = petri_net(scheduled)
+    bars, passed_ms = [], 0
+    for place in net.places:
+        if place.wait is None:
+            bars.append(_Bar(place, f"{place.due_ms - passed_ms} ms"))
+            passed_ms = place.due_ms
+        else:
+            name, value = place.wait
+            late_s = (place.due_ms - passed_ms) / 1000.0
+            bars.append(_Bar(place, f"{name if value else f'not {name}'}\n(at most {late_s:g} s)"))
+            passed_ms = 0
+    rows: list[tuple[str, list[_Bar]]] = []
+    for step in dict.fromkeys(bar.place.step for bar in bars):
+        own = [bar for bar in bars if bar.place.step == step]
+        for first in range(0, len(own), _PLACES_IN_ROW):
+            named = not first or len(rows) % _ROWS_ON_PAGE == 0
+            rows.append((step if named else "", own[first : first + _PLACES_IN_ROW]))
+    pages = range(0, len(rows), _ROWS_ON_PAGE)
+    return [_page(rows[n : n + _ROWS_ON_PAGE], n + _ROWS_ON_PAGE >= len(rows)) for n in pages]
+
+
+def _page(rows: Sequence[tuple[str, Sequence[_Bar]]], last: bool) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 1.15 * (len(rows) + 1)))
+    panel = figure.subplots()
+    _place(panel, 0, 0, "0", "white")
+    panel.text(0.25, 0.0, "every output off; start leads to the first place", va="center",
+               fontsize=_PLAIN)  # fmt: skip
+    for number, (step, bars) in enumerate(rows, start=1):
+        panel.text(-0.75, -number, step, ha="right", va="center", weight="bold", fontsize=_PLAIN)
+        for column, bar in enumerate(bars):
+            place = bar.place
+            face = "white" if place.wait is None else "#E8E8E8"
+            _place(panel, column, -number, str(place.number), face)
+            panel.plot([column + 0.5] * 2, [-number - 0.14, -number + 0.14], "k-", linewidth=2.4)
+            panel.annotate("", (column + 0.8, -number), (column + 0.16, -number), zorder=1,
+                           arrowprops={"arrowstyle": "->", "linewidth": 0.9})  # fmt: skip
+            panel.text(column + 0.5, -number + 0.18, bar.label, ha="center", va="bottom",
+                       fontsize=_SMALL)  # fmt: skip
+            panel.text(column, -number - 0.2, "\n".join(place.on), ha="center", va="top",
+                       fontsize=_SMALL)  # fmt: skip
+        _arc(panel, [(-0.16, -number), (-0.55, -number), (-0.55, 0.0)])
+    _arc(panel, [(-0.55, 0.0), (-0.17, 0.0)], arrow=True)
+    panel.text(-0.62, 0.0, "any fault\nat any place", ha="right", va="center", fontsize=_SMALL,
+               color=_BREAK)  # fmt: skip
+    if last:
+        end = len(rows[-1][1]) - 0.15
+        panel.text(end, -len(rows), "back to 0", va="center", fontsize=_PLAIN)
+    panel.set_xlim(-1.75, _PLACES_IN_ROW - 0.05)
+    panel.set_ylim(-len(rows) - 0.75, 0.4)
+    panel.set_axis_off()
+    return figure
+
+
+def _place(panel: Axes, column: float, height: float, text: str, face: str) -> None:
+    panel.plot(column, height, "o", markersize=18, mfc=face, mec="black", zorder=3)
+    panel.text(column, height, text, ha="center", va="center", zorder=4, fontsize=_PLAIN)
+
+
+def _arc(panel: Axes, points: Sequence[tuple[float, float]], arrow: bool = False) -> None:
+    if arrow:
+        panel.annotate("", points[-1], points[0], zorder=1, arrowprops={
+            "arrowstyle": "->", "linewidth": 1.0, "linestyle": "--", "color": _BREAK,
+        })  # fmt: skip
+        return
+    across, up = zip(*points, strict=True)
+    panel.plot(across, up, linestyle="--", linewidth=0.8, color=_BREAK, zorder=1)
