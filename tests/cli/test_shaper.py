@@ -137,7 +137,8 @@ def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[
         (["--mode", "3Hz", "--tick", "1000s"], ["tick_s 1000", "unit"]),
         (["--mode", "3Hz", "--tick", "1e-30s"], ["tick_s 1e-30", "unit"]),
         ([w for k in range(30) for w in ("--mode", f"{k + 1}Hz")], ["10000 impulses", "direct"]),
-        (["--mode", "3Hz", "--mode", "4Hz", "--klipper"], ["one mode per axis"]),
+        (["--klipper", *(w for k in "345" for w in ("--mode", f"{k}Hz"))], ["one mode per axis"]),
+        (["--mode", "3Hz", "--mode", "4Hz", "--klipper", "--tick", "1 ms"], ["--tick", "two"]),
         (["--mode", "3Hz", "--kind", "ei", "--tolerance", "2"], ["tolerance"]),
     ],
 )
@@ -183,3 +184,22 @@ def test_a_shaped_proof_says_what_it_costs_and_is_judged_again_the_same(
             assert again[c["name"], c["axis"]] == c["measured"]
     code, _, err = run(capsys, *common, "--shaper", "zv")
     assert (code, err.count("\n")) == (2, 1)
+
+
+def test_x_and_y_of_a_printer_have_a_mode_each(capsys: pytest.CaptureFixture[str]) -> None:
+    """One section with both axes as each alone has it; Klipper's own 0.1 is no suspicion."""
+    sections = []
+    for modes in (["45Hz:0.1"], ["58Hz:0.1"], ["45Hz:0.1", "58Hz:0.1"]):
+        words = [w for mode in modes for w in ("--mode", mode)]
+        with pytest.raises(SystemExit) as ended:
+            main(["shaper", *words, "--kind", "zv", "--klipper"])
+        assert not ended.value.code
+        out, err = capsys.readouterr()
+        assert err == ""
+        sections.append(
+            [line for line in out.splitlines() if re.match(r"(\[|[a-z_]+_[xy]:)", line)]
+        )
+    of_x, of_y, both = sections
+    wanted = ["[input_shaper]", *(w for w in of_x if "_x:" in w), *(w for w in of_y if "_y:" in w)]
+    assert both == wanted
+    assert len(both) == 7

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.klipper_axes import doubted, shape_two_axes
 from threadline.cli.output import print_json, print_table, progress_bar, say, say_lines
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
@@ -105,7 +106,12 @@ def shaper(
         float | None,
         typer.Option(help="Ringing allowed after it, of one full step's: 0.01, 1 %, unless given."),
     ] = None,
-    klipper: Annotated[bool, typer.Option("--klipper", help="Print Klipper's section.")] = False,
+    klipper: Annotated[
+        bool,
+        typer.Option(
+            "--klipper", help="Print Klipper's section; two modes are X's and Y's, each its own."
+        ),
+    ] = False,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -142,6 +148,10 @@ def shaper(
     if band is None and kind in BANDED:
         band = _SI_BAND
     bands, tolerances = bands_of(asked, band), tolerances_of(asked, tolerance)
+    if klipper and len(modes) > 1:
+        of_one_train = (tick, move, acceleration, report)
+        shape_two_axes(kind, asked, tolerances, bands, of_one_train, json)
+        return
     made = designed(kind, modes, tolerances, bands)
     realised = None
     tick_s = None if tick is None else parse_number("--tick", tick, "s", "10 ms")
@@ -162,7 +172,7 @@ def shaper(
         )
         realised = realise(made, modes, limits, relative=bands, tolerance=tolerances)
         made = realised.shaper
-    warnings = list(suspicions(modes))
+    warnings = doubted(modes) if klipper else list(suspicions(modes))
     # A positive train amplifies nothing, anywhere.
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
@@ -188,15 +198,10 @@ def shaper(
         widths=tuple(
             insensitivity(made, one, own) for one, own in zip(modes, tolerances, strict=True)
         ),
-        klipper=klipper_export(made, modes[0]) if klipper and len(modes) == 1 else None,
+        klipper=klipper_export(made, modes[0]) if klipper else None,
         warnings=tuple(warnings),
         study=studied,
     )
-    if klipper and len(modes) > 1:
-        raise OptionError(
-            f"Klipper shapes one mode per axis, {len(modes)} are given",
-            remedy="Give one --mode.",
-        )
     written = (
         None
         if report is None
