@@ -7,9 +7,12 @@ executor has answered its last report, so that a busy computer changes nothing i
 
 from __future__ import annotations
 
-import multiprocessing
+import os
+import pickle
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -27,6 +30,9 @@ _WAKE_S = 0.005
 _SEND_S = 2.0
 """A message that cannot be sent for so long, s: the other side no longer reads."""
 _JOIN_S = 10.0
+_CHILD = "from threadline.live.sim_process import be_machine; be_machine()"
+"""Not a fork, which would share what is open, nor a spawned one, which would run the main program
+of whoever calls anew."""
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
@@ -53,22 +59,34 @@ def sim_link(
         What goes wrong with it.
     """
     ours, theirs = socket.socketpair()
-    context = multiprocessing.get_context("spawn")
-    process = context.Process(
-        target=serve,
-        args=(theirs, machine, start_counts, speed, fault),
-        name="threadline sim",
-        daemon=True,
+    process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
+        [sys.executable, "-c", _CHILD, str(theirs.fileno())],
+        stdin=subprocess.PIPE,
+        pass_fds=(theirs.fileno(),),
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        start_new_session=True,  # keys of the terminal are for the executor
     )
-    process.start()
     theirs.close()
+    assert process.stdin is not None
+    with suppress(BrokenPipeError), process.stdin as told:  # it may have died: nobody greets then
+        pickle.dump((machine, start_counts, speed, fault), told)
     ours.settimeout(_SEND_S)
     connection = Connection(ours)
     try:
         yield connection
     finally:
         connection.close()
-        process.join(_JOIN_S)
+        try:
+            process.wait(_JOIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def be_machine() -> None:
+    """Be the simulated machine that the parent of this process describes."""
+    told = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
+    serve(socket.socket(fileno=int(sys.argv[1])), *told)
 
 
 def serve(
