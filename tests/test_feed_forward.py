@@ -31,6 +31,7 @@ from threadline.trajectory.as_programmed import rapid_time_s
 from threadline.verdict import load_spec, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
 
+PLACE = Path(__file__).parents[1] / "examples" / "stitcher-place.spec.toml"
 SEAM = """
 [stitching]
 stitch_length = "0.1 in"
@@ -66,7 +67,7 @@ def plan(seam, machine):
 
 @pytest.fixture(scope="module")
 def proof(plan, machine):
-    return prove_plan(plan, load_spec(None, machine))
+    return prove_plan(plan, load_spec(PLACE, machine))
 
 
 def measured(proof, name, axis=""):
@@ -80,7 +81,7 @@ def test_in_spec_at_65_a_second_only_with_it(proof, seam, machine):
     rounding = 0.25 * speed * 0.1109 * WIDTH_S / np.sqrt(2)
     assert measured(proof, "contour_error") == pytest.approx(rounding, abs=30e-6)
     plain = prove_plan(
-        plan_job(read_job(seam, machine), machine, Options()), load_spec(None, machine)
+        plan_job(read_job(seam, machine), machine, Options()), load_spec(PLACE, machine)
     )
     assert not plain.verdict.passed
     assert measured(plain, "tracking_error", "X") > 3e-3
@@ -137,7 +138,7 @@ def test_limits_are_checked_before_anything_is_put_out(seam, machine):
 
 
 def test_off_its_numbers_the_machine_is_off_the_path(plan, machine):
-    spec = load_spec(None, machine)
+    spec = load_spec(PLACE, machine)
     soft = off_tolerance(machine, stiffness=-1.0)
     assert soft.links["x_belt"].stiffness.si == pytest.approx(0.8 * 6.24e5)
     heavy = off_tolerance(machine, mass=1.0)
@@ -233,7 +234,7 @@ def test_every_end_of_the_tolerances_is_tried(machine, seam, monkeypatch):
         return Fastest(intervals=(), limited_by="x", verdict=None, tried=1)
 
     monkeypatch.setattr(mismatch, "fastest_needle", search)
-    spec = load_spec(None, machine)
+    spec = load_spec(PLACE, machine)
     cells = mismatch.needle_over_tolerances(seam, machine, spec, AHEAD, high=78.0)
     wanted = [(m, k) for m in (0.9, 1.0, 1.1) for k in (0.8, 1.0, 1.2)]
     np.testing.assert_allclose(seen, wanted)
@@ -249,7 +250,9 @@ def run(capsys, *arguments):
 
 
 def test_prove_says_what_the_drives_must_give(capsys, seam):
-    code, out, _ = run(capsys, "prove", str(seam), "-m", "stitcher", "--feed-forward", "--json")
+    code, out, _ = run(
+        capsys, "prove", str(seam), "-m", "stitcher", "-s", str(PLACE), "--feed-forward", "--json"
+    )
     content = json.loads(out)
     assert code == 0 and content["interpolation"] == "auto"
     assert [d["axis"] for d in content["feed_forward"]] == ["X", "Y"]

@@ -17,6 +17,7 @@ from threadline.search.design import design as search
 from threadline.search.design_evaluate import Effort
 from threadline.verdict import load_spec
 
+PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
 SEAM = """
 [stitching]
 stitch_length = "0.1 in"
@@ -83,8 +84,8 @@ def test_the_work_goes_on_with_what_was_found(
     seam, out = str(files / "corner.seam.toml"), files / "out" / "found.toml"
     out.parent.mkdir()
     code, text, err = run(
-        capsys, "design", seam, "-m", str(files / "mine.toml"), "-o", str(out), "--json",
-        "--report", str(files / "report"),
+        capsys, "design", seam, "-m", str(files / "mine.toml"), "-s", str(PLACE), "-o", str(out),
+        "--json", "--report", str(files / "report"),
     )  # fmt: skip
     assert code == 0, err
     content = json.loads(text)
@@ -114,7 +115,9 @@ def test_the_work_goes_on_with_what_was_found(
 def test_none_within_the_bounds(capsys: pytest.CaptureFixture[str], files: Path) -> None:
     """With softer belts only there is none: exit status 1, what binds, and no file."""
     seam, out = str(files / "corner.seam.toml"), files / "found.toml"
-    code, text, _ = run(capsys, "design", seam, "-m", str(files / "stuck.toml"), "-o", str(out))
+    code, text, _ = run(
+        capsys, "design", seam, "-m", str(files / "stuck.toml"), "-s", str(PLACE), "-o", str(out)
+    )
     assert code == 1
     assert "no change within the bounds is in spec" in text
     assert "stitch length error binds" in text or "contour error binds" in text

@@ -9,6 +9,8 @@ import pytest
 
 from threadline.cli.main import main
 
+PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
+
 SEAM = """
 [stitching]
 stitch_length = "0.1 in"
@@ -34,7 +36,7 @@ def test_intervals_are_of_the_needle(capsys: pytest.CaptureFixture[str], tmp_pat
     file = tmp_path / "short.seam.toml"
     file.write_text(SEAM)
     span = ("--low", "15 stitch/s", "--high", "16 stitch/s")
-    code, out, _ = run(capsys, str(file), *span, "--json")
+    code, out, _ = run(capsys, str(file), *span, "-s", str(PLACE), "--json")
     content = json.loads(out)
     assert code == 0
     assert content["unit"] == "stitch/s"

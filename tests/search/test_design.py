@@ -28,6 +28,7 @@ from threadline.search.design_search import known_points, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
 
+PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
 CORNER = """
 [stitching]
 stitch_length = "0.1 in"
@@ -73,7 +74,7 @@ def stitcher() -> Machine:
 
 @pytest.fixture(scope="module")
 def spec(stitcher: Machine) -> Spec:
-    return load_spec(None, stitcher)
+    return load_spec(PLACE, stitcher)
 
 
 @pytest.fixture(scope="module")

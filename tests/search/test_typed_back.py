@@ -33,7 +33,7 @@ def drawn(low: float, high: float) -> list[float]:
 def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed() -> None:
     """As built, with gaps where whole ticks do not suit; lists had them in."""
     seam, machine = EXAMPLES / "stitcher-test-path.seam.toml", load_machine("stitcher")
-    spec = load_spec(None, machine)
+    spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", machine)
     found = fastest_needle(seam, machine, spec, Options(), low=29.0, high=33.0, points=12, near=4)
     assert found.intervals
     for interval in found.intervals:

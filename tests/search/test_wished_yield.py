@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.search.test_design import CORNER, SMALL, two_parameters
+from tests.search.test_design import CORNER, PLACE, SMALL, two_parameters
 
 from threadline import pipeline
 from threadline.cli.level import trials_of
@@ -138,7 +138,7 @@ def test_a_design_with_a_yield_is_proved_by_drawn_machines(tmp_path: Path) -> No
     stitcher = load_machine("stitcher")
     file = tmp_path / "corner.seam.toml"
     file.write_text(CORNER)
-    spec = load_spec(None, stitcher)
+    spec = load_spec(PLACE, stitcher)
     machine = two_parameters(stitcher, (1.0, 30.0))
     found = design(file, machine, spec, Options(), wished=0.6, effort=SMALL).found
     assert found is not None and found.verdict.passed

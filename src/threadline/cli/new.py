@@ -44,7 +44,9 @@ class Project:
 PROJECTS = {
     "winder": Project("lathe-winder", "reversal.prg -m machine.toml"),
     "stepper": Project("stepper-winder", "reversal.prg -m machine.toml"),
-    "stitcher": Project("stitcher", "corners.seam.toml -m machine.toml"),
+    "stitcher": Project(
+        "stitcher", 'corners.seam.toml -m machine.toml --feed-forward --smoothing "42 ms"'
+    ),
     "placer": Project(
         "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
     ),

@@ -1,0 +1,75 @@
+"""The stitcher's own specification asks for all that its thesis does, and keeps the needle even."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options, options_of
+from threadline.pipeline import REPEATED, plan_job, prove_plan
+from threadline.verdict import Status, Verdict, load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+STEEP, SLOW = "stitcher-steep.seam.toml", "stitcher-test-path.seam.toml"
+
+
+def proved(seam: str, speed: str, options: Options) -> Verdict:
+    machine = load_machine("stitcher")
+    job = read_job(EXAMPLES / seam, machine, needle_speed=speed)
+    plan = plan_job(job, machine, options)
+    return prove_plan(plan, load_spec(None, machine), trials=REPEATED).verdict
+
+
+def failed(verdict: Verdict) -> set[str]:
+    return {result.name for result in verdict.results if result.status is Status.FAILED}
+
+
+def test_its_limits_are_those_of_chapter_two() -> None:
+    """0.02 in, 5 % of a stitch's length and of the speed, and two stitches to the speed."""
+    spec = load_spec(None, load_machine("stitcher"))
+    limits = {c.name: c.limit for c in spec.criteria if c.required}
+    assert limits == {
+        "contour_error": 0.5e-3,
+        "seam_error": 0.5e-3,
+        "progress_error": 0.5e-3,
+        "stitch_length_error": 0.05,
+        "stitch_speed_error": 0.05,
+        "stitches_to_speed": 2.0,
+        "needle_time_error": 0.001,
+    }
+    # The other one asks for place and length, and reports the rest.
+    place = load_spec(EXAMPLES / "stitcher-place.spec.toml", load_machine("stitcher"))
+    assert [c.name for c in place.criteria] == [c.name for c in spec.criteria]
+    fewer = {c.name: c.limit for c in place.criteria if c.required}
+    assert limits.items() > fewer.items()
+    assert limits.keys() - fewer.keys() == {
+        "stitch_speed_error", "stitches_to_speed", "needle_time_error",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("seam", "speed", "smoothing", "which"),
+    [
+        (STEEP, "60 stitch/s", "42 ms", set()),
+        # Ramps and smoothing take two turns of a slower needle than this one.
+        (STEEP, "64 stitch/s", "42 ms", {"stitches_to_speed"}),
+        # With less smoothing the head is there in time, and rings.
+        (STEEP, "62 stitch/s", "38 ms", {"stitch_speed_error", "stitch_length_error"}),
+        # The plan that was said to do 73 stitches a second, by place and length alone.
+        (SLOW, "73 stitch/s", "40 ms", {"stitches_to_speed", "stitch_speed_error"}),
+    ],
+)
+def test_speed_counts_as_place_does(seam: str, speed: str, smoothing: str, which: set[str]) -> None:
+    options = options_of("auto", None, "0.1 mm", feed_forward=True, smoothing=smoothing)
+    found = failed(proved(seam, speed, options))
+    assert found >= which if which else not found
+    assert "needle_time_error" not in found
+
+
+def test_a_needle_that_would_have_to_wait_fails() -> None:
+    """Of a seam with a constant needle, by a plan whose times are a spline, not turns of it."""
+    verdict = proved(SLOW, "20 stitch/s", Options())
+    assert "needle_time_error" in failed(verdict)
