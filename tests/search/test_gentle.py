@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import degrees
+from math import degrees, log2
 from pathlib import Path
+
+import pytest
 
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
-from threadline.search import fastest_job
+from threadline.search import fastest_job, gentle
+from threadline.search.fastest import Fastest, Interval
 from threadline.search.feed import feed_range_m_s
-from threadline.verdict import load_spec
+from threadline.verdict import Verdict, load_spec
 
 
 def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
@@ -75,3 +78,34 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
     assert prove_plan(plan, spec).verdict.passed
     assert best >= in_131_ticks.value
     assert len(result.best.found.intervals) == 3
+
+
+def test_no_more_than_all_of_the_limits_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them are the ladder's best; a quarter of a rung below is better, more is none."""
+    tried: list[float] = []
+
+    def found(*arguments: object, **_: object) -> Fastest:
+        options = arguments[3]
+        assert isinstance(options, Options)
+        tried.append(options.limit_share)
+        return Fastest(
+            intervals=(Interval(low=1.0, high=1.0),),
+            limited_by="range",
+            verdict=Verdict(results=(), simulated=True),
+            tried=1,
+        )
+
+    def duration(_job: object, _machine: object, options: Options, _found: object) -> float:
+        return 1.0 + abs(log2(options.limit_share) + 0.25)
+
+    monkeypatch.setattr(gentle, "fastest_feed", found)
+    monkeypatch.setattr(gentle, "_duration_s", duration)
+    monkeypatch.setattr(gentle, "ignores_limits", lambda *_: False)
+    machine = load_machine("lathe-winder")
+    job = read_job(Path(__file__).parents[2] / "examples" / "x-180.prg", machine)
+    result = fastest_job(job, machine, load_spec(None, machine), Options())
+    assert max(tried) == 1.0
+    assert result.best.share == round(2.0**-0.25, 6)
+    # Once past the best the ladder is left: one rung further down, and none below that.
+    below = [share for share in tried if 0.5 < share < 1.0]
+    assert min(below) == pytest.approx(2.0**-0.5, abs=1e-5)

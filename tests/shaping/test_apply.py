@@ -126,6 +126,25 @@ def test_superposition_and_any_cut_into_blocks(seed: int) -> None:
         assert np.array_equal(one, other), name
 
 
+@pytest.mark.parametrize("amplitudes", [(-0.5, 1.5), (1.5, -0.5), (4.0, -3.0)])
+def test_a_centroid_outside_its_train_leaves_the_operations_in_place(
+    amplitudes: tuple[float, float],
+) -> None:
+    """Centroids at 0.15, -0.05 and -0.3 s of a train of 0.1 s: its end, or its beginning, counts.
+
+    The operation is that under way so long before, by hand; nothing hangs on the cut into blocks.
+    """
+    durations, c = random_pieces(np.random.default_rng(5), 30)
+    shaper = Shaper(amplitudes=np.array(amplitudes), times_s=np.array([0.0, 0.1]))
+    late_s = 0.1 if amplitudes[0] < 0.0 else 0.0
+    ends = np.cumsum(durations)
+    for cuts in ([], [7], [3, 4, 5, 20], list(range(1, 30))):
+        for block in shape_trajectory(made(durations, c, cuts=cuts), shaper, None):
+            middle = block.start_s + 0.5 * block.duration_s
+            wanted = np.searchsorted(ends, np.maximum(middle - late_s, 1e-12), side="right")
+            np.testing.assert_array_equal(block.operation, np.minimum(wanted, 29))
+
+
 def test_memory_holds_only_what_the_train_reaches() -> None:
     """A long trajectory, block by block: the shaped blocks stay small and come as it is read."""
     rng = np.random.default_rng(3)
