@@ -5,6 +5,7 @@ What ``tools/fuzz_commands.py`` runs as the classes ``odd-files`` and ``studies`
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 
@@ -37,8 +38,12 @@ ODD: dict[str, bytes] = {
     "header": b"time [s],X [mm]\n",
     "one-row": b"time [s],X [mm]\n0,0\n",
     "columns": b",".join(b"X%d [mm]" % k for k in range(3000)) + b"\n" + b"1," * 2999 + b"1\n",
-    "cam": b"angle [deg],lift [mm]\n0,0\n90,1\n180,2\n270,1\n360,0\n",
-    "cam-noise": b"angle [deg],lift [mm]\n"
+    "cam": b"alpha [deg],h [mm]\n"  # a cycloidal rise of 20 mm over 90 degrees
+    + b"".join(
+        b"%.1f,%.3f\n" % (2.5 * k, 50 + 20 * (k / 36 - math.sin(k / 18 * math.pi) / math.tau))
+        for k in range(37)
+    ),
+    "cam-noise": b"alpha [deg],h [mm]\n"
     + b"".join(b"%d,%d\n" % (10 * k, (k * 7919) % 13) for k in range(37)),
 }
 ENDINGS = (
