@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import Trials, plan_job, prove_plan, simulate
 from threadline.plan import Plan
-from threadline.verdict import Criterion, Spec, Status, judge
+from threadline.verdict import Criterion, Spec, Status, judge, load_spec
 
 CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"
 OWN = "letter-placer+whole-scans+own-damping"
@@ -55,6 +56,25 @@ def test_another_day_differs_in_friction_and_stiffness_alone() -> None:
     for axis in plan.axes:
         ours, theirs = (r.samples(f"{axis}.frame")[1] for r in (day, wanted))
         assert np.array_equal(ours, theirs)
+
+
+def test_runs_are_held_one_by_one() -> None:
+    """Four times as many runs, judged together, take no more memory: one at a time is held."""
+    plan = plan_of(OWN)
+    spec = load_spec(None, plan.machine)
+
+    def peak(count: int) -> int:
+        random = np.random.default_rng(3)
+        days = kind_of(plan.machine).days(plan.commands, plan.machine, count, random)
+        tracemalloc.start()
+        try:
+            judge(days, plan, spec)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(1)  # what is made once
+    assert peak(12) < 1.3 * peak(3)
 
 
 def test_repeatability_is_the_spread_of_where_pistons_stand() -> None:

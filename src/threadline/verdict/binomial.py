@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 CONFIDENCE = 0.95
 
@@ -18,6 +18,6 @@ def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> 
     '0.99963 1.0'
     """
     tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if not passed else float(beta.ppf(tail, passed, tried - passed + 1))
-    high = 1.0 if passed == tried else float(beta.ppf(1.0 - tail, passed + 1, tried - passed))
+    low = 0.0 if not passed else float(betaincinv(passed, tried - passed + 1, tail))
+    high = 1.0 if passed == tried else float(betaincinv(passed + 1, tried - passed, 1.0 - tail))
     return low, high

@@ -95,6 +95,12 @@ class Run(Protocol):
     def unseen(self, reading: RunReading) -> str:
         """Say, once the recording was read, what a measure of many runs did not see of it."""
 
+    def release(self) -> None:
+        """Let go of its samples, once its own measures are finished; runs are judged one by one.
+
+        What measures of many runs ask for is kept.
+        """
+
 
 RunT_contra = TypeVar("RunT_contra", contravariant=True)
 Options = Mapping[str, float]

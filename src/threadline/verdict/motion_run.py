@@ -66,6 +66,9 @@ class MotionRun(Setting):
         """The same run by time, as long as its own operations have told nothing."""
         return None if self.told is None or self.told.anything else self.instead
 
+    def release(self) -> None:
+        """Do nothing: it holds no more samples than one block."""
+
     def leave(self) -> None:
         """Read no more of the recording."""
         if self.branch is not None:

@@ -118,8 +118,10 @@ class Pass:
         return self._begun.run
 
     def found(self) -> Findings:
-        """Return what was found of this run, after it was read."""
-        return self._begun.found()
+        """Return what was found of this run, after it was read; its samples are let go of."""
+        found = self._begun.found()
+        self.run.release()
+        return found
 
 
 def read_all(passes: Sequence[Pass], together: Sequence[MeasureOfRuns]) -> None:

@@ -109,6 +109,9 @@ class StitchRun:
         """Yield nothing: its measures have the run whole."""
         return iter(())
 
+    def release(self) -> None:
+        """Do nothing: it holds no more samples than one block."""
+
     def leave(self) -> None:
         """Do nothing: it is read as a whole."""
 

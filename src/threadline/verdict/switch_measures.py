@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray
 from threadline.plant.pneumatic import flow_mode
 from threadline.signals import ChannelKind
 from threadline.verdict.finding import Finding
-from threadline.verdict.switch_run import RunStep, SwitchRun
+from threadline.verdict.switch_run import RunStep, SwitchRun, sample_at
 
 _LEAST_PERIODS = 0.5  # less does not show both extremes of what rings
 _STOP_GIVES_M = 1e-5  # a piston that runs into its end stop presses it in by less
@@ -139,7 +139,7 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
                     Finding(value=None, axis=axis, step=step.name, operation=operation, note=why)
                 )
                 continue
-            at = _sample_at(load[0], end_s)
+            at = sample_at(load[0], end_s)
             found.append(
                 Finding(
                     value=abs(float(load[1][at]) - move.target_m),
@@ -150,10 +150,6 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
                 )
             )
     return found
-
-
-def _sample_at(times_s: FloatArray, end_s: float) -> int:
-    return max(int(np.searchsorted(times_s, end_s, side="right")) - 1, 0)
 
 
 def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Sequence[Finding]:
@@ -168,7 +164,7 @@ def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Se
     for number, run in enumerate(runs, start=1):
         if not run.steps:
             return [replace(_unknown(run)[0], note=f"recording {number}: {_unknown(run)[0].note}")]
-        ends = _ends(run)
+        ends = run.ends
         if isinstance(ends, str):
             return [Finding(value=None, note=f"recording {number}: {ends}")]
         places.append(ends)
@@ -186,23 +182,6 @@ def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Se
             note=f"{planned.step}: {planned.axis}, recording {int(worst) + 1}",
         )
     ]
-
-
-def _ends(run: SwitchRun) -> list[tuple[float, float]] | str:
-    """Return where and when each move came to its end, or why that is not known."""
-    found = []
-    for move in run.moves:
-        axis = move.planned.axis
-        load = run.find(ChannelKind.LOAD, axis)
-        if load is None:
-            return run.why(ChannelKind.LOAD, axis)
-        step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
-        why = run.ended(load[0], run.due_s(step, axis))
-        if why:
-            return why
-        at = _sample_at(load[0], run.quiet_s(step, axis)[1])
-        found.append((float(load[1][at]), float(load[0][at])))
-    return found
 
 
 def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:

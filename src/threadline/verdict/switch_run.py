@@ -76,7 +76,7 @@ class RunMove:
 
 
 class SwitchRun:
-    """A recording beside its plan; the whole of it in memory, for a cycle takes seconds.
+    """A recording beside its plan, read as a whole when it is first asked for anything.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SwitchRun:
     Raises
     ------
     RecordingError
-        If there are no outputs in it, or a channel is damaged.
+        If there are no outputs in it; when it is read, if a channel is damaged.
     """
 
     of: ClassVar[str] = "an on/off machine"
@@ -110,20 +110,59 @@ class SwitchRun:
                 remedy="Record every output of the PLC, 0 or 1, in a table as a column "
                 f'"{missing[0]}.output": they tell when it switched.',
             )
-        self.time_s, _ = self._samples(self.commands.outputs[0])
+
+    @cached_property
+    def _switched(self) -> tuple[FloatArray, NDArray[np.int8]]:
+        """(n,) instants and (n, outputs) states of the outputs."""
+        time_s, _ = self._samples(self.commands.outputs[0])
         columns = [_whole(self._samples(name)[1]) for name in self.commands.outputs]
-        if len(self.time_s) < 2 or any(len(v) != len(self.time_s) for v in columns):
+        if len(time_s) < 2 or any(len(v) != len(time_s) for v in columns):
             raise RecordingError("the output channels must have the same instants, two at least")
-        self.states: NDArray[np.int8] = np.stack(columns, axis=1)
-        outputs = [c for c in recording.channels if c.name in self.commands.outputs]
+        states: NDArray[np.int8] = np.stack(columns, axis=1)
+        outputs = [c for c in self.recording.channels if c.name in self.commands.outputs]
         # With every output off, nothing has happened before.
-        begin_s = 0.0 if self.states[0].any() else np.inf
+        begin_s = 0.0 if states[0].any() else np.inf
         lack = self._coverage.lack(outputs, begin_s, 0.0)
         if lack is not None:
             raise RecordingError(
                 f"{lack.why}: nobody knows when the valves switched",
                 remedy="Record every output of the PLC from the start of the cycle, without gaps.",
             )
+        return time_s, states
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(n,) instants at which the outputs were recorded."""
+        return self._switched[0]
+
+    @property
+    def states(self) -> NDArray[np.int8]:
+        """(n, outputs) what each output was then, 0 or 1."""
+        return self._switched[1]
+
+    @cached_property
+    def ends(self) -> tuple[tuple[float, float], ...] | str:
+        """Where, m, and when, s, each move came to its end, or why that is not known."""
+        found = []
+        for move in self.moves:
+            axis = move.planned.axis
+            load = self.find(ChannelKind.LOAD, axis)
+            if load is None:
+                return self.why(ChannelKind.LOAD, axis)
+            step = next(s for s in reversed(self.steps) if s.begin_s <= move.begin_s + 1e-9)
+            why = self.ended(load[0], self.due_s(step, axis))
+            if why:
+                return why
+            at = sample_at(load[0], self.quiet_s(step, axis)[1])
+            found.append((float(load[1][at]), float(load[0][at])))
+        return tuple(found)
+
+    def release(self) -> None:
+        """Let go of all samples; steps, moves, switchings and ends of moves are kept."""
+        if self.steps:
+            _ = self.ends, self.moves
+        for samples in ("_channels", "_switched", "changes"):
+            self.__dict__.pop(samples, None)
 
     @cached_property
     def _channels(self) -> Mapping[str, tuple[FloatArray, Samples]]:
@@ -354,3 +393,8 @@ def _joined(parts: list[Samples]) -> Samples:
 def _whole(values: Samples) -> NDArray[np.int8]:
     """Return the nearest state of an output; what is far from 0 and 1 stays far from both."""
     return np.clip(np.rint(values), -100, 100).astype(np.int8)
+
+
+def sample_at(times_s: FloatArray, end_s: float) -> int:
+    """Return the last sample that is not behind an instant; the first where all are."""
+    return max(int(np.searchsorted(times_s, end_s, side="right")) - 1, 0)
