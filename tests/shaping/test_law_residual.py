@@ -27,6 +27,7 @@ from threadline.shaping import (
     shaped_windows,
     usual_jerk_m_s3,
 )
+from threadline.shaping.law_named import law_named
 
 MOVE, WINDOW, ZETA = 0.0165, 0.120, 0.02
 # Residual amplitude, mm: 16.5 mm in 120 ms at 8, 12, 16, 20, 25 and 40 Hz, damping ratio 0.02.
@@ -185,7 +186,7 @@ def test_a_shaped_law_is_one_law() -> None:
         shaped_law(law("cubic"), shaper, 0.08)
     for frequency, printed in ((12.0, 242), (20.0, 145)):
         windows = shaped_windows(law("modified-sine"), demand(frequency, 0.2))
-        ei = next(w for w in windows if w.law.name == "modified-sine*ei")
+        ei = next(w for w in windows if w.law.name.startswith("modified-sine*ei:"))
         assert 1e3 * ei.window_s == pytest.approx(printed, abs=1.5)
 
 
@@ -251,3 +252,33 @@ def test_wrong_input_is_one_line(
     code, out, err = ran(capsys, *arguments)
     assert (code, out) == (2, "")
     assert said in err and err.count("\n") == 1
+
+
+def test_the_name_of_a_shaped_law_makes_it_again() -> None:
+    """What the table prints can be typed: the same rise, on the mode what it was found for."""
+    asked = demand(12.0, 0.1)
+    for one in shaped_windows(law("modified-sine"), asked):
+        again = law_named(one.law.name)
+        t = np.linspace(0.0, 1.0, 1001)
+        assert np.abs(again(t) - one.law(t)).max() <= 1e-12
+        assert again.name == one.law.name
+        left = residual_m(again, asked.mode, MOVE, np.array([one.window_s]))[0]
+        assert left <= asked.residual_m * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("modified-sine*zv:12Hz", "does not say its window"),
+        ("modified-sine*zv:12Hz in soon", "in 160 ms"),
+        ("modified-sine*zv:12Hz in -1 ms", "longer than 0"),
+        ("modified-sine*zv:12Hz in 10 ms", "the shaper"),
+        ("modified-sin*zv:12Hz in 160 ms", "unknown motion law 'modified-sin'"),
+        ("cubic*X=zv:12Hz in 160 ms", "not one for each axis"),
+        ("cubic*zw:12Hz in 160 ms", "zw"),
+    ],
+)
+def test_a_shaped_law_that_cannot_be_is_told(text: str, said: str) -> None:
+    with pytest.raises(OptionError) as caught:
+        law_named(text)
+    assert said in str(caught.value)

@@ -12,7 +12,7 @@ from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.errors import OptionError
 from threadline.laws import LAWS, Law, write_law
-from threadline.laws import law as law_called
+from threadline.shaping.law_named import law_named
 from threadline.writing import together
 
 
@@ -20,7 +20,8 @@ def law(
     name: Annotated[
         str | None,
         typer.Argument(
-            help="Law: modified-sine, 3-4-5, trapezoid:0.2, harmonic:7, a table t,s,v,a (.csv); "
+            help="Law: modified-sine, 3-4-5, trapezoid:0.2, harmonic:7, a table t,s,v,a (.csv), "
+            "modified-sine*zv:12Hz:0.02 in 160 ms; "
             "default: all."
         ),
     ] = None,
@@ -73,7 +74,7 @@ def law(
     --limit "6.33 m/s^2" --residual "0.05 mm" --band 0.1
     """
     check_outputs(file=out, folder=report)
-    laws = list(LAWS.values()) if name is None else [law_called(name)]
+    laws = list(LAWS.values()) if name is None else [law_named(name)]
     of_a_mode = {
         "--move": move, "--time": time, "--residual": residual, "--limit": limit, "--jerk": jerk,
         "--band": band,

@@ -13,13 +13,13 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.kinds.retold import retold
-from threadline.laws import law
 from threadline.machine import Machine
 from threadline.machine.variants import variant
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.options import Options
 from threadline.path.interpolations import BY_LAW
 from threadline.plan import Plan, Stitched
+from threadline.shaping.law_named import law_named
 from threadline.signals import Commands, Recording, StepPlay, played
 from threadline.targets.stitched import stitch
 from threadline.targets.write import STEP_TARGETS
@@ -61,7 +61,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     stitched = stitch(
         job,
         machine,
-        law(named),
+        law_named(named),
         options.tolerance_m,
         None if options.feed is None else 1.0 / options.feed.value,
     )

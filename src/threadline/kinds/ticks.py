@@ -12,7 +12,6 @@ from threadline.described import describe
 from threadline.errors import OptionError, PlanError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
-from threadline.laws import law
 from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
 from threadline.machine.vary import derate, varied_numbers, vary
@@ -23,6 +22,7 @@ from threadline.plan import Following, Motion, Plan
 from threadline.plant.analysis import unstable_loops
 from threadline.plant.values import Values
 from threadline.shaping import parse_shaper
+from threadline.shaping.law_named import law_named
 from threadline.signals import ChannelKind, Commands, Recording, TickTable, tick_table
 from threadline.targets import followed_by_loads, followed_by_motors
 from threadline.targets.write import TICK_TARGETS
@@ -85,7 +85,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     timing = options.timing
     tick_s = float(machine.tick_clock.period_s)
     shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
-    motion_law = None if timing.law is None else law(timing.law)
+    motion_law = None if timing.law is None else law_named(timing.law)
     programmed = programmed_path(job, machine, feed=timing.feed)
     check_budget(job, machine, timing.feed)
     limited = derate(machine, timing.limit_share)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
@@ -122,8 +123,11 @@ def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
         # What the law leaves is turned by the shaper as one impulse is.
         share = residual_vibration(shaper, frequencies, zeta)
         for length in own[(left * share[:, None] <= d.residual_m).all(axis=0)].tolist():
-            window = length + shaper.duration_s
-            made = shaped_law(law, shaper, window)
+            # To whole microseconds, so that its name says all of it.
+            window = ceil((length + shaper.duration_s) * 1e6) / 1e6
+            words = f"{law.name}*{kind.value}:{d.mode.frequency_hz!r}Hz:{zeta!r}"
+            name = f"{words} in {round(window * 1e3, 3)!r} ms"
+            made = replace(shaped_law(law, shaper, window), name=name)
             if made.acceleration * d.move_m / window**2 <= d.acceleration_m_s2:
                 found.append(ShapedWindow(law=made, window_s=window))
                 break
