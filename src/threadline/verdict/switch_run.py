@@ -144,9 +144,9 @@ class SwitchRun:
     def ends(self) -> tuple[tuple[float, float], ...] | str:
         """Where, m, and when, s, each move came to its end, or why that is not known."""
         found = []
+        loads = {a: self.find(ChannelKind.LOAD, a) for a in {m.planned.axis for m in self.moves}}
         for move in self.moves:
-            axis = move.planned.axis
-            load = self.find(ChannelKind.LOAD, axis)
+            axis, load = move.planned.axis, loads[move.planned.axis]
             if load is None:
                 return self.why(ChannelKind.LOAD, axis)
             step = next(s for s in reversed(self.steps) if s.begin_s <= move.begin_s + 1e-9)
