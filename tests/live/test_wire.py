@@ -60,7 +60,9 @@ def test_a_damaged_message_is_refused_or_reads(data: st.DataObject) -> None:
     at = data.draw(st.integers(4, len(whole) - 1))
     whole[at] ^= data.draw(st.integers(1, 255))
     with suppress(LinkFaultError):
-        decoded(bytes(whole[4:]))
+        read = decoded(bytes(whole[4:]))
+        assert isinstance(read.head, dict)
+        assert all(values.ndim >= 1 for values in read.arrays.values())
 
 
 @pytest.mark.parametrize("length", [0, 3, (1 << 24) + 1, 0xFFFFFFFF])

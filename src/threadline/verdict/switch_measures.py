@@ -58,9 +58,9 @@ def _ringing(
     why = run.ended(time_s, min(end_s, run.due_s(step, axis)))
     if why:
         return Finding(value=None, axis=axis, step=step.name, operation=step.operation, note=why)
-    inside = np.flatnonzero((time_s >= begin_s) & (time_s <= end_s))
+    inside = _between(time_s, begin_s, end_s)
     seen = (end_s - begin_s) / period_s
-    if len(inside) < 2 or seen < _LEAST_PERIODS:
+    if inside.stop - inside.start < 2 or seen < _LEAST_PERIODS:
         note = f"it moves again after {max(seen, 0.0):.2f} of a period: too soon to see what rings"
         return Finding(value=None, axis=axis, step=step.name, operation=step.operation, note=note)
     part = values[inside]
@@ -69,10 +69,16 @@ def _ringing(
         value=0.5 * float(np.ptp(part)),
         axis=axis,
         step=step.name,
-        time_s=float(time_s[inside[np.argmax(np.abs(part - rest))]]),
+        time_s=float(time_s[inside.start + int(np.argmax(np.abs(part - rest)))]),
         operation=step.operation,
         note="" if seen >= 1.0 else f"{seen:.2f} of a period is seen before it moves again",
     )
+
+
+def _between(times_s: FloatArray, begin_s: float, end_s: float) -> slice:
+    """Return the samples from one instant to another, both included: a step has few of many."""
+    first = int(np.searchsorted(times_s, begin_s, side="left"))
+    return slice(first, max(first, int(np.searchsorted(times_s, end_s, side="right"))))
 
 
 def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
@@ -100,10 +106,10 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
             assert frame is not None
             time_s, values = frame
             why = why or run.ended(time_s, run.due_s(step, axis))
-            inside = (time_s >= last_s) & (time_s <= run.quiet_s(step, axis)[1])
-            out = np.flatnonzero(inside & (np.abs(values - values[0]) > options["band"]))
-            settled = float(time_s[out[-1]]) - last_s if len(out) else 0.0
-            never = bool(len(out)) and not (inside & (time_s > time_s[out[-1]])).any()
+            inside = _between(time_s, last_s, run.quiet_s(step, axis)[1])
+            out = np.flatnonzero(np.abs(values[inside] - values[0]) > options["band"])
+            settled = float(time_s[inside.start + out[-1]]) - last_s if len(out) else 0.0
+            never = bool(len(out)) and inside.start + int(out[-1]) + 1 == inside.stop
             value = float("inf") if never else settled
             if worst.value is None or value > worst.value:
                 note = f"{axis} rings on until it moves again" if never else axis

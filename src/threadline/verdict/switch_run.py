@@ -240,7 +240,7 @@ class SwitchRun:
         begin_s = float(self.row_s[0]) if len(self.row_s) else 0.0
         return self._coverage.lack([channel], begin_s, 0.0)
 
-    @property
+    @cached_property
     def end_s(self) -> float:
         """When the cycle ends, if the schedule was followed."""
         return self.instant_s(self.commands.duration_ticks)
