@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from threadline.cli.law import law_json
+from threadline.cli.law_characteristics import law_json
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption, ReportOption

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from threadline.cli.law_characteristics import law_json, law_row
+from threadline.cli.law_mode import study
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.errors import OptionError
-from threadline.laws import LAWS, Law, write_law
+from threadline.laws import LAWS, write_law
 from threadline.shaping.law_named import law_named
 from threadline.writing import together
 
@@ -80,8 +82,6 @@ def law(
         "--band": band,
     }  # fmt: skip
     if mode is not None:
-        from threadline.cli.law_mode import study
-
         study(
             laws, mode=mode, damping=damping, move=move, time=time, mass=mass, residual=residual,
             limit=limit, jerk=jerk, band=band, out=out, report=report, json=json,
@@ -110,28 +110,6 @@ def law(
         )
         if written is not None:
             say(f"Report: {written}")
-
-
-def law_row(law: Law) -> list[str]:
-    """Return the characteristics of a law as a row of a table."""
-    return [
-        law.name,
-        f"{law.velocity:.4f}",
-        f"{law.acceleration:.4f}",
-        "infinite" if law.jerk is None else f"{law.jerk:.4f}",
-        f"{law.efficiency:.4f}",
-    ]
-
-
-def law_json(law: Law) -> dict[str, Any]:
-    """Return the characteristics of a law as JSON content; Cj is None where it is infinite."""
-    return {
-        "name": law.name,
-        "Cv": law.velocity,
-        "Ca": law.acceleration,
-        "Cj": law.jerk,
-        "efficiency": law.efficiency,
-    }
 
 
 def register(app: typer.Typer) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from threadline.cli.law import law_json
+from threadline.cli.law_characteristics import law_json
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.told import warning
 from threadline.errors import OptionError

@@ -23,7 +23,8 @@ from threadline.shaping.law_named import law_named
 from threadline.signals import Commands, Recording, StepPlay, played
 from threadline.targets.stitched import stitch
 from threadline.targets.write import STEP_TARGETS
-from threadline.twin.stitching import driven_of, simulate_stitching
+from threadline.twin.stitching import simulate_stitching
+from threadline.twin.stitching_machine import driven_of
 from threadline.verdict import Spec
 
 

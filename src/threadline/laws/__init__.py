@@ -10,9 +10,9 @@ from threadline.laws.catalogue import (
     trapezoid,
     trapezoidal_acceleration,
 )
-from threadline.laws.extremes import extremes, measured_law, refuse_descent
+from threadline.laws.extremes import extremes, refuse_descent
 from threadline.laws.forms import Form, Pieces
-from threadline.laws.law import Law, gauss
+from threadline.laws.law import Law, gauss, measured_law
 from threadline.laws.law_table import law_through, read_law, write_law
 from threadline.laws.shortest import ShortestMove, shortest_move
 from threadline.laws.spline import law_of_velocity

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
-from threadline.laws.forms import Form
-from threadline.laws.law import Law
 
 _DEGREE = 18
 _LOOKS = 33
@@ -21,7 +20,22 @@ _STEP = 1e-7
 """Share of the peak acceleration: a smaller step between two stretches is rounding."""
 
 
-def extremes(law: Law, derivative: int) -> tuple[float, float, float, float]:
+class Rise(Protocol):
+    """What is asked here of a motion law."""
+
+    @property
+    def name(self) -> str:
+        """As on the command line."""
+
+    @property
+    def edges(self) -> FloatArray:
+        """(n,) ends of the stretches on which the law is smooth, from 0 to 1."""
+
+    def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return a derivative at ``t``."""
+
+
+def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
     """Return the least value of a derivative, its time, the largest and its time.
 
     On each smooth stretch the derivative is interpolated at Chebyshev points. Where a stretch could
@@ -45,7 +59,7 @@ def extremes(law: Law, derivative: int) -> tuple[float, float, float, float]:
     return *found[0], *found[1]
 
 
-def _fitted(law: Law, derivative: int) -> tuple[FloatArray, FloatArray]:
+def _fitted(law: Rise, derivative: int) -> tuple[FloatArray, FloatArray]:
     """Return the edges (n + 1,) and the Chebyshev coefficients (degree + 1, n) between them."""
     x = chebyshev.chebpts1(_DEGREE + 1)
     edges = law.edges
@@ -66,7 +80,7 @@ def _stationary(coefficients: FloatArray) -> FloatArray:
     return np.concatenate(([-1.0, 1.0], real[np.abs(real) < 1.0]))
 
 
-def steps(law: Law) -> bool:
+def steps(law: Rise) -> bool:
     """Say whether the acceleration steps anywhere, at the ends of the motion as well."""
     _, fitted = _fitted(law, 2)
     ends = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
@@ -76,24 +90,8 @@ def steps(law: Law) -> bool:
     return bool(np.abs(after - before).max() > _STEP * peak)
 
 
-def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
-    """Return the law of these forms with its peaks computed from them."""
-    bare = Law(
-        name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,
-        meets=meets,
-    )  # fmt: skip
-    peaks = []
-    for derivative in (1, 2, 3):
-        low, _, high, _ = extremes(bare, derivative)
-        peaks.append(max(-low, high))
-    return Law(
-        name=name, velocity=peaks[0], acceleration=peaks[1],
-        jerk=None if steps(bare) else peaks[2], form=form, closing=closing, meets=meets,
-    )  # fmt: skip
-
-
 @lru_cache(maxsize=64)
-def refuse_descent(law: Law) -> None:
+def refuse_descent(law: Rise) -> None:
     """Refuse a law that goes back anywhere: it has no inverse.
 
     Raises

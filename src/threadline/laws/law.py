@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.laws.extremes import extremes, refuse_descent, steps
 from threadline.laws.forms import Form
 from threadline.laws.inverse_law import invert
 
@@ -81,8 +82,6 @@ class Law:
         OptionError
             If the law is not monotone: a rise is met more than once.
         """
-        from threadline.laws.extremes import refuse_descent
-
         refuse_descent(self)
         x = np.atleast_1d(np.asarray(rise, dtype=np.float64))
         if not bool(np.all((x >= 0.0) & (x <= 1.0))):
@@ -110,6 +109,22 @@ class Law:
         t, weights = gauss(self.edges)
         heat = float(self(t, 2) ** 2 @ weights)
         return LEAST_HEAT / heat
+
+
+def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
+    """Return the law of these forms with its peaks computed from them."""
+    bare = Law(
+        name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,
+        meets=meets,
+    )  # fmt: skip
+    peaks = []
+    for derivative in (1, 2, 3):
+        low, _, high, _ = extremes(bare, derivative)
+        peaks.append(max(-low, high))
+    return Law(
+        name=name, velocity=peaks[0], acceleration=peaks[1],
+        jerk=None if steps(bare) else peaks[2], form=form, closing=closing, meets=meets,
+    )  # fmt: skip
 
 
 def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatArray, FloatArray]:

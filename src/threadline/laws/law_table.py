@@ -10,9 +10,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError, Place
 from threadline.input_files import read_text
-from threadline.laws.extremes import measured_law, refuse_descent
+from threadline.laws.extremes import refuse_descent
 from threadline.laws.forms import Pieces
-from threadline.laws.law import Law
+from threadline.laws.law import Law, measured_law
 from threadline.writing import staged_file
 
 ROWS = 1001

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.laws.extremes import measured_law
 from threadline.laws.forms import Pieces
-from threadline.laws.law import Law
+from threadline.laws.law import Law, measured_law
 
 
 def law_of_velocity(name: str, knots: FloatArray, coefficients: FloatArray, degree: int) -> Law:

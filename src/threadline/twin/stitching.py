@@ -1,25 +1,20 @@
 """Step tables on their machine: a frame that is driven by steps, each placed exactly in time.
 
-Servos follow the steps with their lag, the frame hangs on them by a linear network. Between two
-samples the state goes on by one matrix exponential; a step that comes tau before the sample adds
-``integral_0^tau exp(A s) ds B``, whose power series in tau needs no more than sums of powers.
+Servos follow the steps with their lag; the frame hangs on them by a linear network
+(:mod:`threadline.twin.stitching_machine`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil
 
 import numpy as np
-from scipy.linalg import expm
 
 from threadline.arrays import FloatArray
 from threadline.errors import MachineError, RecordingError
 from threadline.machine import Machine
-from threadline.machine.sources import PulseServo
-from threadline.plant.prescribed import prescribed
 from threadline.signals import (
     Channel,
     ChannelKind,
@@ -30,50 +25,11 @@ from threadline.signals import (
     StitchBlock,
     Stream,
 )
+from threadline.twin.stitching_machine import Driven, driven_of
 from threadline.twin.stitching_run import Library, Played, play
 from threadline.twin.stitching_shaft import Needles
 
-_TERMS = 20
-_NORM = 1.0  # of the rates over an interval: the series then ends below 1e-18
-_MOST_PARTS = 1024
 _REST_S = Fraction(2)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Driven:
-    """A machine whose axes are told steps; its state is that of all pieces, servos behind each.
-
-    Parameters
-    ----------
-    step
-        (m, m) of the state over an interval.
-    held
-        (m, A) what the steps that were there before it add.
-    series
-        (terms, m, A) by powers of the part of an interval that is left when a step comes.
-    loads
-        (A, m) position of each axis, in its own units.
-    forces
-        (A, m) force that its drive gives, N, but for what it is told.
-    told
-        (A,) N per m (rad) that it is told.
-    limit
-        (A,) N that it has.
-    scale
-        (A,) of the steps of an axis: m (rad) of its drive.
-    parts
-        Intervals in a sample.
-    """
-
-    step: FloatArray
-    held: FloatArray
-    series: FloatArray
-    loads: FloatArray
-    forces: FloatArray
-    told: FloatArray
-    limit: FloatArray
-    scale: FloatArray
-    parts: int
 
 
 def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
@@ -103,91 +59,6 @@ def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
         machine_sha256=machine.sha256,
         job_sha256=commands.job_sha256,
     )
-
-
-def driven_of(machine: Machine) -> Driven:
-    """Return the machine, ready to be driven.
-
-    Raises
-    ------
-    MachineError
-        If an axis has no servo that is told steps, or a part is not linear.
-    """
-    for name, axis in machine.axes.items():
-        if not isinstance(machine.position_sources.get(axis.drive), PulseServo):
-            raise MachineError(
-                f"axes.{name} is not moved by a pulse-servo, which step tables are played on",
-                place=machine.place,
-                remedy='Give it a drive of kind = "pulse-servo".',
-            )
-    names = machine.axis_names
-    pieces = prescribed(machine)
-    size = sum(len(piece.states) + 2 * len(piece.drives) for piece in pieces)
-    rates, entry = np.zeros((size, size)), np.zeros((size, len(names)))
-    loads, forces = np.zeros((len(names), size)), np.zeros((len(names), size))
-    told, limit, scale = (np.zeros(len(names)) for _ in range(3))
-    first = 0
-    for piece in pieces:
-        n = len(piece.states)
-        columns = np.arange(first, first + n + 2 * len(piece.drives))
-        rates[first : first + n, columns] = piece.rates
-        for k, drive in enumerate(piece.drives):
-            source = machine.position_sources[drive]
-            assert isinstance(source, PulseServo)
-            at = next(names.index(a) for a in piece.axes if machine.axes[a].drive == drive)
-            w = 2.0 * np.pi * source.bandwidth.si
-            place, speed = columns[n + k], columns[n + len(piece.drives) + k]
-            rates[place, speed] = 1.0
-            rates[speed, place], rates[speed, speed] = -w * w, -2.0 * w
-            entry[speed, at] = w * w
-            # It gives what its own mass and the network ask for.
-            forces[at, columns] = -piece.pulls[k]
-            forces[at] += piece.inertia[k] * rates[speed]
-            told[at] = piece.inertia[k] * w * w
-            limit[at] = source.torque_limit.si
-            scale[at] = 1.0 / source.counts
-        for index, name in enumerate(piece.axes):
-            loads[names.index(name), columns] = piece.loads[index]
-        first = int(columns[-1]) + 1
-    sample_s = float(machine.tick_clock.period_s)
-    parts = _parts(rates, sample_s, machine)
-    step, series = _powers(rates, entry, sample_s / parts)
-    return Driven(
-        step=step,
-        held=series.sum(axis=0),
-        series=series,
-        loads=loads,
-        forces=forces,
-        told=told,
-        limit=limit,
-        scale=scale,
-        parts=parts,
-    )
-
-
-def _parts(rates: FloatArray, sample_s: float, machine: Machine) -> int:
-    """Return into how many intervals a sample is cut, so that the series ends."""
-    fastest = float(np.abs(np.linalg.eigvals(rates)).max())
-    parts = ceil(fastest * sample_s / _NORM)
-    if parts > _MOST_PARTS:
-        raise MachineError(
-            f"{machine.name} rings at {fastest / (2.0 * np.pi):.4g} Hz, too fast for samples of "
-            f"{sample_s * 1e3:g} ms",
-            place=machine.place,
-            remedy="Give its drives a shorter clock, or leave out what rings so fast.",
-        )
-    return max(1, parts)
-
-
-def _powers(
-    rates: FloatArray, entry: FloatArray, interval_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the state's step over an interval, and (terms, m, A) ``A^k B T^(k+1) / (k+1)!``."""
-    terms, power = [], entry * interval_s
-    for k in range(1, _TERMS + 1):
-        terms.append(power)
-        power = rates @ power * (interval_s / (k + 1))
-    return np.asarray(expm(rates * interval_s)), np.stack(terms)
 
 
 def _channels(machine: Machine) -> Iterator[Channel]:

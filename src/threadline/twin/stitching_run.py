@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.signals import StepPlay, StitchBlock
-
-if TYPE_CHECKING:
-    from threadline.twin.stitching import Driven
+from threadline.twin.stitching_machine import Driven
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

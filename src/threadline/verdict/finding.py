@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray, IntArray
 from threadline.verdict.types import Status, is_measured
 
-if TYPE_CHECKING:
-    from threadline.verdict.measure import MeasureKind
+Statuses = Callable[[float | None, float | None], Status]
+"""What comes of a measured value under a limit, each None where there is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,11 +52,11 @@ class Finding:
         larger = other if other.value > self.value else self
         return replace(larger, unseen=self.unseen or other.unseen)
 
-    def under(self, kind: MeasureKind, limit: float | None) -> Finding:
+    def under(self, limit: float | None, status: Statuses) -> Finding:
         """Return what counts under a limit: of what was only partly seen, whether it fails."""
         if not self.unseen:
             return self
-        if kind.status(self.value, limit) is Status.FAILED:
+        if status(self.value, limit) is Status.FAILED:
             note = "; ".join(filter(None, (self.note, self.unseen)))
             return replace(self, note=note, unseen="")
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)

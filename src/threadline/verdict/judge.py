@@ -298,7 +298,7 @@ def _endless(name: str, axis: str, plan: Plan) -> bool:
 def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Finding) -> Result:
     limit = limit_of(criterion, plan)
     unit = unit_of(kind, finding.axis, plan)
-    finding = finding.somewhere().in_unit(unit).under(kind, limit)
+    finding = finding.somewhere().in_unit(unit).under(limit, kind.status)
     return Result(
         name=criterion.name,
         axis=finding.axis,

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import CANCEL, Dialect
+from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.refusals import refuse_number, refuse_without_point, refuse_word, whole
 from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, exact, one_command, split_words
 
@@ -79,28 +77,6 @@ class Block(NamedTuple):
     idle: tuple[str, ...]
     label: int
     tags: tuple[tuple[str, float], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a block is read against.
-
-    Parameters
-    ----------
-    file
-        Named in errors.
-    machine
-        Name of the machine, for errors.
-    axes
-        Index by axis letter.
-    dialect
-        What the words mean.
-    """
-
-    file: str
-    machine: str
-    axes: Mapping[str, int]
-    dialect: Dialect
 
 
 def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the reader

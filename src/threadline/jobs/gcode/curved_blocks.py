@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.arcs import arc, centre_by_radius, check_centre, spline
-from threadline.jobs.gcode.block import Block, Reading
+from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.words import ONE
 
 CURVED = (2, 3, 5)

@@ -153,6 +153,28 @@ DIALECTS: Mapping[str, Dialect] = {
 """By name; x-winder programs have letters of their own, and a reader of theirs."""
 
 
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a block is read against.
+
+    Parameters
+    ----------
+    file
+        Named in errors.
+    machine
+        Name of the machine, for errors.
+    axes
+        Index by axis letter.
+    dialect
+        What the words mean.
+    """
+
+    file: str
+    machine: str
+    axes: Mapping[str, int]
+    dialect: Dialect
+
+
 def dialect_of(machine: Machine, name: str | None) -> str:
     """Return the name of the dialect that an option, else the machine file, names."""
     return name if name is not None else machine.programs.dialect

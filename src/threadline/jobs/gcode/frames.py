@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from threadline.jobs.gcode.block import Block, Reading, parse_block
+from threadline.jobs.gcode.block import Block, parse_block
+from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.scan import TAPE
 from threadline.jobs.gcode.subprograms import Program
 from threadline.jobs.gcode.textfile import Chunk, Lines, SourceFile

@@ -11,9 +11,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import JobError
 from threadline.jobs.gcode import plain_blocks as kernel
-from threadline.jobs.gcode.block import Block, Reading
+from threadline.jobs.gcode.block import Block
 from threadline.jobs.gcode.curved_blocks import CURVED, Curves
-from threadline.jobs.gcode.dialects import CANCEL
+from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.f_words import FRule
 from threadline.jobs.gcode.frames import Frame, KeptText
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from threadline.errors import BudgetError, JobError, MachineError, OptionError, Place
-from threadline.jobs.gcode.block import Reading
-from threadline.jobs.gcode.dialects import DIALECTS, Dialect, dialect_of
+from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_of
 from threadline.jobs.gcode.f_words import f_rule, normal_feed_m_s
 from threadline.jobs.gcode.interpreter import PartProgram
 from threadline.jobs.gcode.scan import Scanner

@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.jobs.gcode.block import Reading
+from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.textfile import Lines
 
 STEPS = 10**7

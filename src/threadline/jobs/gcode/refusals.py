@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import knowing
+from threadline.jobs.gcode.dialects import Reading, knowing
 from threadline.jobs.gcode.words import ONE
-
-if TYPE_CHECKING:
-    from threadline.jobs.gcode.block import Reading
 
 AXIS_LETTERS = "ABCXYZ"
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import Block, Reading, parse_block
+from threadline.jobs.gcode.block import Block, parse_block
+from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.in_force import FeedNotes
 from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_reader
 from threadline.jobs.gcode.subprograms import Call, Collector, Structure
