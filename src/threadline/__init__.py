@@ -10,9 +10,10 @@ __all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "r
 
 
 def __getattr__(name: str) -> object:
-    """Return a name of the face, imported when it is first asked for: not before is numpy.
+    """Return a function of ``threadline.face``, which is imported when the first one is used.
 
-    What types they have stands in ``__init__.pyi``.
+    ``import threadline`` alone imports neither numpy nor numba. ``__init__.pyi`` declares the
+    types of the functions.
     """
     if name not in __all__:
         raise AttributeError(f"module 'threadline' has no attribute {name!r}")

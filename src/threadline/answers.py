@@ -25,7 +25,7 @@ class Answer:
     Parameters
     ----------
     of
-        The proof, or what recordings were judged by.
+        A proof; of recordings, the plan and the specification that they were judged by.
     """
 
     of: Proof | Judged
@@ -46,7 +46,13 @@ class Answer:
         return self.of.verdict.passed
 
     def result(self, criterion: str, axis: str = "") -> Result:
-        """Return the result of a criterion, of the worst axis where none is named."""
+        """Return the result of a criterion, of the worst axis where none is named.
+
+        Raises
+        ------
+        KeyError
+            If it was not judged.
+        """
         return self.of.verdict.result(criterion, axis)
 
     def json(self) -> dict[str, Any]:
@@ -98,7 +104,8 @@ class Found:
     limited_by
         The criterion that forbids more.
     of
-        All that the search tells, by ``threadline.search``.
+        The result of the search in ``threadline.search``, with every try; its type depends on the
+        job (``docs/api.md``).
     """
 
     best: float | None

@@ -77,7 +77,7 @@ def _check_ndim(found: int, name: str, wanted: int) -> None:
 class Locked:
     """Base of frozen dataclasses that hold read-only arrays: their copies are read-only too.
 
-    An array forgets in a pickle that it is locked, and so it would in another process.
+    Pickling an array drops its read-only flag; unpickling one of these classes sets it again.
     """
 
     __slots__ = ()

@@ -15,7 +15,8 @@ from threadline.verdict.deviation import measure_path_deviation
 from threadline.verdict.registry import MEASURES
 
 LIMIT = 0.05
-"""Share of a turn by which a stitch may be off where no limit of its length is given."""
+"""Relative error of the time of a stitch up to which no warning is given, where the specification
+has no limit of ``stitch_length_error``."""
 _RUNS = 16
 _ROUNDING = 1e-6  # relative: of what is measured on points of the path
 
@@ -74,8 +75,8 @@ def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
 def needle_warnings(proof: Proof) -> list[str]:
     """Return a line if a stitch takes much more or less than a turn of an even needle.
 
-    The limit is that of a stitch's length: a needle that kept its speed would make the stitch as
-    much too long or too short.
+    The limit is that of ``stitch_length_error``: with a needle that turned evenly the error of
+    time would be an error of length of the same share.
     """
     found = {result.name: result for result in proof.verdict.results}
     time, length = found.get("needle_time_error"), found.get("stitch_length_error")

@@ -13,8 +13,9 @@ import unicodedata
 from typing import Any
 
 _DRIVING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Unicode categories of what is no letter, sign or blank: controls, marks that turn the direction
-of writing, halves of pairs (as names of files have them that are not UTF-8), unassigned."""
+"""Unicode categories that are never written as they are: controls, marks that reverse the direction
+of writing, lone surrogates (from file names that are not UTF-8), code points that are private or
+unassigned, and line separators."""
 
 
 def plain(text: str) -> str:
@@ -47,9 +48,8 @@ def ascii_only(text: str) -> str:
 def st_comment(text: str) -> str:
     """Return what may stand in a ``(* comment *)`` of IEC 61131-3 text, and cannot end it.
 
-    The third edition nests comments and has two more kinds, and some tools look for ``{pragmas}``
-    and for ``@`` in comments, or for strings before they look for comments: none of them is left
-    whole.
+    The third edition of the standard nests comments and adds ``//`` and ``/* */``. Some tools also
+    read ``{pragmas}``, ``@`` tags or quoted strings in comments. None of these marks stays whole.
 
     >>> st_comment("a *) b := TRUE; (* c"), st_comment("{x}**"), st_comment("// @END")
     ('a * ) b := TRUE; ( * c', '[x]* *', '/ / at END')
@@ -82,7 +82,8 @@ def toml_string(text: str) -> str:
 def json_line(value: Any) -> str:
     """Return ``value`` as JSON in one line that every reader of lines takes for one.
 
-    Letters stay as they are; where there is anything that is none, all of it is ASCII.
+    Text stays as it is, unless it holds a character that ``plain`` would escape: then everything
+    outside of ASCII is escaped.
     """
     text = json.dumps(value, ensure_ascii=False)
     return text if plain(text) == text else json.dumps(value)

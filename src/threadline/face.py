@@ -77,7 +77,7 @@ def prove(
     Parameters
     ----------
     job
-        Part program, seam or move list.
+        Part program, seam, move list or embroidery design.
     machine, par
         As ``load_machine`` takes them.
     spec
@@ -85,10 +85,11 @@ def prove(
     actual
         The machine that runs the plan, where it isn't the one that it was made for.
     level
-        How far the verdict reaches: ``"nominal"`` is one run, ``"repeated"`` 20 with other encoder
-        phases, friction and supply, ``"over tolerances"`` other machines as well.
+        How far the verdict reaches: ``"nominal"`` is one run; ``"repeated"`` is 20 runs with other
+        encoder phases, friction and supply; ``"over tolerances"`` adds other machines within the
+        tolerances of the machine file.
     repeats
-        Runs in all, where they are not those of the level.
+        Number of runs of the machine itself; None takes that of the level.
     **words
         ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``radius``, ``tolerance``,
         ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``law``,
@@ -97,7 +98,7 @@ def prove(
     Raises
     ------
     InputError
-        As on the command line, where the same sentence is printed.
+        If anything that was given is wrong; the message is the one that the command line prints.
     """
     from threadline.pipeline import prove as prove_job
     from threadline.pipeline import with_shaping
@@ -132,7 +133,7 @@ def fastest(
     margin
         Share of every limit to keep free.
     level
-        At which every try is proved, as ``prove`` takes it.
+        Level at which every try is proved, as ``prove`` takes it.
     **words
         ``interpolation``, ``tolerance``, ``feed_forward``, ``smoothing``: as on the command line.
 
@@ -187,13 +188,13 @@ def compare(
     job, machine, par, spec
         As ``prove`` takes them.
     interpolations, feeds
-        Every one of the first at every one of the second; without feeds at the job's own.
+        Each interpolation is proved at each feed; without feeds, at the job's own.
     shapers
-        Every one of them with each of those; ``"none"`` shapes nothing.
+        Each pair of them is proved with each of these shapers; ``"none"`` shapes nothing.
     with_fastest
-        Find the fastest of each interpolation, too.
+        Also search the fastest feed of each interpolation.
     level
-        At which each is proved, as ``prove`` takes it.
+        Level at which each is proved, as ``prove`` takes it.
     **words
         ``tolerance``: as on the command line.
 
@@ -241,11 +242,12 @@ def judge(
     recordings
         Files of any kind in ``docs/files.md``.
     job, machine, par, actual
-        Files and names; what is left out is what the recording says of itself.
+        Files and names. What is left out is read from the recording.
     spec
         The file of the specification; None is the machine's own.
     feed_forward, smoothing, **words
-        How the plan was made: as on the command line; what is left out the recording says.
+        How the plan was made, as on the command line. What is left out is read from the
+        recording.
 
     Raises
     ------
@@ -292,8 +294,9 @@ def compile(
     job, machine, par
         As ``prove`` takes them.
     target
-        ``csv``, ``npz``, ``ticks``, ``nc``; of an on/off machine ``st``, ``plcopen``; of an
-        embroidery machine ``steps``.
+        For a machine with axes ``csv``, ``npz``, ``ticks``, ``nc``, ``grbl``, ``fluidnc``,
+        ``marlin``, ``linuxcnc`` or ``fanuc``; for an on/off machine ``st``, ``plcopen`` or ``scl``;
+        for an embroidery machine ``steps`` or ``t15``.
     out
         The file.
     **words
@@ -333,7 +336,7 @@ _OF_A_PLAN = (
 
 
 def _trials(level: str, repeats: int | None) -> Trials:
-    """Return the runs of a level, or so many of the machine alone."""
+    """Return the trials of a level, with ``repeats`` runs of the machine itself if given."""
     from threadline.foreign_messages import nearest
     from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials
 

@@ -1,4 +1,4 @@
-"""What the libraries that read files say of a mistake, in words for people who write the files."""
+"""Error messages of tomllib and pydantic, put into words for the people who write the files."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _RANGES = {
 
 
 def toml_fault(error: Exception, text: str) -> tuple[str, int]:
-    """Return what is wrong with a TOML file, and the line; the last line where the end is.
+    """Return what is wrong with a TOML file, and its line: 0 if not known, the last at its end.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _shown(value: object) -> str:
 
 
 def grouped(warnings: Iterable[str]) -> list[str]:
-    """Return warnings with each text once, and once where only the part that it is of differs.
+    """Return the warnings, those that differ only in a figure and a part of the machine as one.
 
     >>> grouped(["axes.X: 3 A of 2 A", "axes.Y: 4 A of 2 A", "slow", "slow"])
     ['axes.X: 3 A of 2 A (likewise axes.Y)', 'slow (2 times)']

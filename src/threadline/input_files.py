@@ -1,4 +1,4 @@
-"""What readers ask of a path before they open it; what was read, and whether it is the same."""
+"""Checks of a path before it is opened, a note of every file read, and hashes of files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 from threadline.errors import InputError, JobError, Place
 
 _INPUTS: ContextVar[dict[tuple[int, int], str] | None] = ContextVar("inputs", default=None)
-"""Device and number of every file that was read in ``noting_inputs``, with its name."""
+"""Device and inode of every file that was read in ``noting_inputs``, with its name."""
 
 
 def refuse_special(path: Path) -> None:
@@ -59,7 +59,7 @@ def note_input(path: Path, status: os.stat_result | None = None) -> None:
 
 
 def input_behind(path: Path) -> str | None:
-    """Return the name of the file that was read and is the one at ``path``, through any link."""
+    """Return the name under which the file at ``path`` was read, links followed; None if not."""
     noted = _INPUTS.get()
     if not noted:
         return None
@@ -95,9 +95,9 @@ class KnownFile:
     Parameters
     ----------
     path
-        Where it is, from the root on: another process may have another folder.
+        Absolute: another process may have another working directory.
     sha256
-        Of all its bytes.
+        Hash of its content.
     size, modified_ns
         As long as both are the same, the content is taken for the same without reading it.
     """
@@ -123,7 +123,7 @@ class KnownFile:
         return cls(path.absolute(), digest, status.st_size, status.st_mtime_ns)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        # Where it is sent, nothing but the content counts: there it is hashed once.
+        # No modification time is -1: the process that receives it hashes the content once.
         return KnownFile, (self.path, self.sha256, self.size, -1)
 
     def is_unchanged(self) -> bool:
@@ -145,7 +145,7 @@ class KnownFile:
 
 @lru_cache(maxsize=64)
 def _sha256(path: Path, modified_ns: int) -> str:
-    """Return the hash of a file, which was modified last at a time: once until the next."""
+    """Return the SHA-256 of a file, from the cache as long as ``modified_ns`` is the same."""
     del modified_ns
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -153,9 +153,9 @@ def _sha256(path: Path, modified_ns: int) -> str:
 
 @contextmanager
 def naming(output: Path, temporary: Path) -> Iterator[None]:
-    """Let an error of the block name ``output``, where it names what is made of it or nothing.
+    """Let an OSError or InputError of the block name ``output``, and not a temporary file.
 
-    A full disk names no file, and a file in a temporary folder is none that anybody asked for.
+    An error that names no file, as that of a full disk, then names ``output``, too.
 
     Parameters
     ----------

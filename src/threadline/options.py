@@ -16,22 +16,23 @@ from threadline.units import parse_quantity, same_dimension, split_quantity
 DEFAULT_INTERPOLATION = "auto"
 DEFAULT_LIMITS = "100 %"
 DEFAULT_CONTOUR_M = 3e-4
-"""How far loops may leave the path of ``optimal``. With the tolerance of the path 0.4 mm of the
-+-0.5 mm that the winder and the stitcher were to keep; the rest is for what no plan knows: counts,
-levels of the DAC, friction, another day."""
+"""Default of ``--contour``, m: how far the control loops may take the load off the path of
+``optimal``. With the tolerance of the path this is 0.4 mm of the +-0.5 mm that the winder and the
+stitcher have to keep. The rest is for what the plan does not contain: encoder counts, levels of the
+DAC, friction, and the spread from run to run."""
 LEAST_CONTOUR_M = 1e-6
 NO_CONTOUR = "none"
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
-"""Over which feed-forward smooths the motion unless told otherwise."""
+"""Default time over which feed-forward smooths the motion."""
 OPTIMAL_FEED_FORWARD = "10 ms"
-"""The same of ``optimal``, whose acceleration does not step."""
+"""Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
-"""What ``describe`` says of machines with axes, and means nothing on one that switches."""
+"""Keys of ``describe`` that have a meaning only for machines with axes."""
 LEAST_SHARE = 1e-3
-"""Of the limits: no job is meant to speed up a thousand times more gently than its machine can, and
-the search for its trajectory takes the longer the longer that trajectory is."""
+"""Smallest share of the limits that may be asked for: no job needs less, and the search for a
+trajectory takes the longer the longer that trajectory is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,19 +139,19 @@ class Options:
 
     @property
     def follows_contour(self) -> bool:
-        """Whether the timing bounds what the loops make of it; loads that follow need none."""
+        """Whether the timing limits how far the loops leave the path: ``optimal`` for motors."""
         return self.interpolation == OPTIMAL and self.following is Following.MOTOR
 
     @property
     def path(self) -> PathChoice:
-        """The shape of the path; loads that follow take corners as the smoothing leaves them."""
+        """The shape of the path: with feed-forward ``auto`` stands for the programmed chords."""
         chords = self.feed_forward_s is not None and self.interpolation == DEFAULT_INTERPOLATION
         name = CHORDS if chords else self.interpolation  # one by a law is of the chords, too
         return PathChoice(interpolation=name, tolerance_m=self.tolerance_m)
 
     @property
     def timing(self) -> TimingChoice:
-        """When the motion is where; chords keep their programmed times."""
+        """When the motion is where on its path; chords keep their programmed times."""
         pace, law = Pace.LIMITED, None
         if self.interpolation.startswith(BY_LAW):
             pace, law = Pace.LAW, self.interpolation.removeprefix(BY_LAW)
@@ -172,7 +173,7 @@ class Options:
 
     @property
     def following(self) -> Following:
-        """What is to be where the motion says."""
+        """Whether the motors or the loads are to be where the motion says."""
         return Following.MOTOR if self.feed_forward_s is None else Following.LOAD
 
 
@@ -375,7 +376,7 @@ def options_of(
 
 
 def refuse_axis_options(machine: Machine, options: Options) -> None:
-    """Refuse options that a schedule does not have; all but those of the shaper are such.
+    """Refuse options of machines with axes: a schedule has only those of the shaper.
 
     Raises
     ------

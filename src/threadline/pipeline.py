@@ -63,15 +63,15 @@ class Trials:
     ----------
     repeats
         Runs of the machine in all. Beyond the first, which is the machine as its file says,
-        friction is drawn within +-30 % and supply within +-5 %, and what stands anywhere at the
-        start (encoders, the scan) anew, from a fixed seed: the spread of these runs is the
-        repeatability.
+        friction is drawn within +-30 % and supply within +-5 %, and so is what nobody sets at the
+        start (phases of the encoders and of the PLC's scan), from a fixed seed. The spread of
+        these runs is the repeatability.
     machines
         Other machines within the tolerances of the file: each number at either end of its
         tolerance alone, and the rest drawn over all of them from a fixed seed.
     wished
-        The yield that is asked for, a share: of the machines, all of them drawn, so many must be
-        in spec. None asks for every one of them.
+        The share of the machines, all drawn at random, that must be in spec: a yield. None asks for
+        every machine.
     """
 
     repeats: int = 1
@@ -92,7 +92,7 @@ def yielding(share: float) -> Trials:
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
 
-_LONG_S = 1.0  # of simulating: how far it is then worth to be known
+_LONG_S = 1.0  # of simulating, after which progress is reported
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,9 +192,9 @@ def simulate(commands: Commands, machine: Machine) -> Recording:
 
 
 def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
-    """Return what is asked, with what the options alone ask to be told.
+    """Return the specification with the criteria that the options add to it.
 
-    What shaping and smoothing do to a path is always said, with or without a limit.
+    What shaping and smoothing do to a path is always listed, with or without a limit.
     """
     return kind_of(machine).asked(spec, options)
 
@@ -233,10 +233,12 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         A plan of any kind of work.
     target
         ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
-        array of the 1994 controller. ``nc``: a part program for LinuxCNC. ``st``:
-        structured text for a PLC, its configuration in a second file. ``plcopen``: the same as
-        PLCopen XML. ``steps``: step tables and stitches, binary and CSV, with a manifest.
-        ``t15``: a Saurer T15 card.
+        array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
+        a block for each stretch of time. ``grbl``, ``fluidnc``, ``marlin``, ``linuxcnc``,
+        ``fanuc``: chords for a controller that plans its own ramps. ``st``: structured text for a
+        PLC, its configuration in a second file. ``plcopen``: the same as PLCopen XML. ``scl``:
+        the same for a Siemens S7. ``steps``: step tables and stitches, binary and CSV, with a
+        manifest. ``t15``: a Saurer T15 card.
     out
         The file.
 
@@ -267,7 +269,20 @@ def prove(
     trials: Trials = NOMINAL,
     actual: Machine | None = None,
 ) -> Proof:
-    """Plan, simulate and judge a job: the whole question, answered once."""
+    """Plan, simulate and judge a job.
+
+    Parameters
+    ----------
+    job_file, machine, spec, options
+        The job, the machine that it is planned for, what is asked, and how to plan.
+    progress, trials, actual
+        As ``prove_plan`` takes them.
+
+    Raises
+    ------
+    InputError
+        If the job cannot be read, planned or judged on this machine.
+    """
     check_machine(machine)
     plan = plan_job(open_job(job_file, machine, options), machine, options)
     return prove_plan(plan, spec, progress, trials, actual)
@@ -338,7 +353,7 @@ def try_plan(
 
 
 def _parts(machine: Machine, count: int) -> FloatArray:
-    """Return (count, n) parts of the tolerances: either end of each number alone, then drawn."""
+    """Return (count, n) shares of the tolerances: each at either end alone, then all drawn."""
     _check_uncertain(machine)
     ends = one_at_a_time(machine)[:count]
     return np.concatenate([ends, drawn(machine, VARIANT_SEED, np.arange(count - len(ends)))])
@@ -355,9 +370,10 @@ def _check_uncertain(machine: Machine) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Watched:
-    """The blocks of a recording while somebody watches how far it is; no stream, for he stays.
+    """The blocks of a recording; while they are read, ``progress`` is told how far it is.
 
-    How long the motion is may cost a reading of all of it: that is asked only of what takes long.
+    It is no ``Stream``: the callback cannot be sent to another process. The duration of the plan
+    may cost a reading of the whole trajectory, and is asked for only after ``_LONG_S``.
     """
 
     blocks: Iterable[RecordingBlock]

@@ -27,7 +27,7 @@ IntentT = TypeVar("IntentT")
 
 
 class Intent(Protocol):
-    """What a kind of work means to happen, behind its commands: what every plan can answer."""
+    """What is meant to happen when the commands run: what every kind of work can answer."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -35,11 +35,11 @@ class Intent(Protocol):
 
     @property
     def duration_s(self) -> float:
-        """Of the commands as they were planned, s."""
+        """Duration of the commands as planned, s."""
 
     @property
     def historical(self) -> bool:
-        """Whether it is of those that ask for what they like in acceleration and jerk."""
+        """Whether acceleration and jerk have no limit, as with the 1994 interpolations."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -52,7 +52,7 @@ class Intent(Protocol):
         """Return how it was planned, for people."""
 
     def told(self, options: Mapping[str, str]) -> dict[str, Any]:
-        """Return what the JSON of a verdict tells of it, by key."""
+        """Return the keys, with their values, that it adds to the JSON of a verdict."""
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
         """Return the line of the job for each of ``operations``, 0 where it has none."""
@@ -120,18 +120,18 @@ class Motion:
 
     @property
     def of_needle(self) -> Trajectory:
-        """The motion that a needle is geared with: loads that follow leave it the job's times."""
+        """The motion that a needle is geared with; with feed-forward, that before smoothing."""
         if self.of_loads is not None and self.timed is not None:
             return self.timed
         return self.trajectory
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A line for every axis whose feed-forward needs more than there is."""
+        """A line for every axis whose feed-forward needs more current or voltage than there is."""
         return tuple(line for demand in self.demands if (line := _beyond(demand)))
 
     def interpolation(self, options: Mapping[str, str]) -> str:
-        """Return what was asked for; feed-forward has ``auto`` keep programmed times."""
+        """Return the interpolation that was asked for, that of the path where none is named."""
         return options.get("interpolation", self.path.interpolation)
 
     def planned_with(self, options: Mapping[str, str]) -> str:
@@ -184,7 +184,7 @@ class Motion:
 
 
 def _beyond(demand: Demand) -> str:
-    """Say how much more the reference of an axis needs than there is; empty if it does not."""
+    """Say what the reference of an axis needs beyond its limit; empty if nothing."""
     if demand.share <= 1.0:
         return ""
     if demand.bound_by == "current":
@@ -234,7 +234,7 @@ class Plan:
 
     @property
     def nominal_s(self) -> float | None:
-        """What its feeds alone would take, s; None where F was not read, or another feed given."""
+        """Time by the programmed feeds alone, s; None without a rule for F, or with ``--feed``."""
         if not self.job.feed_rule or self.options.get("feed", "programmed") != "programmed":
             return None
         return programmed_time_s(self.job, self.machine)
@@ -267,15 +267,15 @@ class Plan:
 
     @property
     def motion(self) -> Motion:
-        """Paths and trajectory; see ``intended`` for what has none."""
+        """Paths and trajectory; PlanError (see ``intended``) for other kinds of work."""
         return self.intended(Motion)
 
     @property
     def scheduled(self) -> Scheduled:
-        """Schedule and moves; see ``intended`` for what has none."""
+        """Schedule and moves; PlanError (see ``intended``) for other kinds of work."""
         return self.intended(Scheduled)
 
     @property
     def stitched(self) -> Stitched:
-        """Turns and stitches; see ``intended`` for what has none."""
+        """Turns and stitches; PlanError (see ``intended``) for other kinds of work."""
         return self.intended(Stitched)

@@ -30,7 +30,7 @@ from threadline.verdict.rendering import criteria_json
 FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20
 _NAMES = ("job", "machine", "par")
-"""What the options say of files: the proof has their hashes instead."""
+"""Options that name files: the proof has the hashes of the files instead."""
 _PARTS = ("job", "machine", "actual", "options", "spec", "commands")
 
 
@@ -252,7 +252,7 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
 
 
 def spec_sha256(spec: Spec) -> str:
-    """Return the hash of what is asked: name, lag and every criterion, as they are in force."""
+    """Return the hash of a specification in force: its name, lag and every criterion."""
     criteria = [
         [
             criterion.name,
@@ -306,7 +306,7 @@ def _load(told: Mapping[str, Any], folder: Path) -> Machine:
 
 
 def _beside(file: str, folder: Path) -> str:
-    """Return a file as it is called from ``folder``; from the root where that cannot be said."""
+    """Return the path of a file relative to ``folder``, or absolute if there is none."""
     try:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # on another drive

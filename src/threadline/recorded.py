@@ -61,12 +61,12 @@ def judge_files(
     recordings
         Their files.
     given
-        What is said of the plan, by the names that ``describe`` gives; None is what the recording
-        says of itself, or the default.
+        Options of the plan, by the keys of ``describe``. None takes what the recording says of
+        itself, else the default.
     spec
         The file of the specification; None is the machine's own.
     feed_forward, smoothing
-        The table was made with feed-forward, and over which time it smoothed.
+        Whether the plan was made with feed-forward, and the time over which it smoothed.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _machine(reference: str, par: Path | None) -> Machine:
 
 
 def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
-    """Return of what it is a recording: what was given, what it says itself, the defaults."""
+    """Return the options of the recorded plan: given, else recorded, else the defaults."""
     found = {
         "interpolation": DEFAULT_INTERPOLATION,
         "feed": "programmed",
@@ -138,7 +138,7 @@ def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine
 
 
 def _refuse_copies(recordings: Sequence[Path]) -> None:
-    """Refuse one run given twice: copies repeat themselves perfectly, machines do not."""
+    """Refuse one run given twice: it would pass for perfect repeatability."""
     seen: dict[str, Path] = {}
     for path in recordings if len(recordings) > 1 else ():
         if path.is_file():

@@ -85,7 +85,7 @@ _KNOWN = (
     "rev count tick bit dac bar Pa"
 )
 USUAL = {"m": "mm", "m/s": "mm/s", "s": "ms", "rad": "deg", "rad/s": "deg/s"}
-"""What people write for an SI unit: nobody means 320 m."""
+"""Units that errors propose for a number without one: machine parts are given in mm, not in m."""
 _PIECES = tuple(_KNOWN.split())
 _MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
@@ -139,7 +139,7 @@ def refuse_decimal_comma(text: str) -> None:
 
 
 def respelt_unit(unit: str, target: str) -> str:
-    """Return ``unit`` with the blanks and carets that it lacks, in the kind of ``target``.
+    """Return ``unit`` with its missing blanks and carets; empty if not of ``target``'s dimension.
 
     >>> respelt_unit("kgcm2", "kg*m^2"), respelt_unit("Nm/A", "N*m/A"), respelt_unit("zz", "m")
     ('kg cm^2', 'N m/A', '')

@@ -78,7 +78,7 @@ def is_stdout(path: Path) -> bool:
 
 @dataclass(slots=True)
 class _Move:
-    """A file that is to be put in its place, or (without ``made``) one that is to go."""
+    """A file to be moved to its place, or (``made`` is None) one to be removed."""
 
     made: Path | None
     place: Path
@@ -101,12 +101,12 @@ _TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
 def together(*outputs: Path | None) -> Iterator[None]:
     """Let all files that are written in the block appear at its end, and none if it fails.
 
-    In another such block it is part of that.
+    A block inside another joins it: its files appear at the end of the outer one.
 
     Parameters
     ----------
     outputs
-        Files whose folders are made, and go again with them.
+        Files whose missing folders are made; if the block fails, these folders are removed again.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def staging_folder(folder: Path) -> Iterator[Path]:
 
 
 def remove_with(path: Path) -> None:
-    """Let ``path`` go when the other files of the block ``together`` appear."""
+    """Remove ``path`` when the other files of the block ``together`` appear."""
     _pending().moves.append(_Move(None, path, path))
 
 
@@ -204,7 +204,7 @@ def _real(path: Path) -> Path:
 
 
 def _made(folder: Path) -> Path:
-    """Make ``folder`` and those that it is in; they go again if the files do not appear."""
+    """Make ``folder`` and its parents; they are removed again if the block fails."""
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     for each in reversed(missing):
         each.mkdir()
@@ -225,7 +225,7 @@ def _unmake(pending: _Together) -> None:
 
 
 def _grant(made: Path, path: Path) -> None:
-    """Give a new file the usual permissions, and one that replaces another those of that."""
+    """Give a new file the usual permissions, or those of the file that it replaces."""
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
     except OSError:
@@ -288,7 +288,7 @@ def _kept(move: _Move, stack: ExitStack) -> Path | None:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Answer an interrupt that comes in the block after it: the moves take a moment."""
+    """Hold back SIGINT, SIGTERM and SIGHUP until the end of the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
