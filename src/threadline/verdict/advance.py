@@ -16,7 +16,7 @@ from threadline.verdict.nearest import chord_ways
 from threadline.verdict.samples import Block, Setting
 
 COMMAND_BY_TIME = "command from the plan by time"
-"""Note of a result that relies on it."""
+"""Note of a result for which the command was taken from the plan."""
 
 
 def _advance(
@@ -202,9 +202,9 @@ def _by_time(finding: Finding) -> Finding:
 
 
 def _headings(before: FloatArray, heading: FloatArray, fresh: FloatArray) -> FloatArray:
-    """Return (n, axes) the way that led to each new place; of one that stands, the last there was.
+    """Return (n, axes) the displacement of the command to each new place.
 
-    0 before the first motion.
+    While the command stands it is the last displacement that was not 0; before the first motion 0.
     """
     start = before[-1:] if len(before) else fresh[:1]
     way = np.diff(fresh, axis=0, prepend=start)

@@ -1,6 +1,7 @@
-"""What is asked of every machine beside its specification: what is always listed, and its limits.
+"""The criteria that every verdict lists, whatever the specification says, and the machine's limits.
 
-By what moves: an axis with a path has limits of motion, a cylinder those of its valves.
+They depend on what moves: a servo axis, an axis driven by pulses, a cylinder, or an axis that plays
+step tables.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ _SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "ov
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Always:
-    """What is asked of whatever moves in one way.
+    """The criteria of all machines of one kind of axis.
 
     Parameters
     ----------
@@ -25,9 +26,9 @@ class Always:
     limited
         Those among them whose limit is the machine's own.
     limit
-        That limit: of a measure, for an axis; None where the machine has none.
+        Returns the machine's limit, SI, of a measure for an axis; None where it has none.
     keys
-        What a criterion may name besides.
+        Further keys that a criterion of such a machine may have in a specification.
     """
 
     listed: tuple[str, ...]
@@ -60,14 +61,14 @@ _AXIS = Always(
 )
 
 
-def _of_told(machine: Machine, measure: str, axis: str) -> float | None:
+def _of_pulsed(machine: Machine, measure: str, axis: str) -> float | None:
     return 1.0 if measure == "step_loss" else _of_axis(machine, measure, axis)
 
 
-_TOLD = Always(
+_PULSED = Always(
     listed=(*PLAN_DEMANDS, "path_deviation", "tracking_error", "step_loss"),
     limited=(*PLAN_DEMANDS, "step_loss"),
-    limit=_of_told,
+    limit=_of_pulsed,
 )
 _STITCH_LIMITS = ("servo_force", "window_use", "step_rate", "fetch_use", "travel")
 
@@ -99,13 +100,13 @@ _CYLINDER = Always(
 _BY_WHAT_MOVES: Mapping[str, Always] = {
     "linear": _AXIS,
     "rotary": _AXIS,
-    "stepper": _TOLD,
-    "pulse-servo": _TOLD,
+    "stepper": _PULSED,
+    "pulse-servo": _PULSED,
     "stepped": _STEPPED,
     "cylinder": _CYLINDER,
 }
 
 
 def always_of(machine: Machine) -> Always:
-    """Return what is asked of a machine, whatever its specification says."""
+    """Return the criteria of a machine that hold whatever its specification says."""
     return _BY_WHAT_MOVES[next(iter(machine.moving.values()))]

@@ -1,4 +1,4 @@
-"""The interval of a share of which some were counted."""
+"""The exact confidence interval of a proportion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ CONFIDENCE = 0.95
 
 
 def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the exact interval of a share of which ``passed`` of ``tried`` were counted.
+    """Return the exact two-sided interval of a proportion: ``passed`` of ``tried`` were counted.
 
     Clopper and Pearson (1934), "The use of confidence or fiducial limits illustrated in the case
     of the binomial".

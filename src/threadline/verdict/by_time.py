@@ -23,7 +23,7 @@ from threadline.signals import (
 from threadline.verdict.blocks import master_channel
 
 OPERATION_BY_TIME = "operations from the plan by time"
-"""Note of a result that relies on it."""
+"""Note of a result for which the operations were taken from the plan."""
 
 _ROUNDING = 1e-9  # of a tick: an instant that is a tick but for a rounding is that tick
 
@@ -39,9 +39,9 @@ class Told:
     blocks
         Read once.
     channel
-        That of the operations.
+        The channel of the operations.
     job
-        Of which they are.
+        The job whose operations they are.
 
     Attributes
     ----------

@@ -81,9 +81,10 @@ class Coverage:
     def lack(self, channels: Iterable[Channel], begin_s: float, end_s: float) -> Lack | None:
         """Return what is missing of the channels between two instants; None where nothing is.
 
-        A gap anywhere counts, and a whole sample at either end, be it that another of the channels
-        goes on: what that one holds was not laid beside it. Of several the one that leaves least to
-        be seen is told. Known once the recording was read to its end.
+        A gap anywhere counts. So does a whole sample missing at the beginning or at the end, even
+        if only because another of the channels goes on longer. If several channels lack samples,
+        the lack that leaves least of the run to be judged is returned. Call it after the recording
+        has been read to its end.
         """
         channels = list(channels)
         asked = tuple(channel.name for channel in channels), begin_s, end_s

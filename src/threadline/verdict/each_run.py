@@ -30,7 +30,7 @@ class CriterionRow:
     failed
         (runs,) whether the limit is exceeded.
     of_plan
-        It is of the plan alone, the same in every run.
+        Whether it is measured on the plan alone, and so the same in every run.
     """
 
     name: str
@@ -61,7 +61,7 @@ class EachRun:
     runs
         How many.
     incomplete
-        How they ended before the last row; empty where they did not.
+        How a run ended before its last row; empty where every run came to its end.
     """
 
     rows: tuple[CriterionRow, ...]
@@ -108,9 +108,9 @@ class EachRun:
         )
 
     def without_answer(self) -> EachRun:
-        """Return what comes of a run that cannot be simulated, with rows as these have.
+        """Return the result of one run that cannot be simulated, with the same rows.
 
-        What is of the plan alone is known; of the rest every value is infinite.
+        Criteria of the plan alone keep their value; all others are infinite, and fail their limit.
         """
         rows = []
         for row in self.rows:
@@ -130,7 +130,7 @@ class EachRun:
 
 
 def limit_of(criterion: Criterion, plan: Plan) -> float | None:
-    """Return the limit of a criterion: none where the plan is excused from it."""
+    """Return the limit of a criterion; None for limits that a historical plan need not keep."""
     if criterion.hard and plan.intent.historical and criterion.name in _EXCUSED:
         return None
     return criterion.limit
@@ -145,7 +145,7 @@ def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:
 def criterion_row(
     criterion: Criterion, kind: MeasureKind, plan: Plan, found: Found, runs: int
 ) -> CriterionRow:
-    """Return what was found in ``runs`` runs; what is of the plan alone is one for all."""
+    """Return what was found in ``runs`` runs; a value of the plan alone is repeated for each."""
     unit, limit = unit_of(kind, found.axis, plan), limit_of(criterion, plan)
     values = found.value if unit == "s" else np.where(np.isfinite(found.value), found.value, np.nan)
     values = np.broadcast_to(values, (runs,))

@@ -33,7 +33,7 @@ class Heard:
 
 
 def heard(recordings: Sequence[Recording]) -> list[tuple[Recording, Heard]]:
-    """Return each recording with who listens to it while it is read."""
+    """Return each recording, its blocks read through a ``Heard``, and that ``Heard``."""
     found = []
     for recording in recordings:
         listener = Heard(recording)
@@ -42,7 +42,7 @@ def heard(recordings: Sequence[Recording]) -> list[tuple[Recording, Heard]]:
 
 
 def told_end(outcome: Outcome) -> str:
-    """Return what is said of a run that ended before its last row; empty of any other."""
+    """Say how a run ended before its last row; empty if it came to its end."""
     if not outcome.incomplete:
         return ""
     assert outcome.ended is not None
@@ -51,7 +51,7 @@ def told_end(outcome: Outcome) -> str:
 
 
 def not_beyond(result: Result, why: str) -> Result:
-    """Return ``result`` of runs of which one ended early: only what failed until then is known."""
+    """Return ``result`` when a run ended early: only a failure seen until then is certain."""
     if not why or result.status in {Status.FAILED, Status.NOT_MEASURED}:
         return result
     so_far = "" if result.measured is None else f" ({result.measured:.4g} {result.unit} until then)"

@@ -41,8 +41,8 @@ class Finding:
     def worse(self, other: Finding) -> Finding:
         """Return the worse of the same finding of two recordings.
 
-        Where one of them was not measured, neither limit nor passing is known, but for a value of
-        the other that fails.
+        Where only one of them was measured, its value can fail a limit, and not pass it: the
+        other goes into ``unseen``.
         """
         if self.value is None or other.value is None:
             if self.value is None and other.value is None:
@@ -53,7 +53,7 @@ class Finding:
         return replace(larger, unseen=self.unseen or other.unseen)
 
     def under(self, limit: float | None, status: Statuses) -> Finding:
-        """Return what counts under a limit: of what was only partly seen, whether it fails."""
+        """Return the finding as it counts under a limit: one partly unseen can only fail it."""
         if not self.unseen:
             return self
         if status(self.value, limit) is Status.FAILED:
@@ -62,7 +62,7 @@ class Finding:
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
 
     def in_unit(self, unit: str) -> Finding:
-        """Return the finding as it may stand in a verdict: what is no number is not measured."""
+        """Return the finding for a verdict: a value that is no number counts as not measured."""
         if self.value is None or is_measured(self.value, unit):
             return self
         note = "; ".join(filter(None, (self.note, "no number came of these samples")))
@@ -71,7 +71,7 @@ class Finding:
     def somewhere(self) -> Finding:
         """Return the finding without its place if it is zero: no place is worse than another.
 
-        What is found of one step keeps it: that is where it was looked for.
+        A finding of one step keeps its place, which says of which step it is.
         """
         if self.value != 0.0 or self.step:
             return self
@@ -89,7 +89,7 @@ class Found:
     of
         Returns the finding of a run, by its number.
     parts
-        What it was put together from, if from anything: each tells what of it was not seen.
+        The findings that were joined into this one, each with what was not seen of it; or empty.
     """
 
     axis: str = ""
@@ -100,7 +100,7 @@ class Found:
 
     @classmethod
     def made(cls, findings: Sequence[Finding]) -> Found:
-        """Return findings of consecutive runs, all of the same axis and step, as one."""
+        """Return the findings of consecutive runs, all of the same axis and step, as one."""
         return _in_a_row([Found.alike(finding, 1) for finding in findings])
 
     @classmethod
@@ -178,7 +178,7 @@ class Worst:
     axis
         Whose values they are, ``""`` for those of the tool.
     note
-        Why nothing was measured, as long as nothing was.
+        Why nothing was measured; replaced by the first value.
 
     Attributes
     ----------
@@ -205,15 +205,15 @@ class Worst:
         position: FloatArray | None = None,
         note: NDArray[Any] | str = "",
     ) -> None:
-        """Take what is worse than what is known; of equals the first one stays.
+        """Keep each run's value if it is worse than the one kept so far; of equals the first stays.
 
         Parameters
         ----------
         value
-            (runs,); what is no number is passed over.
+            (runs,) values; NaN is passed over.
         time_s, operation, line, position, note
-            Where, of all runs or (runs,) of each; the position (axes,) or (runs, axes). None is
-            nowhere.
+            Where the value is from: one for all runs, or (runs,) one each; the position is (axes,)
+            or (runs, axes). None is an unknown place.
         """
         at = np.flatnonzero(value > self.value)
         if not len(at):
@@ -242,7 +242,7 @@ class Worst:
         return made
 
     def found(self, seen: Worst | None = None) -> Found:
-        """Return what was found; ``seen`` is what was known before what no run came to."""
+        """Return what was found; ``seen`` is the state before unreached places were counted."""
         return Found(
             axis=self.axis,
             value=np.where(np.isneginf(self.value), np.nan, self.value),

@@ -27,12 +27,12 @@ class Follower:
     Parameters
     ----------
     channel, master
-        Whose samples, and at whose instants.
+        The channel whose samples are read, and the channel at whose instants.
 
     Attributes
     ----------
     same
-        Whether the two have the same instants: block by block then, one sample for each.
+        Whether both have the same instants, so that samples are taken block by block.
     """
 
     def __init__(self, channel: Channel, master: Channel, *, largest: bool = False) -> None:
@@ -65,7 +65,7 @@ class Follower:
         return values
 
     def take(self, block: RecordingBlock) -> None:
-        """Keep its samples of a block until they are asked for.
+        """Keep the channel's samples in a block until they are asked for.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Follower:
         return int(np.searchsorted(time_s, self._due_s - self._slack_s))
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return its values at instants that follow those asked for before."""
+        """Return the channel's values at instants later than those asked for before."""
         if not len(time_s):
             return np.empty(0)
         self._asked_s = float(time_s[-1])

@@ -1,4 +1,4 @@
-"""Where the loads were to be, where that is not what the controllers were told."""
+"""Commanded positions of the loads, where feed-forward gives the controllers other ones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _blocks(
     trajectory: Trajectory,
     columns: Mapping[str, tuple[Channel, int]],
 ) -> Iterator[RecordingBlock]:
-    """Yield ``blocks`` with the positions of the trajectory in their channels' columns of it."""
+    """Yield ``blocks`` with the positions of ``trajectory`` in the channels ``columns``."""
     readers = {name: TrajectoryReader(trajectory) for name in columns}
     for block in blocks:
         samples = dict(block.samples)

@@ -1,4 +1,4 @@
-"""Which runs a plan has, by what it intends: how its recordings are read by the measures."""
+"""How a recording is opened beside a plan for the measures, by the type of the plan's intent."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from threadline.verdict.switch_run import SwitchRun
 
 
 def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
-    """Return a run that is laid beside its schedule: it waits, and has no lag."""
+    """Return a run beside its schedule; it has no lag, because it waits for its inputs."""
     return SwitchRun(recording, plan)
 
 
 def _stitch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
-    """Return a run that is laid beside its stitches: the needle tells when each was made."""
+    """Return a run beside its stitches; it has no lag, because the needle tells their times."""
     return StitchRun(recording, plan)
 
 

@@ -70,8 +70,8 @@ class Judge:
         recordings
             Of one and the same job; at least one.
         others
-            Of other machines within the tolerances: the worst of them counts too, but what runs
-            are asked together (how well they repeat) is asked of one machine.
+            Recordings of other machines within the tolerances. Their worst counts too, except in
+            measures of many runs together (repeatability), which compare runs of one machine.
 
         Raises
         ------
@@ -107,9 +107,10 @@ class Judge:
         )
 
     def each(self, recording: Recording) -> EachRun:
-        """Measure every criterion in every run that ``recording`` holds, of which none is a repeat.
+        """Measure every criterion in every run that ``recording`` holds, each of another machine.
 
-        As ``verdict`` does, run by run; what many runs are asked together is left out.
+        It measures as ``verdict`` does, run by run; measures of many runs together
+        (repeatability) are left out.
 
         Raises
         ------
@@ -170,7 +171,7 @@ def _check_same_job(recording: Recording, plan: Plan) -> None:
 
 
 def _check_units(recording: Recording, plan: Plan) -> None:
-    """Refuse angles of a linear axis and lengths of a rotary one: a number would pass for it."""
+    """Refuse angles of a linear axis and lengths of a rotary one: both are plain numbers."""
     for channel in recording.channels:
         if channel.axis not in plan.machine.moving or channel.unit not in _KIND_OF_UNIT:
             continue
@@ -184,7 +185,7 @@ def _check_units(recording: Recording, plan: Plan) -> None:
 
 
 def _told(result: Result, runs: Sequence[Run]) -> Result:
-    """Say of a result that its operations were not recorded, if it has any."""
+    """Note in a result of a measure that needs operations that they were not recorded."""
     reading = MEASURES[result.name].of_run(runs[0])
     if result.measured is None or reading is None or not any(run.by_time for run in runs):
         return result
@@ -194,7 +195,7 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
 
 
 def _run_told(result: Result, found: Found, runs: int) -> Result:
-    """Say of a result in which of several runs it was found; nothing where no run is worse."""
+    """Note in a result in which of several runs it was found, unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result
     return replace(result, run=int(np.nanargmax(found.value)) + 1)

@@ -33,7 +33,7 @@ def _add_squares(values: FloatArray, total: FloatArray) -> None:
 def _count_beyond(
     values: FloatArray, limit: FloatArray, count: IntArray, first: IntArray, begin: int
 ) -> None:
-    """Count the samples of at least ``limit``; set ``first`` of the first, number ``begin`` on."""
+    """Count samples of at least ``limit``; ``first`` becomes the first one's number."""
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):

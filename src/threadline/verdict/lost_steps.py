@@ -38,5 +38,5 @@ class _StepLoss:
 
 
 def start_step_loss(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
-    """Begin measuring what is asked of the drives."""
+    """Begin measuring the share of the drives' torque that is asked."""
     return _StepLoss(setting)

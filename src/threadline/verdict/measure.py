@@ -75,9 +75,10 @@ class Run(Protocol):
 
     @property
     def untold(self) -> Run | None:
-        """The same run by time, as long as nobody knows whether its own operations tell anything.
+        """The same run with the operations of the plan; None once it is known which ones count.
 
-        Its blocks are those of this run: they are to be read in step.
+        A live recording may have a column of operations that says nothing. Until it says
+        something both runs are measured: they share one stream of blocks, and are read in step.
         """
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:
@@ -96,7 +97,7 @@ class Run(Protocol):
         """Say, once the recording was read, what a measure of many runs did not see of it."""
 
     def release(self) -> None:
-        """Let go of its samples, once its own measures are finished; runs are judged one by one.
+        """Let go of its samples after its own measures have finished.
 
         What measures of many runs ask for is kept.
         """
@@ -115,14 +116,14 @@ class MeasureOfRuns(Protocol):
         Parameters
         ----------
         number
-            Of the run, from 0 on.
+            Number of the run, from 0 on.
         by_time
             (n,) operations of the plan at the same instants, as long as nobody knows whether the
             recording has its own.
         """
 
     def finish(self, runs: Sequence[Any]) -> Sequence[Finding]:
-        """Return what was found of the runs, given as what they turned out to be."""
+        """Return what was found; ``runs`` are those that count in the end (``Run.untold``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,10 +195,10 @@ class OfRun(Generic[RunT_contra]):
     needs
         Without which nothing is measured.
     follows
-        It follows the motion in time: samples farther apart than the lag tell nothing.
+        Whether it follows the motion in time: samples farther apart than the lag tell nothing.
     of_every_axis
-        The kind among the needs that a measure of single axes needs of all: the command has ended
-        when that of every axis has.
+        The kind of channel that it needs of all axes, although it measures single ones: a command
+        has ended only when that of every axis has.
     """
 
     run: type[Any]
@@ -249,7 +250,7 @@ class MeasureKind:
     options
         What a specification may set.
     of_worst
-        It is the worst of all samples: samples more can only make it larger.
+        Whether it is a maximum over samples: further samples can only make it larger.
     slack, allowance
         The limit is exceeded above ``slack * limit + allowance``.
     """

@@ -40,15 +40,15 @@ class MotionRun(Setting):
     lag_s
         How far the machine may trail its command.
     by_time
-        The recording had no operations: it has those of the commands at the same instant.
+        Whether its operations are those of the commands at the same instant, as none were recorded.
     coverage
         Which instants of each channel the recording holds, once it was read.
     told
-        Of a live recording with operations: whether they tell anything.
+        Of a live recording with a column of operations: whether it says anything.
     instead
-        The same run by time, where they do not.
+        The same run with the operations of the commands, for a column that says nothing.
     branch
-        What of the recording this run reads, where another reads it in step.
+        The branch of the stream that this run reads, where two runs share one recording.
     """
 
     of: ClassVar[str] = "a machine with axes"
@@ -63,7 +63,7 @@ class MotionRun(Setting):
 
     @property
     def untold(self) -> MotionRun | None:
-        """The same run by time, as long as its own operations have told nothing."""
+        """The run with the operations of the commands, until the recorded ones say something."""
         return None if self.told is None or self.told.anything else self.instead
 
     def release(self) -> None:
@@ -203,12 +203,12 @@ def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
 
 
 def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
-    """Return ``recording`` beside ``plan``: with operations, and commanded where it was meant.
+    """Return ``recording`` beside ``plan``, with operations and the intended commanded positions.
 
-    What was under way counts, not what was meant to be: a recording keeps its operations. One that
-    has none, or only ever -1, has those of the commands by time. Whether a live recording has any
-    is known once it was read, and it may be read once only: until then the run comes with the
-    same ``by_time``, on blocks of the same reading.
+    Recorded operations count, not those of the plan at the same instant. A recording without them,
+    or with -1 throughout, gets those of the commands. Whether a live recording has any is known
+    only after it has been read, and it can be read only once: the returned run then has a second
+    one, ``instead``, which reads the same blocks with the operations of the commands.
 
     Raises
     ------

@@ -101,8 +101,9 @@ def _between(
     """Raise ``worst``, (runs,) squared, where the straight way to a point is farther than its ends.
 
     The distance to one chord is largest at an end of the way; to two it may not be. ``begin`` and
-    ``end`` have an entry more than the points, for the point before. Where: the point that the way
-    leads to, the part of the way (0..1), and the nearest chord.
+    ``end`` have an entry more than the points, for the point before. Where the
+    worst is: ``at`` the point that the way leads to, ``part`` of the way (0..1), and the nearest
+    chord ``worst_chord``.
     """
     lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
     axes = points.shape[1]

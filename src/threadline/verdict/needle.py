@@ -61,7 +61,7 @@ class Stitches:
 def has_stitches(job: Job) -> bool:
     """Say whether the moves of a job carry the tags of stitches; reads up to the first.
 
-    Runs of moves leave the tags behind, but the sewing head is told before the first stitch.
+    Moves that are read in runs carry no tags; a tool event ``sew`` comes before the first stitch.
     """
     return any(
         (isinstance(o, ToolEvent) and o.name == "sew")

@@ -55,7 +55,7 @@ class _Begun:
 
 
 class _Timed:
-    """A run by time that is read in step with the same run as it was recorded."""
+    """A run with the operations of the plan, read in step with the run as it was recorded."""
 
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
         self.begun = _Begun(run, kinds, together)
@@ -84,8 +84,8 @@ class _Timed:
 class Pass:
     """One pass over one run.
 
-    While nobody knows whether the recording has operations of its own, the run is measured both
-    ways side by side: as it was recorded, and with the operations of the plan by time.
+    Until it is known whether the recording has operations of its own, the run is measured twice,
+    side by side: with the operations as recorded, and with those of the plan by time.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Pass:
 
     @property
     def run(self) -> Run:
-        """The run; once it was read, as what it turned out to be."""
+        """The run; after it was read, the one whose operations count."""
         return self._begun.run
 
     def found(self) -> Findings:

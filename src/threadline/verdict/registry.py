@@ -334,7 +334,7 @@ MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
 def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:
     """Return the kinds of channels that the criteria of ``spec`` read of a simulated machine.
 
-    Where it tells several that will do, it is the load.
+    Where a criterion accepts several kinds of channel, the load is taken.
     """
     needs = (need for criterion in spec.criteria for need in MEASURES[criterion.name].needs)
     found = {kind for n in needs for kind in ((ChannelKind.LOAD,) if ChannelKind.LOAD in n else n)}

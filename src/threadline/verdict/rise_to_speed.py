@@ -1,4 +1,4 @@
-"""How many stitches it takes from a start, a corner or to a stop until the head has its speed."""
+"""How many stitches the head takes to its speed after a start or corner, and from it to a stop."""
 
 from __future__ import annotations
 

@@ -37,11 +37,12 @@ _MOST_LAG_S = 3600.0
 def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     """Read a specification, or the default one of ``machine``.
 
-    Axis limits are hard, and planned and tracked deviations are always of interest: travel,
-    velocity, acceleration and jerk (with the machine's limits), path deviation, tracking error
-    and DAC saturation (without) are added for every axis of which the file does not mention them.
-    Of an on/off machine it is what its frame does at each step, how long the cycle takes, and the
-    limits of its valves. The machine's limits hold beside a wider one of the file.
+    The criteria of ``always_of`` are added for every axis of which the file does not mention
+    them. For an axis with a path they are travel, velocity, acceleration and jerk with the
+    machine's limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost
+    steps; for an on/off machine what its frame does at each step, the time of the cycle, and the
+    limits of its valves; for an embroidery machine the residual of the stitches and the limits of
+    its step tables and servos. A limit of the machine holds beside a wider one of the file.
 
     Parameters
     ----------

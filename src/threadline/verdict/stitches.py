@@ -43,8 +43,9 @@ class SewnStitches:
     placement_m
         (n, runs) distance of ``actual`` from the seam: the nearest point of the stitches about it.
     speed_error
-        (n, runs) of the head's speeds while the stitch was made, each the mean over ``over_s``, the
-        one that is furthest from the stitch's length over its time, relative to that, less 1.
+        (n, runs) relative error of the head's speed against the stitch's wanted length over its
+        planned time: speeds are means over ``over_s``, the error is the largest in the stitch, with
+        its sign.
     speed_s
         (n, runs) the instant at the end of that mean.
     """

@@ -1,4 +1,4 @@
-"""Measures of an on/off machine: what each step leaves, and whether the valves were kept whole."""
+"""Measures of an on/off machine: what rings after each step, and the limits of the valves."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def _unknown(run: SwitchRun, axis: str = "") -> list[Finding]:
 def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
     """Per step and cylinder: half the peak-to-peak of its frame, m, once it has come to rest.
 
-    From ``after`` its coming to rest, for ``window``, until it moves again at the latest. What
-    rang before and rings on counts too.
+    It is watched from ``after`` s past its coming to rest, for ``window`` s or until its cylinder
+    moves again. What rings on from earlier moves counts too.
     """
     found: list[Finding] = []
     for axis in run.plan.job.axes:
@@ -159,7 +159,7 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
 
 
 def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Sequence[Finding]:
-    """Largest distance of where a piston stands behind a move from the mean of all runs, m.
+    """Largest distance of a piston's place after a move from the mean over all runs, m.
 
     Each run is read at its own instants: one that waited longer is compared where it stood.
     """

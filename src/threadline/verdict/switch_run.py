@@ -28,9 +28,9 @@ from threadline.verdict.samples import Block
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums
 UNNAMED = "begin"
-"""The step of what moves before the list names its first."""
+"""Name of the step of moves that come before the first step that the list names."""
 Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
-"""Of a channel; those of a switch in an eighth of the memory."""
+"""Samples of a channel; those of a switch are int8, an eighth of the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,7 +285,7 @@ class SwitchRun:
         after = int(np.searchsorted(ticks, tick))
         if after < len(ticks):
             return float(self.row_s[after] - (ticks[after] - tick) * period_s)
-        # Behind the last switching: time goes on, but stands still at waits.
+        # After the last switching ticks go on at their period, but for waits.
         now_s, last = float(self.row_s[-1]), int(ticks[-1])
         for event in self.commands.events:
             if event.kind == "wait" and last <= event.tick < tick:

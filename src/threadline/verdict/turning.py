@@ -154,8 +154,8 @@ class _TurningPoints:
     Lengths at the tool (rotary axes times their radius). A reversal is watched from the one
     before it until the command has left it for the lag, or has left the next one. The end of
     the job is the last of them. An extreme between two samples can be missed by at most
-    a T^2 / 8, with the acceleration a and the sample interval T. Strokes shorter in time than
-    the machine's lag are charged with what it had not yet covered.
+    a T^2 / 8, with the acceleration a and the sample interval T. A stroke that takes less
+    time than the machine's lag is charged with the distance that was not yet covered.
     """
 
     def __init__(self, setting: Setting, smallest: float) -> None:

@@ -51,16 +51,16 @@ class Criterion:
     limit
         Largest allowed value, SI; None where it is only reported.
     required
-        The whole passes only if it was measured.
+        Whether the verdict passes only if it was measured.
     options
         How it is measured (a band, a window), SI; what is left out has the measure's default.
     hard
         The limit is the machine's own. A historical interpolation is excused from those of
         acceleration and jerk: it reports what it asks for.
     every_axis
-        Written for every axis: one that the job does not have is left out of the verdict.
+        Whether it was written for every axis: one that the job does not move is then left out.
     note
-        What the verdict says beside it: that the specification asks for less than the machine.
+        A remark for the verdict, such as that the machine's own limit is narrower.
     """
 
     name: str
@@ -85,8 +85,8 @@ class Spec:
     criteria
         In the order in which the verdict lists them.
     lag_s
-        Placement is judged against what the program says within this time of the instant: how
-        far the machine may trail its command before trailing is an error.
+        How long the machine may trail its command before trailing is an error: placement is judged
+        against the stretch of the program from this time before an instant to this time after it.
     sha256
         Of the file.
     file
