@@ -1,9 +1,11 @@
-"""The fastest of a planner that needs no feed: what its loads may make of it is searched.
+"""The fastest plan in spec with ``--interpolation optimal``, for which no feed is searched.
 
-``optimal`` is the fastest within everything that it is told. Without feed-forward it is told how
-far the loads may leave the path; what counts, levels and other days add to that is known after a
-proof only. So a few plans are proved, up to one that fails and back. With feed-forward the motion
-is planned for the loads: a share of the limits is left where all of them are too much.
+``optimal`` plans the fastest motion within the limits that it is given. Without feed-forward one of
+them is the contour allowance: how far the loads may leave the path. Encoder counts, levels of the
+DAC and the spread from run to run add to that error, and how much is known only after a proof. So a
+few plans are proved, with larger allowances until one fails and with smaller ones until one passes.
+With feed-forward the loads follow the motion itself: the share of the acceleration and jerk limits
+is lowered until a plan passes.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ from threadline.trajectory.optimal.fastest_motion import least_time_s
 from threadline.verdict import Spec, Verdict
 
 LIMITS = "limits"
-"""What limits a plan that passes with everything that axes and drives can do."""
+"""``limited_by`` of a plan that passes with the full limits of axes and drives."""
 ALLOWED = "contour"
-"""What limits a plan that passes with the allowance that it was given."""
+"""``limited_by`` of a plan that passes with the contour allowance that it was given."""
 _SHARES = (0.95, 0.9, 0.85, 0.75, 0.6, 0.4, 0.2)
 _MOST_PROOFS = 8
 _CLOSE = 1.03  # between the allowances of a plan that passes and one that fails
@@ -49,18 +51,23 @@ def fastest_allowed(
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
 ) -> FastestJob:
-    """Return the fastest plan in spec, with how far it is from what limits alone allow.
+    """Return the fastest plan in spec, and the least times that the limits alone would allow.
 
     Parameters
     ----------
     options
-        Of ``optimal``; where they say how far loads may leave the path, only that is proved.
+        Those of ``optimal``; if they name a contour allowance, only that one is tried.
     high
         A feed that caps the speed, m/s of the fastest axis; None for all that the axes can do.
     actual
         The machine that does the job, where it isn't the one that plans are made for.
     trials
         Which runs a plan is judged by.
+
+    Raises
+    ------
+    PlanError
+        If the machine cannot do the job.
     """
     top = feed_range_m_s(machine)[1] if high is None else high
     options = replace(options, feed=Feed(FeedMode.FASTEST_AXIS, top))

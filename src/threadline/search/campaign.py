@@ -121,7 +121,7 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
     Raises
     ------
     OptionError
-        If the axis cannot be swept to 200 Hz.
+        If a step of an eighth of pi at the motor is less than a count of the encoder.
     """
     rates = rigid_motion(machine, axis)
     drive = machine.drive_of(axis)

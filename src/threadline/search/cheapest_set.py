@@ -13,7 +13,7 @@ from threadline.search.machine_yield import MachineYield, shares_of
 from threadline.verdict.binomial import clopper_pearson
 
 MACHINES = 2000
-"""Of which the yield is counted: of 99 %, 1990 must be in specification."""
+"""Machines that are drawn to count a yield: for 99 %, 1990 of them must be in specification."""
 _STEP = 0.5
 _LEAST = 1.0 / 16.0
 _MOST_SHARE = 10.0
@@ -26,11 +26,11 @@ class CheapestSet:
     Parameters
     ----------
     factors
-        (n,) what is left of the tolerance of each number.
+        (n,) factor on the tolerance of each number: 1, or a power of a half.
     passed, tried
         Machines in specification with them, of how many.
     reached
-        Whether that is enough; else no number could be made better to some use.
+        Whether the yield is reached; if not, no further halving brought it nearer.
     """
 
     factors: FloatArray
@@ -45,7 +45,7 @@ class CheapestSet:
 
     @property
     def halvings(self) -> int:
-        """What they cost: how often any tolerance is halved."""
+        """The cost: how often tolerances are halved, added up over all numbers."""
         return round(float(-np.log2(self.factors).sum()))
 
 
@@ -57,20 +57,20 @@ def cheapest_set(
     machines: int = MACHINES,
     done: Callable[[int], None] | None = None,
 ) -> CheapestSet:
-    """Return the fewest halvings of tolerances that are found with which a yield is reached.
+    """Return halved tolerances with which a yield is reached, as few halvings as are found.
 
-    To halve a tolerance costs the same for every number. The same machines are drawn throughout,
-    each number so far from its middle as its tolerance is left. Of all numbers that one is halved
-    which brings most machines into specification, again and again until the lower end of the exact
-    interval reaches the wish; then each halving that is not needed any more is taken back. So no
-    halving can be left out of the set; that no other set is smaller is not proven.
+    Halving a tolerance costs the same for every number. The same machines are drawn throughout, the
+    deviation of each number scaled with its tolerance. The tolerance whose halving brings most
+    machines into specification is halved, again and again, until the lower end of the exact
+    confidence interval reaches ``wished``. Then every halving that is no longer needed is taken
+    back. So no halving of the set can be left out; another, smaller set may exist.
 
     Parameters
     ----------
     wished
-        A share.
+        The yield, a share in (0, 1).
     done
-        Told how many machines are through.
+        Called with the number of machines that were judged.
     """
     parts = drawn(judged.plan.machine, seed, np.arange(machines))
 

@@ -79,7 +79,7 @@ def compare(
     Raises
     ------
     PlanError
-        If nothing of it can be planned.
+        If a plan without a shaper fails, or those of all shapers do.
     """
     check_machine(machine)
     with_fastest = with_fastest and job.paced_by in ("feed", "needle")

@@ -1,8 +1,8 @@
 """The shortest cycle of an on/off machine in spec: the command of every move, and the waits.
 
-Candidates come first by the closed form of what they leave ringing, then by the twin. What the twin
-measures beyond the closed form (a piston that runs into its stop, friction, air that is not linear)
-is added to the forecast of the next round, so that a handful of simulations suffice.
+Cycles are proposed by a closed form of the vibration that commands leave, and run on the twin. What
+the twin measures beyond the closed form (a piston that runs into its stop, friction, air that is
+not linear) is added to the forecast of the next round, so that a handful of simulations suffice.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class FastestCycle:
     job
         The job with the commands and waits of the fastest; None where no cycle is in spec.
     proof
-        Of it; where none is in spec, of the one that came closest.
+        Proof of that job; where no cycle is in spec, of the one that came closest.
     unshaped
         Proof of the job as it is, without a shaper.
     base
-        The same with what may overlap overlapped.
+        Proof of the unshaped job in which moves overlap where the list allows it.
     moves
         Every move, in order.
     limited_by
@@ -80,7 +80,8 @@ def fastest_cycle(
     Parameters
     ----------
     job
-        A move list; what it says itself of its moves is not kept, but for what must not overlap.
+        A move list. Shapers and levels that it gives to its moves are replaced; rests and what must
+        not overlap are kept.
     spec
         Its limits of the residual vibration lead the search; the twin is judged by all of it.
     actual

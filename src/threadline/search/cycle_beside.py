@@ -15,7 +15,7 @@ from threadline.search.move_list import overlapped, with_choices
 from threadline.verdict import Spec, Verdict
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei")
-"""Shapers that every move of a cycle may have alike; each is made for the machine's own modes."""
+"""Shapers that are compared, each for all moves and designed for the machine's own modes."""
 
 
 AS_LISTED = "unshaped, as listed"
@@ -28,7 +28,7 @@ class BesideRow:
     Parameters
     ----------
     name
-        What it is.
+        What its moves are commanded with.
     cycle_s
         Its duration on the machine as its file says.
     worst_m, passed
@@ -58,10 +58,10 @@ def cycles_beside(
 ) -> tuple[BesideRow, ...]:
     """Return rows for the cycle unshaped, with one shaper for every move, and as it was found.
 
-    All but the first have overlapped what the list lets overlap.
-    Of the shapers the shortest in spec on the machine as its file says is shown, and with a band
-    the shortest in spec on all machines of it, too; where none is, that with the least vibration.
-    ``actual`` runs the cycles where it isn't the machine that they are made for.
+    All rows but the first overlap moves where the list allows it. Of the shapers that of the
+    shortest cycle in spec on the machine as its file says is shown, and with a band also that of
+    the shortest cycle in spec on all machines of the band; where none is in spec, the one with the
+    least vibration. ``actual`` runs the cycles where it isn't the machine that they are made for.
     """
     machines = band_machines(machine, band) if band is not None else ()
     rows = {}

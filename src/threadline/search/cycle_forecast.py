@@ -1,4 +1,4 @@
-"""The next cycle to try, by a forecast of what every move leaves ringing that the twin corrects."""
+"""Proposes the next cycle to try, by a forecast of the vibration that the twin corrects."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class MoveChoice:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """Commands and waits, per move in order, and the ringing forecast behind each, in steps."""
+    """Commands, waits in scans, and forecast ringing in units of a full step, for each move."""
 
     commands: tuple[LevelCommand, ...]
     waits: tuple[int, ...]
@@ -77,7 +77,7 @@ class _State:
 
 
 class CycleForecast:
-    """Everything that stays from round to round; lives as long as ``fastest_cycle`` runs.
+    """The forecast of one search, corrected after each cycle that the twin has run.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class CycleForecast:
         self._limits = [self._limit(spec, move) for move in base.moves]
         self._share = dict.fromkeys(axes, 1.0)
         self._bias: list[complex] = [0j] * len(base.moves)
-        # What one command runs into, a stop for instance, another of other duration does not.
+        # A correction for one command (its piston hits a stop) need not hold for other durations.
         self._own: list[dict[int, complex]] = [{} for _ in base.moves]
         run = SwitchRun(unshaped.recording, unshaped.plan)
         self._pauses = self._between(run, [0] * len(base.moves))
@@ -113,12 +113,12 @@ class CycleForecast:
         ]
 
     def _turns(self, machine: Machine, axes: set[str]) -> dict[str, complex]:
-        """Return by what the ringing of each cylinder is multiplied in one scan."""
+        """Return the factor on the complex ringing of each cylinder in one scan."""
         poles = {axis: step_ringing(machine, axis).pole for axis in axes}
         return {axis: complex(np.exp(pole * self._scan_s)) for axis, pole in poles.items()}
 
     def _limit(self, spec: Spec, move: ScheduledMove) -> float:
-        """Return how much may ring behind a move, in steps."""
+        """Return how much may ring after a move, in units of a full step."""
         own = [
             c.limit
             for c in spec.criteria
@@ -143,7 +143,7 @@ class CycleForecast:
         return None
 
     def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
-        """Return what may follow a state: every command behind every wait within the limit."""
+        """Return the states that may follow: every command after every wait, within the limit."""
         axis, sign = move.axis, 1.0 if move.forward else -1.0
         pause = self._pauses[index]
         most = self._share[axis] * self._limits[index]
@@ -177,7 +177,7 @@ class CycleForecast:
         return found
 
     def _between(self, run: SwitchRun, waits: Sequence[int]) -> list[int]:
-        """Return the scans before each move since the one before, as a cycle ran, but for waits.
+        """Return the scans from each move's end to the next one's begin in a run, waits left out.
 
         They are not those of the schedule where the list waits for a piston that is on its way.
         """
@@ -187,7 +187,7 @@ class CycleForecast:
         return pauses
 
     def learn(self, cycle: Cycle, proof: Proof) -> None:
-        """Take over what the twin found beyond the forecast; ask for less where that is unknown."""
+        """Correct the forecast by what the twin measured; if it agrees already, aim for less."""
         run = SwitchRun(proof.recording, proof.plan)
         self._pauses = self._between(run, cycle.waits)
         known: dict[str, tuple[float, complex]] = {}
@@ -214,7 +214,7 @@ class CycleForecast:
                 self._share[axis] *= _LESS
 
     def _measured(self, run: SwitchRun, index: int) -> complex | None:
-        """Return the ringing behind a move at its last switching, in steps, by least squares."""
+        """Return the ringing at a move's last switching, in full steps, by least squares."""
         move = run.moves[index]
         axis = move.planned.axis
         frame, ringing = run.find(ChannelKind.FRAME, axis), self._ringing[axis]

@@ -1,9 +1,9 @@
 """The shortest cycle of an on/off machine that stays in spec whatever its modes are in a band.
 
 Each move gets the shortest command that its flow controls can make and that rings little enough at
-every frequency of the band; what rings before counts with its full amplitude, for over a band
-nobody knows its phase. The twin then runs the cycle on machines all over the band, and where it
-finds more than the closed form did, less is left to the move that it comes from.
+every frequency of the band. What earlier moves left ringing counts with its full amplitude, because
+its phase is another at each frequency. The twin then runs the cycle on machines all over the band,
+and where it finds more than the closed form did, less is left to the move that it comes from.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from threadline.verdict import Criterion, Judge, Spec, Status, Verdict
 
 MEASURE = "residual_vibration"
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
-"""Of what may ring: one command each, for what rings before takes its own share."""
+"""Shares of the limit that a command of a move may use alone: earlier moves may use up the rest."""
 _FREQUENCIES = 33
 _MACHINES = 17
 """Frequencies of the band in the closed form, and machines on the twin."""
@@ -208,7 +208,7 @@ def robust_cycle(
 
 
 class _Search:
-    """Everything that stays from round to round; lives as long as ``robust_cycle`` runs."""
+    """One search of ``robust_cycle``: the commands of each move, and how much each may ring."""
 
     def __init__(self, job: Job, machine: Machine, spec: Spec, band: float, plain: Plan) -> None:
         self._job, self._machine, self._spec = job, machine, spec
@@ -294,7 +294,7 @@ class _Search:
         return bound, found
 
     def next(self) -> list[FlowCommand]:
-        """Return a command for every move: the shortest that the closed form holds for good."""
+        """Return for every move the shortest command that keeps the limits in closed form."""
         chosen: list[FlowCommand | None] = [None] * len(self._base.moves)
         for axis in self._turns:
             own = [i for i, move in enumerate(self._base.moves) if move.axis == axis]
@@ -334,7 +334,7 @@ class _Search:
         ]
 
     def learn(self, runs: Sequence[BandRun]) -> bool:
-        """Leave less to the moves behind which some machine rings too much; say if any did."""
+        """Lower the share of moves after which a machine rings too much; say if a run failed."""
         worst: dict[int, float] = {}
         for run in runs:
             for result in run.verdict.results:
@@ -361,7 +361,7 @@ class _Search:
         return own[-1] if own else None
 
     def tighten(self) -> None:
-        """Leave less to every move: the band was in spec, and other runs of the machine not."""
+        """Lower the share of every move: the band was in spec, but a repeated run was not."""
         self._share = [share * _LESS for share in self._share]
 
     def job_of(self, chosen: Sequence[FlowCommand]) -> Job:

@@ -119,13 +119,13 @@ class DesignResult:
     as_built
         The machine as it is, with the best settings.
     region
-        What is in spec about the design, in two of its parameters; None with fewer than two.
+        What is in spec around the design, in two of its parameters; None with fewer than two.
     nearest
         The candidate that came nearest to the specification.
     simulated
         Machines simulated in the search.
     tolerances
-        Whether the design holds over them.
+        Whether the design was asked to hold at all corners of the tolerances.
     """
 
     machine: Machine

@@ -21,7 +21,7 @@ SETTLE_S = 0.25
 KEPT_S = 300.0
 """A job that takes no longer is kept in memory while it is judged over and over."""
 HOPELESS = 1e3
-"""The ratio, and the most, of a variant that cannot be planned, simulated or measured."""
+"""The ratio of a variant that cannot be planned, simulated or measured; no ratio is larger."""
 
 _LENGTH = "stitch_length_error"
 _SEAM = "seam_error"
@@ -34,7 +34,7 @@ class Ratios:
     Parameters
     ----------
     names
-        Of the criteria other than the stitch length.
+        Names of the criteria other than the stitch length.
     others
         (n, criteria) measured over limit.
     length

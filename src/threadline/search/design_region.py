@@ -1,4 +1,4 @@
-"""What is in spec about a design, in two of its parameters."""
+"""The region in spec around a design, in two of its parameters."""
 
 from __future__ import annotations
 

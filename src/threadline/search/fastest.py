@@ -56,8 +56,8 @@ class Fastest:
     tried
         Number of feeds tried.
     step, near_step
-        From one feed of the scan to the next, relative; about the edges. What is narrower can be
-        missed.
+        Relative distance of neighbouring feeds in the scan, and near the edges of intervals. A
+        narrower interval can be missed.
     """
 
     intervals: tuple[Interval, ...]
@@ -196,7 +196,7 @@ def _spaced(low: float, high: float, points: int) -> list[float]:
 def _typed(feed: float, gap: float) -> float:
     """Return ``feed`` with as few digits as move it by a hundredth of ``gap`` at the most.
 
-    It is that feed that is tried, so what is found can be typed back and means the same.
+    The shortened feed is the one that is tried: typed on a command line it gives the same plan.
     """
     for digits in range(4, 16):
         short = float(f"{feed:.{digits}g}")

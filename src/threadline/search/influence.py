@@ -1,4 +1,4 @@
-"""Which numbers a result hangs on: Sobol indices over the tolerances of a machine."""
+"""Which numbers a result depends on: Sobol indices over the tolerances of a machine."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Influence:
     Parameters
     ----------
     first, total
-        (n,) of each number alone, and with all that it does together with others.
+        (n,) first-order index of each number, and its total index with all interactions.
     first_interval, total_interval
-        (2, n) between which they lie, at 95 % confidence, by bootstrap; of a number that does
-        nothing both ends are its share.
+        (2, n) ends of their 95 % confidence intervals, by bootstrap. Of a number without influence
+        both ends are the index itself.
     """
 
     first: FloatArray
@@ -46,8 +46,8 @@ def influence(
     result
         (k, n) parts of the tolerances to (k,) values.
     normal
-        (n,) whether a number is distributed normally, cut off at 3 standard deviations; else alike
-        over its tolerance.
+        (n,) whether a number is distributed normally, cut off at 3 standard deviations; else
+        uniformly over its tolerance.
     samples
         A power of 2; (n + 2) times as many results are asked for.
     """

@@ -1,4 +1,4 @@
-"""Judges variants of a machine one by one: of kinds of work that are not simulated many at once."""
+"""Judges variants of a machine one by one, for machines that are not simulated many at once."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class AloneJudge:
         Parameters
         ----------
         done
-            Told that a machine is through.
+            Called with 1 after each machine.
         """
         found = []
         for row in parts:

@@ -44,8 +44,9 @@ class RunsJudge:
     threads
         Parts that are under way at once; as many as there are cores when None.
     extremes
-        Numbers of machines of which none that is judged is faster than all: then a machine has the
-        same bits in whatever company. None leaves rounding to the company.
+        Numbers of machines whose fastest rates bound those of all that will be judged. With them a
+        machine has the same result, to the bit, whichever others share its part. None lets it
+        differ by rounding.
 
     Raises
     ------
@@ -93,7 +94,7 @@ class RunsJudge:
         phases
             (V, axes) where between two counts each encoder stands; 0.5 when None.
         done
-            Told how many variants each part had that is through.
+            Called after each part with the number of its variants.
         """
         values = Values.of(self._machine, variants)
         parts = list(self._parts(values))
@@ -136,7 +137,7 @@ class RunsJudge:
             )
             return self._judge.each(recording)
         except MachineError:
-            # One variant without an answer ends its part: the halves say which.
+            # One variant without an answer ends its whole part: halve it until that one is alone.
             if values.count == 1:
                 return self._own.without_answer()
             half = values.count // 2

@@ -16,7 +16,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 
 _LONGEST_PERIODS = 1.6
-"""A command of levels is at most so many periods longer than the unshaped one."""
+"""Longest first stretch of a command of three levels, in periods."""
 _INTERVALS = 800
 
 
@@ -45,17 +45,19 @@ class LevelCommand:
         return self.ticks[-1]
 
     def on(self, turn: complex) -> LevelCommand:
-        """Return the same command with what it leaves on a machine that rings otherwise."""
+        """Return the same command with what it leaves ringing on a machine with another mode."""
         return replace(self, left=left_ringing(self.ticks, self.levels, turn))
 
 
 def left_ringing(ticks: Sequence[int], levels: Sequence[float], turn: complex) -> complex:
-    """Return what a command leaves at its last switching.
+    """Return the complex ringing that a command leaves at its last switching, in full steps.
 
     Parameters
     ----------
+    ticks, levels
+        (n,) scans, and the level from each of them on.
     turn
-        By what ringing is multiplied in one scan: ``exp(pole scan)``.
+        Factor on the complex ringing in one scan: ``exp(pole * scan_s)``.
     """
     heights = np.diff(levels, prepend=0.0)
     to_go = ticks[-1] - np.asarray(ticks, dtype=np.float64)
@@ -65,10 +67,10 @@ def left_ringing(ticks: Sequence[int], levels: Sequence[float], turn: complex) -
 def gapped(
     on: int, dwell: int, turn: complex, most: float, total: int, step: int = 1
 ) -> list[LevelCommand]:
-    """Return on/off commands of ``on`` scans with one or two gaps that leave at most ``most``.
+    """Return on/off commands with one or two gaps that leave at most ``most`` ringing.
 
-    Each stretch and each gap takes ``dwell`` scans at least; the gaps together are ``total``. Of
-    the places and sizes of gaps every ``step``-th is looked at.
+    They are on for ``on`` scans in all and off for ``total``; each stretch and each gap takes at
+    least ``dwell`` scans. Places and sizes of gaps are tried at every ``step``-th scan.
     """
     found = []
     log, end = np.log(turn), on + total
@@ -103,9 +105,10 @@ def _one_and_two(first: IntArray, on: int, total: int, gaps: IntArray) -> Iterat
 def stepped(
     on: int, dwell: int, turn: complex, most: float, pairs: Sequence[tuple[float, float]]
 ) -> list[LevelCommand]:
-    """Return commands that begin at one level and end at another, which add up to 1.
+    """Return commands of three levels, ``pairs`` at the ends, that leave at most ``most`` ringing.
 
-    ``on`` scans of level 1 in the unshaped command; the first and last stretch are equally long.
+    The unshaped command has level 1 for ``on`` scans. First and last stretch are equally long, at
+    least ``dwell`` scans, and the two levels of a pair add up to 1: so the distance is the same.
     """
     found = []
     longest = int(_LONGEST_PERIODS * period_scans(turn))

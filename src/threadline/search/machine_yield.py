@@ -31,7 +31,7 @@ from threadline.verdict import CriterionRow, EachRun, Spec
 from threadline.verdict.binomial import clopper_pearson
 
 AT_ONCE = 4096
-"""Machines of which what came is kept together; it does not depend on how many they are."""
+"""Machines that are judged, and kept in a state, as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
 _STARTS = 4  # samples from which the worst case is looked for
 _ROUNDS = 8
@@ -52,9 +52,9 @@ class Worst:
     numbers
         Names in the file and their SI values, of those that are not as the file says.
     share
-        Of the limit that it uses most of.
+        The largest share of a limit that it uses.
     binding
-        That criterion.
+        The criterion of that limit.
     of_corners
         Whether every corner of the tolerances was tried.
     """
@@ -127,9 +127,10 @@ class MachineYield:
             self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
 
     def _fastest_corner(self) -> FloatArray:
-        """Return parts of the machine with every number at the end where it is faster.
+        """Return (k, n) parts of machines whose rates bound those of all machines drawn.
 
-        Of each connected piece one, and the ends alone.
+        For each connected piece of the machine one has every number at its faster end; the others
+        have one number at either end alone.
         """
         machine = self.plan.machine
         ends = one_at_a_time(machine)
@@ -189,10 +190,10 @@ class MachineYield:
     def worst(self, known: Yield | None = None) -> Worst:
         """Return the worst machine within the tolerances that is found.
 
-        Of up to 12 numbers every corner is tried. Of more the worst of the machines that are known
-        already are the beginning: of each number either end is tried, the best step is taken, and
-        so on until none makes it worse. Counts per unit stay what they are: commands are written in
-        them.
+        With up to 12 numbers every corner is tried. With more the search starts from the worst
+        machines in ``known``: each number is tried at either end, the worst of these machines is
+        taken, and so on until none is worse. Counts per unit keep their value, because commands
+        are written in counts.
         """
         free = [k for k, number in enumerate(self.numbers) if not _counted(number)]
         if len(free) <= MOST_CORNERS:
@@ -236,7 +237,7 @@ class MachineYield:
         )
 
     def _told_alone(self, parts: FloatArray, share: float, binding: str) -> tuple[float, str]:
-        """Return what a machine uses when it is proved by itself; as it was where it cannot be."""
+        """Return share and criterion of a machine judged alone; those given where it cannot be."""
         if self._many is None:
             return share, binding
         shares, names = shares_of(self._alone.judged(parts[None]))
@@ -259,7 +260,7 @@ class MachineYield:
 
 
 def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
-    """Return (runs,) how much of the limit is used that is used most, and of which criterion.
+    """Return (runs,) the largest share of a limit that each run uses, and the criterion.
 
     Limits of the machine itself and what is of the plan alone do not count: they are the same for
     every machine.

@@ -34,9 +34,9 @@ class Searched:
     Parameters
     ----------
     name
-        A noun: of which nothing may be in spec.
+        What is searched, as a noun: "no needle speed is in spec".
     best
-        What the best one is called.
+        The adjective of the best one.
     unit, per_unit
         In which it is printed, and what the searched number is multiplied by for that.
     done

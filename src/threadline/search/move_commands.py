@@ -30,9 +30,9 @@ class MoveCommands:
     Parameters
     ----------
     scan_s
-        Of the PLC.
+        Scan of the PLC, s.
     turn
-        By what ringing is multiplied in one scan, per cylinder.
+        Per cylinder the factor on its complex ringing in one scan.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class MoveCommands:
         Parameters
         ----------
         limit
-            How much may ring behind the move, in steps.
+            How much may ring after the move, in units of a full step.
         """
         assert self._machine.plc is not None
         turn, on = self._turn[move.axis], move.levels.ticks[-1]
@@ -58,7 +58,7 @@ class MoveCommands:
             step = step_scans(turn)
             for total in range(dwell, int(np.ceil(period_scans(turn))) + 1, step):
                 found += gapped(on, dwell, turn, most, total, step)
-                # Enough that need nothing of what rings before: longer ones gain nothing.
+                # These suffice whatever rang before: longer ones gain nothing.
                 if sum(abs(c.left) <= 0.5 * limit for c in found) >= _ENOUGH:
                     break
             way = self._machine.cylinders[move.axis].way(move.forward)
@@ -92,7 +92,7 @@ class MoveCommands:
 
 
 def step_scans(turn: complex) -> int:
-    """Return every how many scans a place is looked at: a fast PLC has more than enough."""
+    """Return the spacing, in scans, of switchings that are tried: 34 of a period are enough."""
     return max(int(period_scans(turn) // _STEPS), 1)
 
 

@@ -29,10 +29,15 @@ _LEAST_LEFT_M = 1e-4
 
 
 def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[int, float]) -> Job:
-    """Return ``job`` with its moves commanded as told, and waits before them.
+    """Return ``job`` with commands and waits of its moves replaced; rests and overlaps are kept.
 
-    Operations that it is told of are those of ``job``; a wait is one more operation. How long the
-    list waits for a move to come to rest stays.
+    Parameters
+    ----------
+    how
+        By the number of a move's operation in ``job``: the key and text of its command in a move
+        list, ``("shaper", "zv")`` or ``("levels", ...)``. Other moves get none.
+    waits
+        By the same numbers: s to wait before the move, as an operation of its own.
     """
     found: list[Operation] = []
     for index, operation in enumerate(job):
@@ -48,13 +53,13 @@ def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[in
 
 
 def overlapped(job: Job, machine: Machine) -> Job:
-    """Return ``job`` with less rest behind moves that another cylinder need not wait out.
+    """Return ``job`` with a shorter rest after moves that the next cylinder need not wait out.
 
-    Such a move is one cylinder's, the list waits behind it for an end switch that this cylinder
-    closes there, and what comes next is the move of another: the switch is the list's condition
-    for it. The rest is cut to the instant at which the piston passes the switch, so that one that
-    is stuck on sends the other no sooner. A move that another operation follows, a tool or a
-    vacuum, comes to rest first; so does one with ``overlap = false``, or a ``rest`` of its own.
+    The rest after a move is cut if it moves one cylinder, the list then waits for an end switch
+    that this cylinder closes, and the next move is that of another cylinder. What is left of the
+    rest lasts until the piston passes the switch: a switch that is stuck on starts the other
+    cylinder no sooner. The rest stays if a dwell or an output (a vacuum, a valve) comes before the
+    next move, or if the move has ``overlap = false`` or a ``rest`` of its own.
     """
     operations = list(job)
     found: list[Operation] = []
@@ -81,10 +86,10 @@ def _moved(
 def _least_rest_s(
     job: Job, operations: list[Operation], index: int, axis: str, machine: Machine
 ) -> float | None:
-    """Return the rest behind a move that another cylinder's follows behind waits; else None.
+    """Return the rest that ``overlapped`` leaves after a move; None where it stays as it is.
 
-    Behind the last switching the piston has dead time and then, at the most, speed times lag to go,
-    which it does as an exponential; the last of the switches that are waited for counts.
+    After the last switching the piston stands for the dead time, and then has at most speed times
+    lag to go, along an exponential. The last of the switches that are waited for counts.
     """
     move = operations[index]
     assert isinstance(move, Move)

@@ -10,7 +10,7 @@ _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 
 
 def beyond(error: LimitError, machine: Machine) -> Verdict:
-    """Return the verdict on a plan that was refused, as the criterion of its name has it."""
+    """Return the verdict on a plan that breaks a limit: the criterion of that limit failed."""
     over = error.quantity == "travel"
     base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
     failed = Result(

@@ -9,12 +9,18 @@ from threadline.search.fastest import Fastest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rung:
-    """The best at one share of the limits; ``duration_s`` is None where no feed passes.
+    """The fastest plan at one share of the limits, or with one contour allowance.
 
     Parameters
     ----------
+    share
+        Share of the machine's acceleration and jerk limits that was used.
+    found
+        The feeds in spec.
+    duration_s
+        Duration of the job at the best of them; None where no feed passes.
     contour_m
-        How far the loads were allowed from their path; None where that is no limit of the timing.
+        How far the loads were allowed to leave the path; None where the timing has no such limit.
     """
 
     share: float
@@ -25,7 +31,15 @@ class Rung:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """The least time along the path of the best within some of its limits alone."""
+    """A lower bound on the time along a path.
+
+    Parameters
+    ----------
+    within
+        Whose limits alone it keeps: ``"the axes"``, or ``"axes and drives"``.
+    duration_s
+        The least time within them.
+    """
 
     within: str
     duration_s: float
@@ -38,7 +52,7 @@ class FastestJob:
     Parameters
     ----------
     bounds
-        Of a motion that is the fastest by its plan: what it could not be faster than.
+        With ``optimal``: lower bounds on the time of the best plan; otherwise empty.
     """
 
     best: Rung

@@ -35,13 +35,13 @@ class FastestShaft:
         The fastest with a speed for each stitch; None where the spindle cannot change its speed,
         or none is in spec.
     tolerance_m
-        What that was planned with.
+        The tolerance of the residual with which that schedule was planned.
     duration_s
-        The shorter time of the two; None where nothing is in spec.
-    limited_by
-        What limits the constant speed.
+        The shorter time of schedule and constant speed; None where neither is in spec.
+    constant_s
+        Time at the highest constant speed in spec; None where there is none.
     verdict
-        Of the faster one.
+        Verdict of the faster of the two.
     """
 
     constant: Fastest

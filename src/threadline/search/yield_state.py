@@ -1,4 +1,4 @@
-"""What came of drawn machines, kept in a file as it comes, so that a yield can be gone on with.
+"""Results of drawn machines, kept in a file as they come, so that a yield can be continued.
 
 The file has a line for what it is of, and one for each part of the sequence of machines; lines are
 only ever added. A line that was cut short by an interrupt is left out, and its machines are drawn
@@ -30,7 +30,7 @@ _TOLD = ("name", "axis", "step", "limit", "unit", "required", "hard", "of_plan")
 
 
 class YieldState:
-    """The machines of a sequence that are through, in a file.
+    """The machines of a sequence that were judged, in a file.
 
     Parameters
     ----------
