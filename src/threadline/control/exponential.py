@@ -1,10 +1,10 @@
-"""Linear states under a force that is known at some instants of a step, however fast they decay.
+"""Exact steps of linear states under a force that is known at some instants of each step.
 
-``x' = Q x + f(t)`` over a step T is ``x(T) = e^(QT) x(0) + int e^(Q(T-s)) f(s) ds``. The force is
-taken as a polynomial through what is known of it and the integral is done exactly, by the phi
-functions of Q T (Hochbruck and Ostermann, Exponential integrators, Acta Numerica 2010): a rule for
-the whole integrand would be far off once ``|Q| T`` is not small, as it is with the zero k/c of a
-damped belt.
+The solution of ``x' = Q x + f(t)`` after a step T is
+``x(T) = e^(QT) x(0) + int e^(Q(T-s)) f(s) ds``. The force is replaced by the polynomial through its
+known values, and the integral of that is exact, by the phi functions of Q T (Hochbruck and
+Ostermann, Exponential integrators, Acta Numerica 2010). Quadrature of the whole integrand would be
+far off wherever ``|Q| T`` is not small, as for the zero k/c of a damped belt.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatAr
     Parameters
     ----------
     Q
-        (n, n) in 1/s.
+        (n, n) matrix of the states, in 1/s.
     step_s
-        T.
+        Length T of the step, in s.
+    count
+        Number of powers z^k: one more than the degree of the force's polynomial.
 
     Returns
     -------
-    (n, n) and (count, n, n).
+    The (n, n) decay, and the (count, n, n) moments in s.
     """
     n = len(Q)
     whole = np.zeros((n * (count + 1), n * (count + 1)))

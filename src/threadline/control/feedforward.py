@@ -1,10 +1,11 @@
-"""References that make the loop as it is follow a motion with its load.
+"""References with which the load of an axis follows a motion, through the loop that the axis has.
 
-No hardware changes: the motion chip takes references only, so the volts of the exact inverse go
-in through its own filter. At tick k the filter shall put out what the plant needs one dead time
-and half a hold later, ``v = u(t + tau + T/2)``; the error that makes it do so comes from the
-inverse of its difference equation, and the reference is that error on top of what the sensor will
-read. References change only every reference tick: they are taken half of one ahead.
+A motion chip accepts nothing but position references, so the voltage of the exact inverse has to
+come out of the chip's own filter. At tick k the filter must put out the voltage that the plant
+needs one dead time and half a hold later, ``v = u(t + tau + T/2)``. The inverse of the filter's
+difference equation gives the error that produces this voltage; the reference is the predicted
+reading of the sensor plus that error. A reference holds for one reference tick, so each is
+computed for the instant half a reference tick after it is due.
 """
 
 from __future__ import annotations
@@ -23,23 +24,23 @@ from threadline.plant.values import Values
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FeedForward:
-    """A motion prepared for one axis.
+    """References for one axis, and what they ask of its drive.
 
     Parameters
     ----------
     reference_si
         (k,) position to command at each reference tick, m or rad, from ``start_s`` on.
     start_s
-        When the first is due, on the clock of the motion; before the motion starts, by the
-        preview.
+        Time of the first reference, on the clock of the motion: earlier than the start of the
+        motion, since references act late.
     period_s
-        Reference tick.
+        Time from reference to reference.
     followed
-        What the axis does, tick by tick of its controller.
+        Load, sensor, voltage and current at each tick of the controller.
     peak_volts, peak_current_a
         Largest magnitudes at the controller's output and in the motor (None without a coil).
     volt_limit, current_limit_a
-        What the DAC and the amplifier have; infinite where there is no limit.
+        Largest voltage of the DAC and current of the amplifier (infinite where it has no limit).
     """
 
     reference_si: FloatArray
@@ -53,13 +54,13 @@ class FeedForward:
 
     @property
     def within_limits(self) -> bool:
-        """Whether the machine has the volts and amperes that the motion needs."""
+        """Whether peak voltage and peak current are within the limits of the drive."""
         current = self.peak_current_a is None or self.peak_current_a <= self.current_limit_a
         return current and self.peak_volts <= self.volt_limit
 
     @property
     def bound_by(self) -> str:
-        """Which limit is used most: ``"current"`` or ``"voltage"``."""
+        """Name of the limit that the motion comes closest to: ``"current"`` or ``"voltage"``."""
         current = 0.0 if self.peak_current_a is None else self.peak_current_a / self.current_limit_a
         return "current" if current >= self.peak_volts / self.volt_limit else "voltage"
 
@@ -79,18 +80,21 @@ def feed_forward(
     Parameters
     ----------
     motion
-        Of the load, m or rad, at rest outside ``start_s .. end_s``, with as many derivatives as
-        the axis has integrations (5 for a belt behind a motor with a coil).
+        Position of the load, m or rad, with as many derivatives as there are integrations from
+        voltage to load (5 for a belt behind a motor with a coil).
+    start_s, end_s
+        The load rests before the one and after the other, on the clock of the motion.
     settle_s
-        How long to go on after its end; by default until what swings inside the plant (a frame)
-        has decayed to a thousandth, since the motor must give way to it until then.
+        How long references go on after ``end_s``. By default until a swing inside the plant (of
+        the frame, say) has decayed to a thousandth: the motor has to yield to it until then.
     model
-        The numbers that the inverse believes in; the machine's own when None.
+        Numbers from which the inverse is made; those of ``machine`` when None.
 
     Raises
     ------
     MachineError
-        If the axis or its filter has no stable inverse, or the filter makes its positions itself.
+        If the axis or its filter has no stable inverse, or the controller generates its own
+        positions (a ``ProfileController``).
     """
     from scipy.signal import lfilter
 

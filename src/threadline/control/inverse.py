@@ -1,10 +1,11 @@
 """The exact inverse of an axis: what its motor must do for its load to follow a motion.
 
-From the controller's volts u to the load y there are r integrations: ``y^(r) = C A^r x + g u``.
+From the controller's voltage u to the load y there are r integrations: ``y^(r) = C A^r x + g u``.
 The states are the load's position and derivatives and, where the plant has zeros (the Y frame of
 the stitcher), inner states that follow from the motion alone, ``eta' = Q eta + R (y ... y^(r-1))``.
-Their eigenvalues are the zeros; they must decay. Belt, load damping, frame, motor and coil are
-all in it, dead time isn't: that is for the caller to send the volts early.
+The eigenvalues of Q are the zeros of the plant, and an inverse exists only where all of them decay.
+The inverse holds belt, load damping, frame, motor and coil, but no dead time: the caller sends the
+voltage that much earlier.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from threadline.plant.values import Values
 from threadline.plant.zeros import Chain, chain_of
 
 _GAUSS_AT = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
-# Coefficients, from the constant up, of the parabolas that are 1 at one of these and 0 at others.
+# Coefficients, from the constant up, of the three parabolas that are 1 at one of Gauss's points and
+# 0 at the other two.
 _GAUSS_BASIS = np.linalg.inv(np.vander(_GAUSS_AT, increasing=True)).T
 
 
@@ -45,15 +47,15 @@ class Followed:
     Parameters
     ----------
     time_s
-        (k,).
+        (k,) instants, in s.
     load_si
-        (k,) the motion.
+        (k,) position of the load, m or rad.
     measured_counts
-        (k,) what the controller's sensor reads.
+        (k,) reading of the controller's sensor, in counts.
     volts
-        (k,) at the plant's input, when it acts there.
+        (k,) voltage that acts on the plant at these instants; dead time is not in it.
     current_a
-        (k,) of the motor; None where the plant has no such state.
+        (k,) current of the motor, in A; None where the plant has no such state.
     """
 
     time_s: FloatArray
@@ -70,15 +72,16 @@ class Inverse:
     Parameters
     ----------
     axis, loop
-        What it is the inverse of.
+        Name of the axis that is inverted, and its loop.
     plant
-        The controller's volts to the load, in axis units.
+        State space, with n states, from the controller's voltage to the load in m or rad.
     chain
-        From those volts to the load.
+        The r integrations from that voltage to the load.
     from_load, from_inner
-        (n, r) and (n, n - r).
+        (n, r) and (n, n - r): the states of the plant from the load's position and derivatives, and
+        from the inner states.
     Q, R
-        (n - r, n - r) and (n - r, r) of the inner states.
+        (n - r, n - r) and (n - r, r): ``eta' = Q eta + R (y ... y^(r-1))``.
     """
 
     axis: str
@@ -92,7 +95,7 @@ class Inverse:
 
     @property
     def degree(self) -> int:
-        """Derivatives of the motion that it needs; the one before the last must not jump."""
+        """Number r of derivatives of the motion that the inverse reads; only the r-th may jump."""
         return self.chain.degree
 
     def follow(self, motion: Motion, time_s: FloatArray) -> Followed:
@@ -101,9 +104,10 @@ class Inverse:
         Parameters
         ----------
         motion
-            The load's, with ``degree`` derivatives; at rest at ``time_s[0]``.
+            Position of the load with ``degree`` derivatives, at rest at ``time_s[0]``.
         time_s
-            (k,) equally spaced, in s; where a derivative jumps it should have an instant.
+            (k,) equally spaced instants, in s. The inner states are exact to rounding only where
+            no derivative jumps between two of them.
         """
         t = np.asarray(time_s, dtype=np.float64)
         ladder = np.stack([motion(t, order) for order in range(self.degree + 1)], axis=1)
@@ -112,18 +116,18 @@ class Inverse:
     def outputs(
         self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
     ) -> Followed:
-        """Return what the axis does where its load and its inner states are known.
+        """Return what the axis does, from the motion of its load and from its inner states.
 
         Parameters
         ----------
         time_s
-            (k,).
+            (k,) instants, in s.
         ladder
             (k, degree + 1) position of the load and its derivatives.
         inner
-            (k, n - degree) states that the load does not show, 0 at rest.
+            (k, n - degree) inner states, 0 at rest.
         start_si
-            Where the load stood at rest before.
+            Position at which the load rested before the motion, m or rad.
         """
         r = self.degree
         states = ladder[:, :r] @ self.from_load.T + inner @ self.from_inner.T
@@ -139,7 +143,7 @@ class Inverse:
         )
 
     def _rest(self, start_si: float) -> FloatArray:
-        # The ladder holds y(0) itself, and a plant at rest there has its inner states at rest too.
+        # Inner states are counted from their value at rest, which depends on where the load rests.
         if not len(self.Q) or start_si == 0.0:
             return np.zeros(len(self.plant.A))
         still = np.zeros(self.degree)
@@ -147,7 +151,7 @@ class Inverse:
         return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ still))
 
     def _inner(self, motion: Motion, t: FloatArray) -> FloatArray:
-        """Integrate the inner states: exactly, for the parabola through Gauss's three points."""
+        """Integrate the inner states under the parabola through each step's three Gauss points."""
         inner = np.zeros((len(t), len(self.Q)))
         if not len(self.Q) or len(t) < 2:
             return inner
@@ -166,7 +170,12 @@ class Inverse:
 
 
 def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inverse:
-    """Return the exact inverse of an axis, from the load's motion to the controller's volts.
+    """Return the exact inverse of an axis, from the load's motion to the controller's voltage.
+
+    Parameters
+    ----------
+    values
+        Numbers from which the inverse is made; those of ``machine`` when None.
 
     Raises
     ------
@@ -185,7 +194,7 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     plant = loop.plant.select([loop.plant.inputs[loop.index]], [f"{axis}.load"])
     chain = chain_of(plant)
     r, n = chain.degree, len(plant.A)
-    # Inner states are chosen so that the volts don't enter them: W b = 0.
+    # The inner states are such combinations W x that the voltage does not act on them: W b = 0.
     ladder = chain.rows[:r]
     scale = np.linalg.norm(ladder, axis=1)[:, None]
     others = null_space(plant.B.T / np.linalg.norm(plant.B)).T

@@ -1,9 +1,10 @@
 """Lead filters for a crossover and a phase margin, from the exact frequency response.
 
-``K (z - A) / (z + B)`` has three numbers and two are asked for, so B is given: as far out as the
-motion chip allows (1/256) unless said otherwise. At ``z = exp(i w T)`` the zero must turn by
-``psi = phase margin - 180 - arg G + arg(z + B)``, which leaves one A:
-``A = cos(w T) - sin(w T) / tan(psi)``; then K makes the loop's gain 1.
+The filter ``K (z - A) / (z + B)`` has three numbers, and crossover and phase margin fix two of
+them. B is therefore chosen beforehand: by default 1/256, the least that the motion chip holds. At
+``z = exp(i w T)`` the phase of the zero must be
+``psi = phase margin - 180 - arg G + arg(z + B)``, which one A gives:
+``A = cos(w T) - sin(w T) / tan(psi)``. K then makes the gain of the loop 1 there.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ class LeadDesign:
     gain
         DAC levels per count.
     zero, pole
-        A and B, plain.
+        A and B, without unit.
     crossover_hz, phase_margin_deg
-        What the loop has with it.
+        Crossover and phase margin of the loop with this filter.
     period_s, volt_per_level
-        Of the controller.
+        Tick of the controller, and the voltage of one level of its DAC.
     """
 
     gain: float
@@ -65,9 +66,9 @@ def lead_deg(response: ComplexArray, phase_margin_deg: FloatArray | float) -> Fl
     Parameters
     ----------
     response
-        (k,) response of the plants where their loops are to have the gain 1.
+        (k,) complex response of the plants at the crossovers of their loops.
     phase_margin_deg
-        (k,) or plain: what is to be left there.
+        (k,) or one number: wanted phase margins, in degrees.
     """
     wanted = phase_margin_deg - 180.0 - np.degrees(np.angle(response))
     return np.asarray((wanted + 180.0) % 360.0 - 180.0)
@@ -85,16 +86,18 @@ def lead_from_response(
     Parameters
     ----------
     response
-        (k,) response of the plants at ``omega_rad_s``, counts per volt.
+        (k,) complex response of the plants at ``omega_rad_s``, in counts per volt.
     omega_rad_s, phase_margin_deg
-        (k,) or plain: what the loops shall have.
+        (k,) or one number: wanted crossovers in rad/s and phase margins in degrees.
+    period_s
+        Tick of the controllers.
     pole
-        B.
+        B of the filters.
 
     Notes
     -----
-    A zero outside 1/256 ... 255/256 is returned as it comes out: the caller decides. It is NaN
-    where a lead filter cannot turn that far at all.
+    A zero outside 1/256 ... 255/256, which the motion chip cannot hold, is returned all the same.
+    It is NaN where no zero turns the phase that far.
     """
     z = np.exp(1j * np.asarray(omega_rad_s) * period_s)
     lead = np.radians(lead_deg(np.asarray(response), phase_margin_deg))
@@ -115,14 +118,14 @@ def design_lead(
     loop
         The axis, with any controller on it; the other loops of its piece stay closed.
     crossover_hz, phase_margin_deg
-        What the sampled loop shall have, exactly.
+        Wanted crossover and phase margin of the sampled loop.
     pole
         B of the filter.
 
     Raises
     ------
     OptionError
-        If a number is out of range, or no filter that the motion chip can hold does it.
+        If a number is out of range, or no zero that the motion chip can hold gives that margin.
     """
     period = loop.period_s
     if not 0 < crossover_hz < 0.5 / period:

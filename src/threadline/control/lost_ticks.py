@@ -1,10 +1,12 @@
-"""Volts for a DAC whose first tick after a reversal of its sign puts out nothing.
+"""Voltages for a DAC that puts out nothing at the first tick after a change of their sign.
 
-The rule takes the tick at which the sign changes, whatever it was to put out, and of two ticks that
-is the later one or the earlier as an encoder's phase has it: what is lost differs from run to run.
-Here the tick that is lost is chosen, the one with less to lose; its level is put as far on the new
-side as its neighbours are from 0, so that noise does not decide. Half of what is lost is given to
-either neighbour, so that neither the sum of the volts nor their first moment changes.
+Such a DAC loses the voltage of one tick at each change of sign. Where the voltage passes through 0
+between two ticks, the phase of the encoder decides which of the two ticks is lost, so that the
+motion differs from run to run. ``Levels`` decides it beforehand: the tick with the smaller voltage
+is the lost one. That tick is given the new sign and a magnitude as large as its neighbours', so
+that noise of the sensor cannot move the change of sign. Each neighbour receives half of the lost
+voltage, which leaves the sum of the voltages and their first moment as they were
+(decision 14).
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -16,33 +18,37 @@ from numba import njit
 from threadline.arrays import FloatArray
 
 AHEAD = 3
-"""So many volts after a tick are looked at before its level is certain."""
+"""Number of voltages after a tick on which its level depends."""
 _NOISE_COUNTS = 2.0
-_LEAST = 0.5  # of a level is left beside a tick that is lost
+_LEAST = 0.5  # share of its level that a tick beside a lost one keeps at least
 
 
 class Levels:
-    """Turns the volts that an axis is to get into the levels that its controller is to ask for.
+    """Turns the voltages that a plant needs into the levels that its controller has to put out.
+
+    Levels are in volts, too.
 
     Parameters
     ----------
     numerator
-        Of the filter that asks for them, volts per count: what its sensor's phase makes of them.
+        (n,) numerator of the controller's filter, in volts per count: the sum of its magnitudes is
+        the change of output that one count of the sensor can make.
     skips
-        Whether the DAC puts out nothing at the first tick after a reversal; else the levels are
-        the volts.
+        Whether the DAC puts out nothing at the first tick after a change of sign; otherwise the
+        levels equal the voltages.
     """
 
     def __init__(self, numerator: FloatArray, *, skips: bool) -> None:
         self._skips = skips
         self._band = _NOISE_COUNTS * float(np.abs(numerator).sum())
         self._volts: FloatArray = np.zeros(0)
-        self._level = np.zeros(2)  # of the last tick before them; what is added to the next
+        # The level of the tick before ``_volts``, and what is added to the level of the next one.
+        self._level = np.zeros(2)
         self._sign = 0.0
         self._begun = False
 
     def feed(self, volts: FloatArray) -> FloatArray:
-        """Return the next (k,) levels; the last ``AHEAD`` wait for the volts after them."""
+        """Return the next levels for the next (k,) voltages; the last ``AHEAD`` of them wait."""
         if not self._skips:
             held = np.concatenate([self._volts, volts])
             self._volts = held[-AHEAD:]
@@ -62,12 +68,17 @@ def _levels(volts, held, sign, band):
 
     Parameters
     ----------
+    volts
+        (k,) voltages that the plant needs.
     held
-        The level of the tick before, and what is added to that of the next; it is moved on.
+        (2,) the level of the tick before ``volts``, and what is added to the level of the first of
+        them; both are overwritten with those of the next call.
     sign
-        Of what was put out at the tick before; the same is returned for the last that is certain.
+        Sign of the output at the tick before ``volts``. The sign that is returned is that of the
+        last tick whose level is returned or held.
     band
-        A smaller level may have either sign, by noise: none is left so small.
+        Smallest magnitude of a level, in volts: noise of the sensor can change the sign of a
+        smaller one.
     """
     count = len(volts) - 2
     out = np.empty(count)
@@ -77,8 +88,8 @@ def _levels(volts, held, sign, band):
         level = now + given
         given = 0.0
         away = sign * now < 0.0
-        # The tick before a reversal may have less to lose; of a reversal of one tick alone it and
-        # the one behind are lost, or that tick.
+        # The tick before a reversal may have less to lose. Where the sign changes for one tick
+        # alone, either that tick is lost, or the tick before it and the tick after it are.
         back = abs(volts[k + 2]) if after * volts[k + 2] < 0.0 else 0.0
         soon = sign * now > 0.0 and now * after < 0.0 and abs(now) + back < abs(after)
         if away or soon:
@@ -100,7 +111,7 @@ def _levels(volts, held, sign, band):
 
 @njit(cache=True)
 def _kept(level, change):
-    """Return how much of a change leaves a level half of itself, so that noise keeps its sign."""
+    """Return ``change``, cut so that at least half of ``level`` is left with its sign."""
     if level * change >= 0.0:
         return change
     return -np.sign(level) * min(abs(change), _LEAST * abs(level))

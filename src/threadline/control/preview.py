@@ -1,4 +1,4 @@
-"""References through the exact inverse, run by run: motions of any length in bounded memory."""
+"""References through the exact inverse, block by block: motions of any length in bounded memory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 from threadline.plant.values import Values
 
-_LEFT = 1e-3  # of what swings in the inverse, when it counts as decayed
+_LEFT = 1e-3  # share of an inner state's amplitude at which it counts as decayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,16 +26,18 @@ class Timing:
     Parameters
     ----------
     tick_s, step_s
-        Of the controller's filter, and from reference to reference.
+        Tick of the controller's filter; time from reference to reference.
     early_s
-        How long before they act the volts are put out: dead time and half a hold.
+        Time from the tick of a voltage to the instant for which it is computed: the dead time and
+        half a tick of hold.
     held_s
-        How far ahead a reference is taken: half of the time for which it is held.
+        Time from the tick of a reference to the instant for which it is computed: half of a step
+        where a step is longer than a tick, else 0.
     lead_s
-        How long before the motion the references begin, in whole steps.
+        Time from the first reference to the start of the motion, in whole steps.
     settle_s
-        How long they go on after it: until inner states and the filter have decayed to a
-        thousandth.
+        Time from the end of the motion to the last reference: inner states and filter decay to a
+        thousandth in it.
     """
 
     tick_s: float
@@ -48,17 +50,17 @@ class Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """The most that a motion asks of the drive of one axis, by the inverse of the model.
+    """Peak voltage and current that a motion asks of the drive of one axis, by the exact inverse.
 
     Parameters
     ----------
     axis
-        Its name.
+        Name of the axis.
     volts, volt_limit
-        At the controller's output, and what its DAC has.
+        Largest voltage at the controller's output, and the range of its DAC.
     current_a, current_limit_a
-        In the motor (None without a coil in the model), and what the amplifier gives; infinite
-        without a limit.
+        Largest current in the motor (None where the model has no coil), and the limit of the
+        amplifier (infinite where it has none).
     current_at_s
         When the current is largest, on the clock of the motion.
     """
@@ -72,12 +74,12 @@ class Demand:
 
     @property
     def share(self) -> float:
-        """How much of the limit that is used most; above 1 the machine cannot follow."""
+        """Larger share of the two limits that is used; above 1 the machine cannot follow."""
         return max(self.volts / self.volt_limit, (self.current_a or 0.0) / self.current_limit_a)
 
     @property
     def bound_by(self) -> str:
-        """Which limit that is: ``"current"`` or ``"voltage"``."""
+        """Name of the limit of which most is used: ``"current"`` or ``"voltage"``."""
         current = (self.current_a or 0.0) / self.current_limit_a
         return "current" if current >= self.volts / self.volt_limit else "voltage"
 
@@ -88,7 +90,7 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
     Raises
     ------
     MachineError
-        If its filter has no stable inverse, or makes its positions itself.
+        If the filter has no stable inverse, or the controller generates its own positions.
     """
     controller = machine.controller_of(axis)
     if isinstance(controller, ProfileController):
@@ -126,20 +128,22 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
 
 
 class AxisPreview:
-    """Turns a motion of one axis into what its controller must be told, run by run.
+    """Turns the motion of one axis into the references of its controller, block by block.
 
-    At tick k the filter shall put out what the plant needs ``early_s`` later; the reference is
-    what the sensor will read, plus the error that makes the filter do so.
+    At tick k the filter must put out the voltage that the plant needs ``early_s`` later. The
+    reference is the predicted reading of the sensor, plus the error that makes the filter put that
+    voltage out.
 
     Parameters
     ----------
     model
-        The numbers that the inverse believes in; the machine's own when None.
+        Numbers from which the inverse is made; those of ``machine`` when None.
 
     Raises
     ------
     MachineError
-        If the axis or its filter has no stable inverse, or the filter makes its positions itself.
+        If the axis or its filter has no stable inverse, or the controller generates its own
+        positions.
     """
 
     def __init__(self, machine: Machine, axis: str, model: Values | None = None) -> None:
@@ -160,12 +164,12 @@ class AxisPreview:
 
     @property
     def orders(self) -> int:
-        """How many rows the ladders of a motion have: position and all its derivatives."""
+        """Number of columns of a ladder: the position and all derivatives that are needed."""
         return self.inverse.degree + 1
 
     @property
     def ahead(self) -> int:
-        """By how many ticks the motion that acts is read ahead."""
+        """Number of ticks by which ``early`` runs ahead of ``now`` in ``feed``."""
         return AHEAD
 
     def feed(self, time_s: FloatArray, now: FloatArray, early: FloatArray) -> FloatArray:
@@ -174,12 +178,12 @@ class AxisPreview:
         Parameters
         ----------
         time_s
-            (k,) the next ticks of the controller; before the first the motion is at rest.
+            (k,) times of the next ticks of the controller; before the first of all, the load rests.
         now
-            (k, orders) ladder of the load's motion at these ticks.
+            (k, orders) ladder: position of the load and its derivatives at these ticks.
         early
-            (k, orders) the same ``early_s`` later, ``ahead`` ticks farther on; the first time
-            (ahead + k, orders), from the first of these ticks on.
+            (k, orders) ladder ``timing.early_s`` and ``ahead`` ticks after these ticks. In the
+            first call (ahead + k, orders), beginning ``timing.early_s`` after the first tick.
         """
         from scipy.signal import lfilter
 
@@ -198,7 +202,7 @@ class AxisPreview:
 
     @property
     def demand(self) -> Demand:
-        """The most that was asked so far."""
+        """Peak voltage and current of all that was fed so far."""
         volts, current, at_s = self._peaks
         return Demand(
             axis=self._axis,
@@ -242,7 +246,7 @@ class _Inner:
         self.start_si = 0.0
 
     def feed(self, ladder: FloatArray) -> FloatArray:
-        """Return the (k, n) states at (k, degree + 1) rows of the ladder, which follow the last."""
+        """Return the (k, n) states at the next (k, degree + 1) rows of the ladder."""
         if self._last is None:
             self._last = ladder[:1]
             self.start_si = float(ladder[0, 0])
@@ -262,7 +266,7 @@ class _Inner:
 
 @njit(cache=True)
 def _recur(decay, push, start):  # type: ignore[no-untyped-def]
-    """Return x[k] = decay x[k - 1] + push[k]."""
+    """Return the (k, n) states ``x[k] = decay x[k - 1] + push[k]``, ``x[-1] = start``."""
     count, size = push.shape
     out = np.empty((count, size))
     x = start.copy()

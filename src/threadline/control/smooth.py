@@ -1,10 +1,10 @@
-"""References smooth enough for an inverse: moving averages of a piecewise polynomial, exactly.
+"""Exact moving averages of a piecewise polynomial: motions smooth enough for an inverse.
 
 A moving average over ``w`` makes a motion once more differentiable. The average of averages of a
 piecewise polynomial is a divided difference of its repeated integral,
 ``y_n(t) = prod(delta_i / w_i) I^n y(t)``, so every derivative is exact and none is taken by
-differences of samples. Averages are centred: nothing is late, corners are rounded alike on all
-axes that share the widths, and straight paths stay straight.
+differences of samples. The averages are centred, so the motion is not delayed. Axes with the same
+widths round a corner alike, and a straight path stays straight.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SmoothMotion(Locked):
-    """Position over time with all the derivatives that its averages allow.
+    """Moving averages of a motion, with exact derivatives.
 
     Parameters
     ----------
     source
-        The averaged motion, at rest before and after.
+        The motion before averaging, a piecewise polynomial with a piece of rest at either end.
     widths_s
-        (n,) of the moving averages.
+        (n,) widths of the moving averages, in s.
     start_s, end_s
-        Between which it moves.
+        The averaged motion rests before the one and after the other.
     """
 
     source: PPoly
@@ -108,7 +108,10 @@ def smooth_motion(
 def _beyond(
     whole: PPoly, source: PPoly, at: FloatArray, low: float, high: float, integrals: int
 ) -> FloatArray:
-    """Return a repeated integral (or derivative) of a source that rests beyond its ends."""
+    """Return ``whole``, an integral or derivative of ``source``, which rests beyond its ends.
+
+    ``integrals`` is the number of integrations; below 0 it is that of derivatives.
+    """
     inside = np.asarray(whole(np.clip(at, low, high)), dtype=np.float64)
     if integrals <= 0:
         if integrals < 0:

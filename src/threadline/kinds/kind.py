@@ -24,35 +24,36 @@ class Kind:
     Parameters
     ----------
     name
-        What a machine of this kind says that it is commanded by (``Machine.commanded_by``).
+        Value of ``Machine.commanded_by`` for machines of this kind.
     commands, intent
-        What its controllers are given, and what its plans intend. By the type of the intent the
-        judge knows how to read a recording (``verdict/intended_runs.py``) and a report what to draw
-        (``report/proof.py``).
+        Type of the commands that its controllers take, and type of what its plans intend. By the
+        type of the intent the judge knows how to read a recording (``verdict/intended_runs.py``)
+        and a report what to draw (``report/proof.py``).
     check
-        Refuses a machine that cannot do any work, before anything is read.
+        Refuses a machine that cannot do any work, before a job is read.
     check_options
-        Refuses options that mean nothing to it.
+        Refuses options that have no meaning for this kind.
     plan
-        Job, machine and options to a plan.
+        Returns the plan of a job on a machine.
     simulate
-        What happens when the machine plays the commands once.
+        Returns the recording of one run of the commands on a machine.
     days
-        Runs of the machine on so many days: first as its file says, then with other friction,
-        supply and phases, drawn from the generator.
+        Simulates the commands on a number of days: on the first the machine is as its file says, on
+        the others friction, supply and encoder phases are drawn from the generator.
     others
-        Runs of other machines of the same file, each number at some (k, n) parts of its tolerance
-        (``machine/variants.py``), with phases drawn from the generator.
+        Simulates the commands on k machines within the tolerances of the file: a (k, n) array
+        places each number within its tolerance (``machine/variants.py``), and encoder phases are
+        drawn from the generator.
     together
-        Whether machines that differ in numbers alone are simulated many at once.
+        Whether many machines that differ in numbers alone are simulated in one call.
     asked
-        A specification and options to the specification with what the options ask to be reported.
+        Returns a specification with the criteria added that the options ask to have reported.
     release
-        Refuses a plan that no controller may be given.
+        Refuses a plan that must not reach a controller.
     compared
-        What ``compare`` sets side by side unless told otherwise: options with their values.
+        Options, with their values, that ``compare`` sets side by side by default.
     targets
-        What its plans can be written as, by name.
+        Formats in which its plans can be written, by name.
     """
 
     name: str

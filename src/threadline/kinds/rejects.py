@@ -1,4 +1,4 @@
-"""Which share of the machines within the tolerances is out of specification, against a wish."""
+"""The share of machines within the tolerances that are out of specification, against a limit."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ def rejects(
     wished: float,
     random: np.random.Generator,
 ) -> tuple[Result, int]:
-    """Judge other machines, and return how many are out of specification, and how many were tried.
+    """Judge machines within the tolerances; return the criterion of rejects and how many were tried.
 
-    What is measured is the upper end of the exact 95 % interval of that share: the yield is at
-    least the rest. Where the machines so far say already that it is too much, no more are tried.
-    A machine that cannot be simulated, or that never ends what it waits for, is out.
+    The measured value is the upper end of the exact 95 % interval (Clopper and Pearson) of the
+    share of machines out of specification. A machine that cannot be simulated, or that waits
+    forever for an input, counts as out of specification. Judging ends early once the limit would be
+    exceeded even if all remaining machines were in specification.
 
     Parameters
     ----------
     parts
-        (k, n) where each number of each machine lies in its tolerance.
+        (k, n) place of each of the n numbers of k machines within its tolerance.
     wished
-        The yield that is asked for, a share.
+        Wanted yield, a share from 0 to 1; the limit is ``1 - wished``.
     random
-        Where encoders stand.
+        Generator from which encoder phases are drawn.
     """
     tried = failed = 0
     most, limit = 1.0, 1.0 - wished
@@ -63,7 +64,11 @@ def rejects(
 def _failed(
     kind: Kind, plan: Plan, judge: Judge, parts: FloatArray, random: np.random.Generator
 ) -> int:
-    """Return how many machines are out; where one has no answer, the halves say which."""
+    """Return how many machines are out of specification.
+
+    One machine that cannot be simulated or judged raises an error for all that share the call, so
+    halves of them are tried until it is alone.
+    """
     try:
         others = kind.others(plan.commands, plan.machine, parts, random)
         return sum(int((~judge.each(one).passed).sum()) for one in others)

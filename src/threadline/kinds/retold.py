@@ -1,4 +1,4 @@
-"""Commands that are told to another machine than the one that they were made for, on purpose."""
+"""Commands that are played, on purpose, on another machine than the one they were made for."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from threadline.signals import Commands
 
 
 def retold(commands: Commands, machine: Machine) -> Commands:
-    """Return ``commands`` as they are told to ``machine``, which is not quite the planned one.
+    """Return ``commands`` with the hash of ``machine``, so that a simulation of it accepts them.
 
-    A machine within the tolerances has a hash of its own, and the commands of the machine as its
-    file says; a simulation refuses commands of another hash, for those would be a mistake.
+    A simulation refuses commands that were made for a machine with another hash. A machine within
+    the tolerances has its own hash, and is meant to play the commands of the nominal machine.
     """
     return replace(commands, machine_sha256=machine.sha256)

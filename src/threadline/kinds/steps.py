@@ -1,4 +1,4 @@
-"""Work in stitches: a frame moves by step tables between the strokes of its needles."""
+"""The kind of work in steps: step tables move a frame between the strokes of its needles."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _check_options(machine: Machine, options: Options) -> None:
 
 
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan the turns: at one speed where it is given, else each as slow as it needs."""
+    """Plan the turns of the shaft: all at the given speed, else each as slow as its move needs."""
     assert machine.tables is not None
     named = options.timing.law or machine.tables.law
     stitched = stitch(
@@ -82,9 +82,9 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate with damping of bodies and links within +-30 %: nothing else varies from day to day.
+    """Simulate with the damping of bodies and links within +-30 %.
 
-    The steps of a servo are exact, whatever its supply.
+    Nothing else varies from day to day: the steps of a servo are exact at any supply voltage.
     """
     machines = [machine]
     machines += [vary(machine, damping=random.uniform(*DAMPING_OF_DAYS)) for _ in range(count - 1)]
@@ -102,7 +102,7 @@ def _others(
 
 
 def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
-    """Return what is asked: options ask for nothing more."""
+    """Return the specification as it is: no option of this kind adds a criterion."""
     return spec
 
 

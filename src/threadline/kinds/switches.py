@@ -1,4 +1,4 @@
-"""Work in switchings: cylinders are switched on and off, on the scan of a PLC."""
+"""The kind of work in switchings: cylinders are switched on and off at the scans of a PLC."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _check(machine: Machine) -> None:
 
 
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan the schedule, each cylinder shaped as the options say."""
+    """Plan the schedule, with each cylinder's switching shaped as the options say."""
     shaping = (
         {}
         if options.shaper is None
@@ -64,8 +64,8 @@ def _days(
 ) -> Sequence[Recording]:
     """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
 
-    The phase of the scan is not varied: every move begins at a scan, and an input that no cylinder
-    closes comes when it is waited for.
+    The phase of the scan is not varied: every move begins at a scan, and an input from outside the
+    machine is taken to be there when the schedule waits for it.
     """
     machines = [machine]
     for _ in range(count - 1):

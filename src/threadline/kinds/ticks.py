@@ -1,4 +1,4 @@
-"""Work in ticks: axes with closed loops follow a path, told in counts per tick."""
+"""The kind of work in ticks: axes with closed loops follow a path, commanded in counts per tick."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _check_options(machine: Machine, options: Options) -> None:
 
 
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan the path, its timing, and what follows it."""
+    """Plan the path, its timing, and whether motors or loads follow it."""
     timing = options.timing
     tick_s = float(machine.tick_clock.period_s)
     shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
@@ -135,7 +135,7 @@ _RECORDED = (
     ChannelKind.CURRENT,
     ChannelKind.OPERATION,
 )
-"""What the judge reads of a simulated machine: where the load is known, encoders tell no more."""
+"""Channels that the judge reads of a simulated machine; it reads loads, hence no encoders."""
 
 
 def _days(
@@ -179,9 +179,9 @@ def _others(
 
 
 def _asked(spec: Spec, options: Options) -> Spec:
-    """Return what is asked, with ``shaping_deviation`` where the motion is shaped or smoothed.
+    """Return the specification, with ``shaping_deviation`` where the motion is shaped or smoothed.
 
-    What that does to the path is always said, with or without a limit.
+    The deviation that shaping causes is always reported, with or without a limit.
     """
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
     named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)

@@ -1,6 +1,6 @@
-"""From the demands of a product to a machine, before there is a machine file.
+"""Speed, gear and motor from the demands of a product, before there is a machine file.
 
-A room of its own because it needs neither machine nor plant, and seams and searches ask it alike.
+Nothing here needs a machine or its plant; seams and searches use the same formulas.
 """
 
 from threadline.sizing.corner import (

@@ -1,13 +1,13 @@
-"""What a corner costs: error, speed and acceleration, for any angle.
+"""Error, speed and acceleration of interpolated motion at a corner of any angle.
 
-A head that moves along unit vector d1 at speed v is to go on along d2, turned by the angle theta
-(0 straight on, pi back). In discrete motion it stops in the corner and misses nothing. In
-interpolated motion the second leg begins when the first begins to decelerate; with p counted
-from the corner ::
+A head that moves along the unit vector d1 at speed v is to go on along d2, turned by the angle
+theta (0 straight on, pi back). In discrete motion the head stops in the corner and reaches it. In
+interpolated motion the head begins to accelerate along d2 when it begins to decelerate along d1.
+Its position p, counted from the corner, is ::
 
     p(t) = -(v - a_d t)^2 / (2 a_d) d1  +  a_a t^2 / 2 d2
 
-With a_d = a_a = a both last v/a, the path is a parabola whose axis bisects the corner, and its
+With a_d = a_a = a both legs last v/a, the path is a parabola whose axis bisects the corner, and its
 apex, at half the time, is the point nearest to the corner ::
 
     e = |p(v / 2a)| = v^2 / (8 a) |d2 - d1| = v^2 sin(theta / 2) / (4 a)
@@ -26,18 +26,18 @@ def corner_error_m(
     turn_rad: float,
     deceleration_m_s2: float | None = None,
 ) -> float:
-    """Return how far interpolated motion passes a corner by, in m.
+    """Return the least distance of interpolated motion from a corner, in m.
 
     Parameters
     ----------
     speed_m_s
-        Before and after the corner.
+        Speed before and after the corner.
     acceleration_m_s2
-        Along the leg after the corner.
+        Acceleration along the leg after the corner.
     turn_rad
         Angle by which the direction turns, 0 to pi; a right angle is pi / 2.
     deceleration_m_s2
-        Along the leg before the corner; as the acceleration when None.
+        Deceleration along the leg before the corner; equal to the acceleration when None.
 
     Raises
     ------
@@ -60,7 +60,8 @@ def corner_error_m(
             right = acceleration_m_s2 * time_s**2 / 2.0
         return math.sqrt(left**2 + right**2 - 2.0 * left * right * math.cos(turn_rad))
 
-    # Once the first leg rests the head only moves away; before, there is one nearest point.
+    # Once the motion along the first leg has ended the head only moves away from the corner; until
+    # then the distance has a single minimum.
     nearest = minimize_scalar(
         distance_m, bounds=(0.0, down_s), method="bounded", options={"xatol": 1e-12 * down_s}
     )
@@ -68,9 +69,10 @@ def corner_error_m(
 
 
 def corner_speed_m_s(error_m: float, acceleration_m_s2: float, turn_rad: float) -> float:
-    """Return the speed at which interpolated motion misses the corner by ``error_m``.
+    """Return the speed in m/s at which interpolated motion misses the corner by ``error_m``.
 
-    Infinite where the path does not turn.
+    It is infinite where the path does not turn. A ValueError refuses an acceleration that is not
+    above 0 and a turn outside 0 to pi.
     """
     _check(acceleration_m_s2, turn_rad)
     bend = math.sin(turn_rad / 2.0)
@@ -78,7 +80,10 @@ def corner_speed_m_s(error_m: float, acceleration_m_s2: float, turn_rad: float) 
 
 
 def corner_acceleration_m_s2(speed_m_s: float, error_m: float, turn_rad: float) -> float:
-    """Return the acceleration with which interpolated motion misses the corner by ``error_m``."""
+    """Return the acceleration in m/s^2 at which interpolated motion misses a corner by ``error_m``.
+
+    A ValueError refuses an error that is not above 0 and a turn outside 0 to pi.
+    """
     _check(error_m, turn_rad)
     return speed_m_s**2 * math.sin(turn_rad / 2.0) / (4.0 * error_m)
 
@@ -86,11 +91,12 @@ def corner_acceleration_m_s2(speed_m_s: float, error_m: float, turn_rad: float) 
 def ramp_acceleration_m_s2(
     speed_m_s: float, stitch_length_m: float, ramp_stitches: float = 2.0
 ) -> float:
-    """Return the acceleration that reaches the speed within ``ramp_stitches`` needle periods.
+    """Return the acceleration in m/s^2 that reaches the speed within ``ramp_stitches`` stitches.
 
-    The needle runs at constant speed ``v / length``, so k stitches take ``k length / v`` and
-    ``a = v^2 / (k length)``; the head travels ``k / 2`` stitch lengths meanwhile. Two stitches
-    are those that the quality rule exempts beside a corner.
+    The needle makes ``v / length`` stitches a second throughout, so k stitches take
+    ``k length / v`` and ``a = v^2 / (k length)``; the head travels ``k / 2`` stitch lengths in that
+    time. The default is the two stitches beside a corner whose length the quality rule of the
+    stitcher thesis does not judge. A ValueError refuses a length or a number that is not above 0.
     """
     _check(stitch_length_m, 0.0)
     _check(ramp_stitches, 0.0)

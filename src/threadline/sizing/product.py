@@ -1,4 +1,4 @@
-"""The demands of a product on a machine: what is known; what is not stays None."""
+"""The demands of a product on a machine, each with its range."""
 
 from __future__ import annotations
 
@@ -15,39 +15,49 @@ _MAY_BE_ZERO = (
     "dwell_s",
 )
 _NOT_NUMBERS = ("profile",)
-_BEYOND = 1e15  # squares and products of such numbers still are finite ones
+_BEYOND = 1e15  # squares and products of numbers up to here are finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demands:
-    """What the product asks for and what is known of the drive; SI.
+    """What a product asks of a machine, and what is known of the drive, in SI; None if unknown.
 
     Parameters
     ----------
     needle_speed_hz, stitch_length_m
-        Stitches a second, and their length.
+        Stitches a second, and the length of a stitch.
     speed_m_s
-        Of the head, where no stitches are sewn; else it follows from the two above.
+        Speed of the head of a machine that does not sew; needle speed times stitch length gives it
+        for one that does.
     ramp_stitches
-        Stitches within which the head has to be at speed.
+        Number of stitches within which the head has to reach its speed.
     placement_m, turn_rad
-        How far a corner may be missed by, and the angle of the corner.
+        Largest distance by which a corner may be missed, and the angle of the corner.
     acceleration_m_s2
-        Where it is given by something else; else the larger of the two rules.
+        Acceleration of the head. When None, the larger one of those that the ramp and the corner
+        need.
     load_mass_kg, load_damping_n_s_m, friction_n
-        Of what the motor drives.
+        Mass, viscous damping and friction of the load that the motor drives.
     pulley_radius_m, gear_ratio
-        ``x = radius * motor angle / ratio``; without a ratio the matched one is taken.
+        ``x = radius * motor angle / ratio``. Without a ratio, the one that matches the inertia of
+        the load to that of the motor is used.
     motor_inertia_kg_m2, motor_damping_n_m_s
-        Of the rotor with what turns with it.
+        Inertia and damping of the rotor and all that turns with it.
     torque_constant_n_m_a, back_emf_v_s, resistance_ohm, current_limit_a
-        Of the motor and its amplifier.
+        Constants of the motor, and the limit of its amplifier.
     move_m, move_s, dwell_s, profile, ramp
-        A move from rest to rest that is repeated, with a pause after each.
+        Distance and time of a repeated move from rest to rest, the pause after each, and its speed
+        profile (``SpeedProfile``).
     motor_torque_n_m, torque_margin
-        What the motor has at its peak, and how many times the torque of the motion that is to be.
+        Peak torque of the motor, and the wanted ratio of it to the peak torque of the motion.
     encoder_lines, count_rate_limit_hz
-        Lines a motor turn (four counts each), and what the counter can follow.
+        Lines of the encoder in a turn of the motor (four counts each), and the fastest rate of
+        counts that the counter follows.
+
+    Raises
+    ------
+    OptionError
+        If a number is out of its range, or the speed is given twice.
     """
 
     needle_speed_hz: float | None = None

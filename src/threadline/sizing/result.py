@@ -1,4 +1,4 @@
-"""What a calculation gives: every line with its formula, where that stands, and its value."""
+"""Results of a sizing: each with its value, its formula and the source of the formula."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ class SizeLine:
     Parameters
     ----------
     name
-        Unique within a sizing.
+        Name of the result, unique within a sizing.
     value, unit
-        SI.
+        In SI; the unit is empty for a ratio.
     formula
-        In the names of the demands and of the lines above.
+        Written with the names of the demands and of earlier results.
     source
-        Where the formula stands.
+        Thesis, paper or field that the formula is from.
     """
 
     name: str
@@ -30,7 +30,7 @@ class SizeLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sizing:
-    """The results in order, and what is suspicious about the demands."""
+    """The results in order, and warnings about suspicious demands."""
 
     lines: tuple[SizeLine, ...]
     warnings: tuple[str, ...] = ()

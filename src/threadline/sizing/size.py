@@ -1,7 +1,7 @@
-"""From the product to the machine: speed, acceleration, gear, motor, encoder.
+"""Speed, acceleration, gear, motor and encoder from the demands of a product.
 
-The stitcher thesis's chapter 2 and the filament winding thesis's chapter 4 and section 6.3 as a
-calculator.
+The formulas are those of the stitcher thesis (chapter 2) and of the filament winding thesis
+(chapter 4 and section 6.3).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _KT_KV_AGREE = 0.05
 
 
 def size(demands: Demands) -> Sizing:
-    """Return all that follows from ``demands``; what cannot be known is left out.
+    """Return every result that ``demands`` are enough for.
 
     Raises
     ------
     OptionError
-        If nothing follows from them.
+        If they are enough for none, or name a speed profile that does not exist.
     """
     sheet = _Sheet(demands)
     sheet.product()
@@ -49,7 +49,7 @@ def size(demands: Demands) -> Sizing:
 
 
 class _Sheet:
-    """The lines as they are filled in."""
+    """The results so far, and the numbers that later results are made from."""
 
     def __init__(self, demands: Demands) -> None:
         self.given = demands
@@ -213,7 +213,7 @@ class _Sheet:
             )
 
     def _margin(self, name: str, needed_n_m: float) -> None:
-        """How many times the torque that is needed the motor has."""
+        """Add the ratio of the motor's peak torque to the torque that is needed."""
         g = self.given
         if g.motor_torque_n_m is None or needed_n_m == 0.0:
             return
@@ -248,7 +248,7 @@ class _Sheet:
     def move(self) -> None:
         """A repeated move: speeds, torque and heat by profile."""
         g = self.given
-        try:  # before a move is asked for: an option that is wrong is never passed over
+        try:  # even where no move is given: a wrong option is refused and not ignored
             profile = SpeedProfile(name=g.profile, ramp=g.ramp)
         except ValueError as error:
             raise OptionError(str(error)) from error

@@ -1,9 +1,10 @@
-"""Speed profiles of a move from rest to rest, and what they cost the motor.
+"""Speed profiles of a move from rest to rest, with the torque and heat that they ask of the motor.
 
-The heat in the armature goes with the mean square of the torque, hence of the acceleration. For
-a distance D in a time T it is least, 12 D^2 / T^4, when the speed is a parabola; the efficiency of
-a profile is that least heat over its own: the figures 0.75, 0.889 and 1 of section 6.3 (Figure
-6-3) of the filament winding thesis.
+The heat in the armature is proportional to the mean square of the torque, hence of the
+acceleration. For a distance D in a time T the mean square acceleration is least, 12 D^2 / T^4, when
+the speed is a parabola. The efficiency of a profile is that least value over its own: 0.75 for the
+triangle, 0.889 for the trapezoid of thirds and 1 for the parabola, as in section 6.3 (Figure 6-3)
+of the filament winding thesis.
 """
 
 from __future__ import annotations
@@ -16,15 +17,20 @@ _LEAST = 12.0  # mean square acceleration of the parabola, D^2 / T^4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedProfile:
-    """A profile of unit distance in unit time.
+    """A speed profile over unit distance in unit time.
 
     Parameters
     ----------
     name
         ``triangular``, ``trapezoidal`` or ``parabolic``.
     ramp
-        Share of the time that each ramp of a trapezoid takes; 1/3 is the best of them, 1/2 the
-        triangle. Unused by the parabola.
+        Share of the time that each ramp of the trapezoid takes: 1/3 heats the motor least, 1/2 is
+        the triangle. The other profiles ignore it.
+
+    Raises
+    ------
+    ValueError
+        If there is no profile of that name, or the ramps of a trapezoid take no time or all of it.
     """
 
     name: str
@@ -80,11 +86,13 @@ class SpeedProfile:
         friction: float = 0.0,
         dwell_s: float = 0.0,
     ) -> float:
-        """Return the root mean square of the torque of a move and the dwell after it.
+        """Return the root mean square torque over a move and the dwell after it.
 
-        ``inertia`` times acceleration, ``damping`` times speed and ``friction`` add up; inertia
-        and speed are in quadrature over a move from rest to rest, friction and speed are not.
-        All in SI of one coordinate, linear or rotary; at rest no torque is needed.
+        The torque is ``inertia`` times acceleration, plus ``damping`` times speed, plus
+        ``friction``; in the dwell it is 0. Over a move from rest to rest the products of
+        acceleration with speed and with friction average to 0, the product of speed and friction
+        does not. All arguments are in SI units of one coordinate, linear (N, m) or rotary (N m,
+        rad).
         """
         mean = distance / time_s
         square = (
@@ -103,7 +111,7 @@ class SpeedProfile:
         damping: float = 0.0,
         friction: float = 0.0,
     ) -> float:
-        """Return the largest torque of a move; arguments as for ``rms_torque``."""
+        """Return the largest torque of a move, in the units of ``rms_torque``."""
         speed = self.peak_speed * distance / time_s
         acceleration = self.peak_acceleration * distance / time_s**2
         if self.name != "parabolic":  # at the end of the ramp

@@ -1,1 +1,1 @@
-"""What was run: a folder for each run, and an index of all of them."""
+"""Runs that were executed: a folder for each of them, and one index."""

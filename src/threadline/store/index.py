@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table, create_engine
 from sqlalchemy.engine import Engine
@@ -13,31 +13,32 @@ from sqlalchemy.exc import SQLAlchemyError
 from threadline.errors import StoreError
 
 RUNNING = "running"
-"""How a run has ended that has not, or whose program ended before it could say so."""
+"""``ended`` of a run that goes on, or whose program was killed before it could write the end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRecord:
-    """A run, as the index has it.
+    """The row of one run in the index.
 
     Parameters
     ----------
     run
-        Its name, which is that of its folder.
+        Name of the run and of its folder.
     started
-        When, ISO 8601 with its zone.
+        Time of its start, ISO 8601 with the time zone.
     job, machine, link, speed
-        What was run, on which machine, by which link, at which part of real time.
+        Names of the job, of the machine and of the link to it, and the speed as a multiple of real
+        time.
     ended, text
-        How it ended and why; ``RUNNING`` while nobody has said so.
+        How the run ended, and why; ``ended`` is ``RUNNING`` until then.
     passed
-        The verdict of its recording; None while there is none.
+        Whether its recording was within the specification; None while there is no verdict.
     late_ticks
-        Ticks that came more than half a period late.
+        Number of ticks that came more than half a period late.
     level, proof_passed, override
-        Of the proof that it was run by, and why it was run if that did not pass.
+        Level of the proof, whether it passed, and the operator's reason to run without that.
     job_sha256, machine_sha256, commands_sha256, proof_sha256, threadline
-        What it was made from.
+        Hashes of the files and commands that were run, and the version of the program.
     """
 
     run: str
@@ -75,17 +76,17 @@ _RUNS = Table(
 
 
 class RunIndex:
-    """All runs of a store.
+    """The index of all runs of a store.
 
     Parameters
     ----------
     url
-        Of a database, as SQLAlchemy writes it.
+        URL of a database in SQLAlchemy's form.
 
     Raises
     ------
     StoreError
-        If it cannot be used.
+        If the database cannot be used; every method raises it, too.
     """
 
     def __init__(self, url: str) -> None:
@@ -95,12 +96,12 @@ class RunIndex:
         self._url = url
 
     def add(self, record: RunRecord) -> None:
-        """Add a run, before it moves anything."""
+        """Add a run."""
         with _clear(self._url), self._engine.begin() as connection:
             connection.execute(_RUNS.insert().values(**_values(record)))
 
     def end(self, run: str, *, ended: str, text: str, late_ticks: int, passed: bool | None) -> None:
-        """Say how a run ended."""
+        """Write into its row how a run ended."""
         with _clear(self._url), self._engine.begin() as connection:
             connection.execute(
                 _RUNS.update()
@@ -115,17 +116,17 @@ class RunIndex:
             return [RunRecord(**row) for row in rows.mappings()]
 
     def close(self) -> None:
-        """Let go of the database."""
+        """Close all connections to the database."""
         self._engine.dispose()
 
 
 def _values(record: RunRecord) -> dict[str, object]:
-    return {f.name: getattr(replace(record), f.name) for f in fields(RunRecord)}
+    return {f.name: getattr(record, f.name) for f in fields(RunRecord)}
 
 
 @contextmanager
 def _clear(url: str) -> Iterator[None]:
-    """Turn what a database refuses into one line."""
+    """Turn an error of the database into a ``StoreError`` of one line."""
     try:
         yield
     except (SQLAlchemyError, ImportError) as error:

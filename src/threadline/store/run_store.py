@@ -1,7 +1,8 @@
-"""Runs as folders: what each was made from, what happened, and what came of it.
+"""Folders of runs: each keeps the proof, the inputs, the recording, the events and the verdict.
 
-A run is written as it goes: its folder and row are there before anything moves, each block of the
-trace and each change of state is in its file when it happened.
+A run is written while it happens. Its folder and its row in the index exist before anything moves;
+every block of the recording and every change of state is written at once, so that a run whose
+program is killed keeps all up to then.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ class RunStore:
     Parameters
     ----------
     folder
-        It is made when there is something to put into it.
+        It is made where it does not exist.
     url
-        Of the index; the file ``index.sqlite`` in the folder when None.
+        Database URL of the index; the file ``index.sqlite`` in the folder when None.
 
     Raises
     ------
     StoreError
-        If it cannot be used.
+        If the folder cannot be made, or the index cannot be used.
     """
 
     def __init__(self, folder: Path, url: str | None = None) -> None:
@@ -58,12 +59,15 @@ class RunStore:
         self.index = RunIndex(url or f"sqlite:///{folder / INDEX}")
 
     def begin(self, plan: Plan, proof: ProofFile, told: Mapping[str, str], speed: float) -> OpenRun:
-        """Make the folder and the row of a run that is about to move.
+        """Make the folder and the row of a run, before anything moves.
 
         Parameters
         ----------
         told
-            What is said of it besides the options of the plan: ``link``, ``override``.
+            Entries of the recording's origin besides the options of the plan: ``link``, and
+            ``override`` where the proof did not pass.
+        speed
+            Speed of the run as a multiple of real time.
         """
         now = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
@@ -97,7 +101,7 @@ class RunStore:
         return OpenRun(path, plan, {**told, "run": name}, self.index)
 
     def find(self, run: str) -> Path:
-        """Return the folder of a run; the last one is ``last``.
+        """Return the folder of a run by its name; ``last`` stands for the latest one.
 
         Raises
         ------
@@ -116,12 +120,12 @@ class RunStore:
 
 
 class OpenRun:
-    """A run that is being written: a sink of an executor.
+    """A run that is being written, into which an executor puts what happens.
 
     Attributes
     ----------
     path
-        Its folder.
+        Folder of the run.
     """
 
     def __init__(self, path: Path, plan: Plan, told: Mapping[str, str], index: RunIndex) -> None:
@@ -132,11 +136,11 @@ class OpenRun:
 
     @property
     def trace(self) -> Path:
-        """The file of the recording."""
+        """Path of the recording's file."""
         return self.path / TRACE
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Write the description of what follows."""
+        """Write the head of the recording: its channels, and what it is a recording of."""
         plan = self._plan
         described = Recording(
             channels=channels,
@@ -149,12 +153,12 @@ class OpenRun:
         self._writer = TraceWriter(self._trace, described)
 
     def block(self, block: RecordingBlock) -> None:
-        """Write samples, and the events among them."""
+        """Write a block of samples and its events."""
         assert self._writer is not None
         self._writer.write(block)
 
     def state(self, tick: int, state: str, cause: str, text: str) -> None:
-        """Write that the executor went to a state."""
+        """Write that the executor changed its state at a tick, with cause and text."""
         line = {"tick": tick, "state": str(state), "cause": str(cause), "text": text}
         self._events.write(json.dumps(line, ensure_ascii=False) + "\n")
         self._events.flush()
@@ -165,7 +169,7 @@ class OpenRun:
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: object
     ) -> None:
-        """Write the end of the trace; where the run was left in between, write that it was."""
+        """Close the files; if an error ended the run, write that into the index."""
         if error is None and self._writer is not None:
             self._writer.finish()
         self._trace.close()
@@ -175,7 +179,7 @@ class OpenRun:
             self._index.end(self.path.name, ended="fault", text=text, late_ticks=0, passed=None)
 
     def judged(self, content: Mapping[str, Any], ended: str, text: str) -> None:
-        """Keep the verdict, and how it ended."""
+        """Write the verdict into the folder, and verdict and end of the run into the index."""
         line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (self.path / VERDICT).write_text(f"{line}\n", encoding="utf-8")
         self._index.end(
