@@ -23,12 +23,13 @@ def rejects(
     wished: float,
     random: np.random.Generator,
 ) -> tuple[Result, int]:
-    """Judge machines within the tolerances; return the criterion of rejects and how many were tried.
+    """Judge machines within the tolerances; return the criterion of rejects and their number.
 
     The measured value is the upper end of the exact 95 % interval (Clopper and Pearson) of the
     share of machines out of specification. A machine that cannot be simulated, or that waits
     forever for an input, counts as out of specification. Judging ends early once the limit would be
-    exceeded even if all remaining machines were in specification.
+    exceeded even if all remaining machines were in specification. The number that is returned is
+    that of the machines judged.
 
     Parameters
     ----------

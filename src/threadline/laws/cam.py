@@ -1,8 +1,8 @@
-"""A measured cam: its table of angle and distance, and what the follower turns by.
+"""A measured cam: its table of angle and distance, and the motion of its follower.
 
-The follower is the angle phi between the sides b and c of a triangle whose third side is the
-measured distance h: cos(phi) = (b^2 + c^2 - h^2) / (2 b c). Without the triangle the distance is
-the follower's own way.
+A follower that swings stands at the angle phi between the sides b and c of a triangle whose third
+side is the measured distance h: cos(phi) = (b^2 + c^2 - h^2) / (2 b c). A follower that slides
+stands at h itself, and no triangle is given.
 """
 
 from __future__ import annotations
@@ -29,10 +29,21 @@ _USUAL = {"alpha": "deg", "h": "mm", "phi": "deg"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triangle:
-    """The sides that the distance closes, m; ``roller_m`` is added to every distance.
+    """The two fixed sides of the triangle whose third side is the distance to the roller's centre.
 
-    The roller's centre lies its radius beyond the inner edge of a groove, and as much before the
-    outer one (give it negative). The edge is taken along the radius of the cam, not its normal.
+    Parameters
+    ----------
+    b_m, c_m
+        Lengths of the sides.
+    roller_m
+        Added to every measured distance, which is that of an edge of the groove: the radius of the
+        roller for the inner edge, its negative for the outer one. It is added along the radius of
+        the cam and not along the normal of its edge.
+
+    Raises
+    ------
+    OptionError
+        If a side is not above 0 and finite.
     """
 
     b_m: float
@@ -64,7 +75,7 @@ class Triangle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Flag:
-    """A row whose printed angle is not that of its distance."""
+    """A row whose printed follower angle differs from the one that its distance gives."""
 
     row: int
     line: int
@@ -79,17 +90,19 @@ class MeasuredCam(Locked):
     Parameters
     ----------
     file
-        Where it was read.
+        Name of the file that it was read from.
     alpha_rad, h_m
         (n,) angle of the cam, rising, and distance from its axis to the edge.
     lines
-        Line of each row.
+        Line of each row in the file.
     flags
-        Rows whose printed follower angle disagrees by more than its last decimal.
+        Rows whose printed follower angle is off by more than one unit of its last decimal.
+    triangle
+        Geometry of a swinging follower; None where the follower slides.
     follower
-        (n,) what the follower does: phi in rad, or the distance itself in m.
+        (n,) position of the follower: phi in rad, or without a triangle the distance in m.
     follower_slope
-        (n,) its change by distance; 1 without a triangle.
+        (n,) derivative of that position by distance; 1 without a triangle.
     """
 
     file: str
@@ -106,19 +119,19 @@ class MeasuredCam(Locked):
             object.__setattr__(self, name, read_only(getattr(self, name), name, ndim=1))
 
     def follower_of(self, h_m: FloatArray) -> FloatArray:
-        """Return what the follower does at distances (n,)."""
+        """Return the (n,) positions of the follower at (n,) distances in m."""
         return h_m if self.triangle is None else self.triangle.angle_rad(h_m)
 
     def distance_of(self, follower: FloatArray) -> FloatArray:
-        """Return the distances, m, for what the follower does, (n,)."""
+        """Return the (n,) distances in m at (n,) positions of the follower."""
         return follower if self.triangle is None else self.triangle.distance_m(follower)
 
 
 def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
-    """Read a table with the columns alpha, h and, where it was printed, phi.
+    """Read a CSV table with the columns alpha, h and optionally phi, the printed follower angle.
 
-    The first line that is no comment (``#``) names them with their units: ``alpha [deg], h [mm],
-    phi [deg]``, degrees and millimetres where none is given.
+    The first line that is no comment (``#``) names the columns with their units: ``alpha [deg],
+    h [mm], phi [deg]``. Angles are in degrees and distances in millimetres where none is named.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""From a measured cam to a law: noise, rise, three ways of fairing, and how sure each peak is."""
+"""From a measured cam to a law: noise, rise, ways of fairing, and the uncertainty of the peaks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OUTLIER = 4.0
 _DOUBT = 1e3
 _MISSED = 2.0
 _EVEN = 1e-6  # of the spacing
-_LOOKS = 16  # of an interval between rows
+_LOOKS = 16  # samples in each interval between rows
 
 
 class Fairing(StrEnum):
@@ -38,19 +38,21 @@ class Fairing(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Faired:
-    """What one way of fairing makes of a cam.
+    """A cam as one way of fairing corrects it.
 
     Parameters
     ----------
+    fairing
+        The way of fairing.
     distances_m
-        (n,) at the rows.
+        (n,) corrected distances of the rows.
     moved_m
         Root mean square of the corrections.
     second_m
-        Largest second difference of neighbouring rows, scaled to the usual spacing.
+        Largest second difference of neighbouring rows, scaled to the median spacing.
     peaks, spread
-        (3,) Cv, Ca and Cj, and their standard deviations over draws of the noise. Ca and Cj of
-        splines through rows are those of the spline, however little it means.
+        (3,) Cv, Ca and Cj of the law, and their standard deviations over draws of the noise. Where
+        the law is a spline through the rows, Ca and Cj are large with the noise left in them.
     monotone
         Whether the rise never goes back.
     """
@@ -70,23 +72,27 @@ class CamStudy:
 
     Parameters
     ----------
+    cam
+        The cam as it was measured.
     noise_m, noise_given
-        Standard deviation of the distances, and whether it was given and not estimated.
+        Standard deviation of the distances, and whether it was given rather than estimated.
+    rise
+        Where the rise starts and ends.
     fairings
-        In the order of :class:`Fairing`; differences are left out where rows are not even.
+        In the order of :class:`Fairing`; without differences where rows are not evenly spaced.
     chosen
-        The fairing of the law.
+        The fairing that the law was made from.
     law
-        From the start to the end of the rise.
+        The rise from its start to its end, normalised.
     outliers
-        Rows that the smoothing spline of the others misses by more than four times the noise;
-        the law is faired with them all the same.
+        Rows that lie more than four times the noise off a smoothing spline through the others. The
+        law is faired with them all the same.
     scaled
-        (n,) misses over the noise.
+        (n,) residuals of the rows from the smoothing spline, divided by the noise.
     rebounded
-        How the rebound ended.
+        The rebound, with the number of its passes and the reason of its end.
     warnings
-        One line each.
+        What is suspicious about the cam or the law, a line for each.
     """
 
     cam: MeasuredCam
@@ -102,7 +108,7 @@ class CamStudy:
     warnings: tuple[str, ...]
 
     def faired(self, fairing: Fairing) -> Faired | None:
-        """Return what ``fairing`` made, None where it could not be done."""
+        """Return the cam as ``fairing`` corrects it; None where its rows do not allow it."""
         return next((each for each in self.fairings if each.fairing is fairing), None)
 
 
@@ -122,9 +128,9 @@ def study_cam(
     Parameters
     ----------
     noise_m
-        Measuring error; estimated from differences when None.
+        Standard deviation of the measuring error; estimated from differences when None.
     start_rad, end_rad
-        Of the rise; found when None.
+        Cam angles at which the rise starts and ends; found from the dwells when None.
     epsilon_m, most_passes
         Of the rebound: see :func:`threadline.laws.fairing.rebound`.
     draws
@@ -197,10 +203,10 @@ def study_cam(
 def _outliers(
     t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool], follower: FloatArray, weight: float
 ) -> tuple[tuple[int, ...], FloatArray]:
-    """Return the rows that are off, and (n,) misses over the noise.
+    """Return the outliers among the rows, and (n,) residuals divided by the noise.
 
-    The worst is found first and pulls no more while the next is looked for: it would draw its
-    neighbours off, too. At most a tenth of the rows.
+    Outliers are found one by one, the worst first, and at most a tenth of the rows. Each loses its
+    weight before the next is sought, since it would pull the fit away from its neighbours.
     """
     found: list[int] = []
     doubted = noise.copy()
@@ -221,7 +227,7 @@ def _outliers(
 def _pass_matrix(x: FloatArray) -> FloatArray:
     """Return the (n, n) matrix of one pass of the rebound, clamped with slope 0."""
     one = np.eye(len(x))
-    # No noise stops a pass of one.
+    # Infinite noise: nothing but the number of passes ends the rebound.
     columns = [rebound(x, column, np.inf, most_passes=1).values for column in one]
     return np.array(columns).T
 
@@ -229,7 +235,7 @@ def _pass_matrix(x: FloatArray) -> FloatArray:
 def _normalised(
     t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times and rises from 0 to 1 of the rows inside, with an end where none is there."""
+    """Return times and rises, from 0 to 1, of the rows ``inside``; ends without a row are added."""
     first, last = follower[inside][0], follower[inside][-1]
     before, after = follower[t < 0.0], follower[t > 1.0]
     low = float(before.mean()) if len(before) else float(first)
@@ -245,7 +251,7 @@ def _normalised(
 
 
 def _spline_peaks(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
-    """Return Cv, Ca and Cj of the clamped cubic spline through rows: exact, but for Cv."""
+    """Return Cv, Ca and Cj of the clamped cubic spline through rows; Cv is that of samples."""
     from scipy.interpolate import CubicSpline
 
     u, s = _normalised(t, follower, inside)
@@ -281,7 +287,7 @@ def _rms(x: FloatArray) -> float:
 
 
 def second_differences(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (n - 2,) second differences of ``y``, as if rows stood at their usual spacing."""
+    """Return (n - 2,) second differences of ``y`` (n,), scaled to the median spacing of ``x``."""
     step = float(np.median(np.diff(x)))
     slopes = np.diff(y) / np.diff(x)
     return np.asarray(2.0 * np.diff(slopes) / (x[2:] - x[:-2]) * step**2)

@@ -16,15 +16,16 @@ MOST_HARMONICS = 63
 
 
 def law(name: str) -> Law:
-    """Return the law called ``name``, made with numbers, or of a table.
+    """Return the motion law that ``name`` stands for.
 
-    ``"modified-sine"``; ``"trapezoid:0.2"``, ``"harmonic:7"``; ``"frame.csv"``
-    (:mod:`threadline.laws.law_table`).
+    Three forms of a name are understood: one of ``LAWS`` (``"modified-sine"``), one of ``FAMILIES``
+    with its numbers (``"trapezoid:0.2"``, ``"harmonic:7"``), and the CSV file of a table
+    (``"frame.csv"``, :mod:`threadline.laws.law_table`).
 
     Raises
     ------
     OptionError
-        If there is none, or no such law can be made.
+        If there is no law of that name, its numbers are out of range, or its table is unreadable.
     """
     if name in LAWS:
         return LAWS[name]
@@ -119,9 +120,10 @@ def _modified_sine() -> Law:
 
 
 def modified_constant_velocity(share: float = 0.5) -> Law:
-    """Return the law with constant velocity over the middle ``share`` and sine ramps about it.
+    """Return the law with constant velocity over the middle ``share`` of the time and sine ramps.
 
-    A quarter of each ramp raises the acceleration as a quarter of a sine, the rest lowers it.
+    In the first quarter of a ramp the acceleration rises as a quarter of a sine; over the rest of
+    the ramp it falls as another quarter.
 
     Raises
     ------
@@ -150,12 +152,12 @@ def modified_constant_velocity(share: float = 0.5) -> Law:
 
 
 def harmonic(highest: float) -> Law:
-    """Return the law whose acceleration has no harmonic of the move above ``highest``, an odd one.
+    """Return the law whose acceleration has no harmonic of the move above ``highest``.
 
     The jerk is ``J cos(2 pi t)**highest``, so that the acceleration is flat about its peak:
     ``highest`` 1 is the cycloidal law, 3 and 5 are the laws 1-3 and 1-3-5 of Freudenstein, "On the
-    dynamics of high-speed cam profiles", Int. J. Mech. Sci. 1 (1960). A move in T seconds asks
-    nothing of the machine above ``highest`` / T Hz but for what its beginning and end let through.
+    dynamics of high-speed cam profiles", Int. J. Mech. Sci. 1 (1960). A move of T seconds excites
+    the machine above ``highest`` / T Hz only by its beginning and its end.
 
     Raises
     ------
@@ -171,7 +173,7 @@ def harmonic(highest: float) -> Law:
     # cos(x)**n = 2**(1-n) sum(comb(n, (n-k)/2) cos(k x)); integrated twice it is the velocity.
     weights = [comb(n, (n - k) // 2) / k**2 for k in orders]
     shares = tuple(weight / sum(weights) for weight in weights)
-    # The acceleration peaks a quarter through, where the sines are +1 and -1 by turns.
+    # The acceleration peaks at a quarter of the time, where the sines alternate between +1 and -1.
     peak = sum(b * k * (-1.0) ** ((k - 1) // 2) for k, b in zip(orders, shares, strict=True))
     start = sum(b * k * k for k, b in zip(orders, shares, strict=True))
     return Law(
@@ -181,10 +183,11 @@ def harmonic(highest: float) -> Law:
 
 
 def jerk_limited(*shares: float) -> Law:
-    """Return the law of constant jerks whose seven phases take ``shares`` of the time.
+    """Return the law of seven phases of constant jerk, with ``shares`` of the time for each.
 
-    Jerk up, none, down; none; down, none, up again. The ramps are free: no two need be equal, and
-    the way down need not mirror the way up. Without shares all seven are equal.
+    The jerk is positive, zero, negative (the velocity rises), zero (it is constant), negative, zero
+    and positive (it falls). No two shares need be equal, so the fall need not mirror the rise; with
+    no shares given all seven are equal.
 
     Raises
     ------
@@ -198,7 +201,7 @@ def jerk_limited(*shares: float) -> Law:
         raise ValueError(f"the four ramps of the acceleration need some time, got {list(given)}")
     total = sum(given)
     up, level, down, cruise, last_down, last_level, last_up = (s / total for s in given)
-    # Velocities and rises for unit velocity between the two; the second seen from the end.
+    # Phases and rises for a cruise at unit velocity; those of the fall run backwards from the end.
     first, first_rise = _ramp(up, level, down)
     last, last_rise = _ramp(last_up, last_level, last_down)
     top = 1.0 / (first_rise + cruise + last_rise)

@@ -13,7 +13,7 @@ from threadline.errors import OptionError
 
 _DEGREE = 18
 _LOOKS = 33
-_MISSED = 0.02
+_MISSED = 0.02  # share of a stretch's range by which samples may fall short of its extreme
 _FLAT = 1e-9
 """Share of the peak velocity: a descent below it is rounding, not a way back."""
 _STEP = 1e-7
@@ -21,11 +21,11 @@ _STEP = 1e-7
 
 
 class Rise(Protocol):
-    """What is asked here of a motion law."""
+    """A motion law, as far as its extremes depend on it."""
 
     @property
     def name(self) -> str:
-        """As on the command line."""
+        """Name of the law."""
 
     @property
     def edges(self) -> FloatArray:
@@ -36,14 +36,14 @@ class Rise(Protocol):
 
 
 def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
-    """Return the least value of a derivative, its time, the largest and its time.
+    """Return the least value of a derivative and its time, and the largest value and its time.
 
-    On each smooth stretch the derivative is interpolated at Chebyshev points. Where a stretch could
-    hold an extreme, the roots of the interpolant's slope are tried beside its ends.
+    On each smooth stretch of the law the derivative is interpolated at Chebyshev points. The
+    extremes are sought at the ends of the stretches and at the roots of the interpolants' slopes.
     """
     edges, fitted = _fitted(law, derivative)
     seen = chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)
-    # Between two looks a stretch can rise by a small part of what it spans.
+    # Between two samples a stretch can rise by a small part of its range.
     span = _MISSED * np.ptp(seen, axis=1)
     found = []
     for sign in (-1.0, 1.0):
@@ -70,7 +70,7 @@ def _fitted(law: Rise, derivative: int) -> tuple[FloatArray, FloatArray]:
 
 def _stationary(coefficients: FloatArray) -> FloatArray:
     """Return the ends of [-1, 1] and the roots of the slope between them."""
-    # What rounding leaves in the high coefficients would only add roots.
+    # High coefficients that are nothing but rounding would add false roots.
     noise = 1e-13 * max(float(np.abs(coefficients).max()), 1e-300)
     kept = chebyshev.chebtrim(coefficients, noise)
     if len(kept) < 3:
@@ -81,7 +81,7 @@ def _stationary(coefficients: FloatArray) -> FloatArray:
 
 
 def steps(law: Rise) -> bool:
-    """Say whether the acceleration steps anywhere, at the ends of the motion as well."""
+    """Return whether the acceleration jumps anywhere, the ends of the motion included."""
     _, fitted = _fitted(law, 2)
     ends = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
     # At rest outside.
@@ -92,12 +92,12 @@ def steps(law: Rise) -> bool:
 
 @lru_cache(maxsize=64)
 def refuse_descent(law: Rise) -> None:
-    """Refuse a law that goes back anywhere: it has no inverse.
+    """Refuse a law whose velocity is negative anywhere: it has no inverse.
 
     Raises
     ------
     OptionError
-        Saying where it falls, and how fast.
+        With the least velocity and the time of it.
     """
     low, at, high, _ = extremes(law, 1)
     if low < -_FLAT * high:

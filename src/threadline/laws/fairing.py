@@ -1,8 +1,9 @@
 """Fairing of a measured cam: differences, the rebound of splines, and a smoothing spline.
 
-The first two are those of the paper whose cam it is: Cheng Xiaoxiong, "Using numerical
-approximation method to improvement movement regularity of the cloth frame of embroidery machines",
-Journal of Textile Research 28 (2007) no. 7, pages 101 to 104. The third is the default.
+The first two are those of the paper that the measured cam of the examples is from: Cheng Xiaoxiong,
+"Using numerical approximation method to improvement movement regularity of the cloth frame of
+embroidery machines", Journal of Textile Research 28 (2007) no. 7, pages 101 to 104. The third is
+the default.
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ import numpy as np
 from threadline.arrays import FloatArray
 
 MOST_PASSES = 50
-_INTERVALS = (16, 48)
-_DEGREE = 3  # of the velocity
+_INTERVALS = (16, 48)  # least and most knot intervals of the smoothing spline
+_DEGREE = 3  # of the velocity's spline
 _STIFFEST, _LOOSEST, _STEP = 0.0, -16.0, 0.2
 
 
 def differences(y: FloatArray, noise: float) -> FloatArray:
-    """Return ``y`` (n,) corrected so that its differences vary evenly, by at most twice the noise.
+    """Return ``y`` (n,) with each value moved onto the least-squares cubic of five rows around it.
 
-    Each value goes to the cubic through its five neighbours by least squares, 3/35 of the fourth
-    difference; the two at either end stay. Rows must be evenly spaced.
+    For evenly spaced rows that is a correction by 3/35 of the fourth difference. No value moves by
+    more than twice the noise, and the two values at either end stay.
     """
     fourth = y[:-4] - 4.0 * y[1:-3] + 6.0 * y[2:-2] - 4.0 * y[3:-1] + y[4:]
     out = y.copy()
@@ -35,20 +36,20 @@ def differences(y: FloatArray, noise: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rebound:
-    """What the rebound made of the distances.
+    """Values faired by the rebound method, and how it ended.
 
     Parameters
     ----------
     values
-        (n,) faired.
+        (n,) faired values.
     passes
-        How often it went there and back.
+        Number of passes from the rows to the mid-points and back.
     moved
-        Root mean square of all corrections.
+        Root mean square of the corrections of all passes together.
     last
-        Largest change of the last pass.
+        Largest correction of the last pass.
     stopped_by
-        ``"noise"``, ``"passes"`` or ``"epsilon"``.
+        What ended it: ``"noise"``, ``"passes"`` or ``"epsilon"``.
     """
 
     values: FloatArray
@@ -67,17 +68,26 @@ def rebound(
     epsilon: float | None = None,
     most_passes: int = MOST_PASSES,
 ) -> Rebound:
-    """Return (n,) values faired by clamped cubic splines through nodes and mid-points by turns.
+    """Return values faired by the paper's rebound method.
+
+    A pass puts a clamped cubic spline through the rows, a second one through the first one's values
+    midway between rows, and returns the second one's values at the rows.
 
     Parameters
     ----------
+    x, y
+        (n,) rising places of the rows, and their values.
     noise
-        It ends when the corrections reach it: what goes beyond is shape and not error.
+        Standard deviation of the error of ``y``. The passes end before the root mean square of the
+        corrections exceeds it, since larger corrections would change the shape.
     slopes
-        At the two ends.
+        Slopes of the splines at the first and the last row.
     epsilon
-        The paper's rule: it ends when a pass changes no value by more. That alone flattens the
-        cam, since the passes have no end but a single cubic; then ``noise`` does not stop it.
+        The paper's rule, used in place of ``noise`` when it is given: the passes end when one
+        changes no value by more than this. By that rule they flatten the cam, since their limit is
+        a single cubic.
+    most_passes
+        Largest number of passes.
     """
     from scipy.interpolate import CubicSpline
 
@@ -107,17 +117,18 @@ class Smoothed:
     Parameters
     ----------
     knots, coefficients
-        Of the velocity, a cubic spline on [0, 1]; no coefficient is below 0.
+        Cubic B-spline of the velocity on [0, 1]; no coefficient is below 0.
     base, rise
-        Of the follower before and by it.
+        Position of the follower before the rise, and the height of the rise.
     values
-        (n,) of the follower at the rows.
+        (n,) fitted positions of the follower at the rows.
     freedom
-        Number of parameters that the fit uses in effect.
+        Effective number of parameters of the fit.
     missed
-        Root mean square of the misses over the noise, for the rows that are not used up.
+        Root mean square of the residuals over the noise, with n - ``freedom`` degrees of freedom;
+        1 where the noise explains them.
     scaled
-        (n,) misses over the noise, each with what the row itself pulls taken off.
+        (n,) residuals over the noise, scaled up for each row's pull on the fit (its leverage).
     """
 
     knots: FloatArray
@@ -131,19 +142,20 @@ class Smoothed:
 
 
 class Smoother:
-    """The smoothing spline for rows at ``t``: monotone, from rest to rest.
+    """The smoothing spline through rows at times ``t``: monotone, from rest to rest.
 
-    It minimises the squared misses over the noise plus a multiple of the squared jerk. Rows outside
-    [0, 1] are of the dwells.
+    It minimises the sum of the squared residuals over the noise plus a weight times the integral of
+    the squared jerk. Rows before 0 and after 1 belong to the dwells.
 
     Parameters
     ----------
     t
-        (n,) time of the rise, 0 to 1 between its ends.
+        (n,) normalised times: 0 at the start of the rise, 1 at its end.
     noise
-        (n,) standard deviations of the follower.
+        (n,) standard deviations of the follower's position.
     gentle
-        Whether the acceleration, too, is 0 at the start, and at the end: beside a dwell it is.
+        Whether the acceleration is 0, like the velocity, at the start and at the end of the rise:
+        so it is beside a dwell.
     """
 
     def __init__(
@@ -167,21 +179,21 @@ class Smoother:
         # The integral of the squared jerk, exact: the jerk is linear between knots.
         at = inner[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
         jerk = basis.derivative(2)(at.ravel())[:, self.free] / sqrt(2.0 * intervals)
-        # By the noise, so that the weight has no unit.
+        # Divided by the noise, so that the weight has no unit.
         self.penalty = np.hstack((np.zeros((len(jerk), 1)), jerk)) / float(np.median(noise))
         self.total = (self.knots[_DEGREE + 1 :] - self.knots[:count])[self.free] / (_DEGREE + 1.0)
         looks = np.linspace(0.0, 1.0, 20 * intervals + 1)
         self.looks = [basis.derivative(d)(looks)[:, self.free] for d in range(3)]
 
     def solve(self, y: FloatArray, weight: float) -> FloatArray:
-        """Return base and free coefficients for follower values (n,) and a weight of the jerk."""
+        """Return the base and the free coefficients for (n,) positions and a weight of the jerk."""
         from scipy.optimize import nnls
 
-        # The base may have any sign: it is counted from below everything that was measured.
+        # nnls finds no negative number: the base is counted from below all that was measured.
         low = float(y.min()) - float(np.ptp(y)) - 1.0
         matrix = np.vstack((self.rows, sqrt(weight) * self.penalty))
         target = np.concatenate(((y - low) / self.noise, np.zeros(len(self.penalty))))
-        # Columns of like size, without which the solver takes the base for the only one.
+        # Without columns of like size the solver finds nothing but the base.
         size = np.linalg.norm(matrix, axis=0)
         found, _ = nnls(matrix / size, target)
         found = found / size
@@ -189,17 +201,17 @@ class Smoother:
         return np.asarray(found)
 
     def freedom(self, weight: float) -> tuple[float, FloatArray]:
-        """Return the effective number of parameters without the bounds, and each row's share."""
+        """Return the effective number of parameters (bounds ignored) and (n,) shares of rows."""
         inner = self.rows.T @ self.rows + weight * self.penalty.T @ self.penalty
         inner += 1e-12 * np.trace(inner) / len(inner) * np.eye(len(inner))
         pulls = np.einsum("ij,ji->i", self.rows, np.linalg.solve(inner, self.rows.T))
         return float(pulls.sum()), pulls
 
     def weight_for(self, y: FloatArray) -> float:
-        """Return the weight of the jerk with the least expected error for the noise that is known.
+        """Return the weight of the jerk with the least expected error at the given noise.
 
-        That is the one with the least sum of squared misses over the noise and twice the effective
-        number of parameters: Mallows, "Some comments on Cp", Technometrics 15 (1973).
+        It minimises the sum of the squared residuals over the noise plus twice the effective number
+        of parameters: Mallows, "Some comments on Cp", Technometrics 15 (1973).
         """
         best, kept = np.inf, 1.0
         for exponent in np.arange(_STIFFEST, _LOOSEST, -_STEP).tolist():
@@ -211,7 +223,7 @@ class Smoother:
         return kept
 
     def fit(self, y: FloatArray, weight: float) -> Smoothed:
-        """Return the fit to follower values (n,)."""
+        """Return the fit to (n,) positions of the follower, at a weight of the jerk."""
         found = self.solve(y, weight)
         freedom, pulls = self.freedom(weight)
         coefficients = np.zeros(self.count)
@@ -226,6 +238,6 @@ class Smoother:
         )  # fmt: skip
 
     def peaks(self, found: FloatArray) -> FloatArray:
-        """Return Cv, Ca and Cj of a solution, at 20 looks an interval."""
+        """Return Cv, Ca and Cj of a solution of ``solve``, from 20 samples a knot interval."""
         rise = float(self.total @ found[1:])
         return np.array([np.abs(look @ found[1:]).max() / rise for look in self.looks])

@@ -1,8 +1,8 @@
-"""Closed forms that motion laws are made of, each from rest on, free of cancellation at its start.
+"""Closed forms of which motion laws are made, accurate where their rise is small.
 
-A form is a rise over ``[0, end]`` that begins at rest. Where the rise is small it is a sum of
-small terms and never the difference of large ones, so that it is right to the last digits there,
-too: a law is evaluated from whichever of its two ends is nearer.
+A form is a rise that begins at rest. Near its beginning it is computed as a sum of small terms and
+never as the difference of large ones, so that even a tiny rise is right to its last digits. A law
+keeps that accuracy at both ends, since it is evaluated from the nearer one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Form(Protocol):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Where one smooth stretch ends and the next begins; neither 0 nor the end is named."""
+        """Times at which one smooth stretch ends and the next begins, without 0 and the end."""
         ...
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
@@ -32,7 +32,7 @@ class Form(Protocol):
 
 
 def less_sine(x: FloatArray) -> FloatArray:
-    """Return ``x - sin x``, right to the last digits near 0 as well."""
+    """Return ``x - sin x`` without cancellation near 0."""
     square = x * x
     series = np.ones_like(square)
     for factor in reversed(_SERIES):
@@ -41,7 +41,7 @@ def less_sine(x: FloatArray) -> FloatArray:
 
 
 def less_cosine(x: FloatArray) -> FloatArray:
-    """Return ``1 - cos x``, right to the last digits near 0 as well."""
+    """Return ``1 - cos x`` without cancellation near 0."""
     half = np.sin(0.5 * x)
     return np.asarray(2.0 * half * half)
 
@@ -108,7 +108,7 @@ class Phases:
         return tuple(phase.begin for phase in self.phases[1:])
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
-        """Return the ``derivative``-th derivative at ``t``; the last phase goes on for ever."""
+        """Return the ``derivative``-th derivative at ``t``; the last phase has no end."""
         begins = np.array([phase.begin for phase in self.phases])
         which = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(self.phases) - 1)
         out = np.zeros_like(t)
@@ -130,7 +130,7 @@ class Rest:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """None: one polynomial."""
+        """Empty: the polynomial is smooth throughout."""
         return ()
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
@@ -159,7 +159,7 @@ class Harmonics:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Quarters of the period of the highest harmonic: smooth there, but each one simple."""
+        """Quarters of the highest harmonic's period, within which low-degree polynomials fit it."""
         count = 2 * self.orders[-1]
         return tuple(k / (2.0 * count) for k in range(1, count))
 
@@ -181,15 +181,15 @@ class Harmonics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """A rise of polynomials: tabulated laws, splines.
+    """A piecewise polynomial rise, as of a tabulated law or a spline.
 
     Parameters
     ----------
     begins
-        (n,) where each piece starts, the first at 0.
+        (n,) start of each piece; the first is 0.
     powers
-        (n, k) coefficients by rising powers of the time since its start; no constant or linear
-        term in the first, so that it starts at rest.
+        (n, k) coefficients of each piece, by rising powers of the time since its start. The first
+        piece has no constant and no linear term, so that the rise starts at rest.
     """
 
     begins: FloatArray

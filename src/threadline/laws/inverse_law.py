@@ -1,4 +1,4 @@
-"""The time at which a rise is reached: bracketed Newton steps on a form that starts at rest."""
+"""The time at which a form has reached a rise, by Newton's method within brackets."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from threadline.arrays import FloatArray
 from threadline.laws.forms import Form
 
 _CELLS = 2048
-_ENOUGH = 1e-9  # of the time: Newton's next error is about its square
+_ENOUGH = 1e-9  # a relative step of Newton's after which its error is about the square of this
 _ROUNDS = 120
 
 
 def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) -> FloatArray:
     """Return the times in [0, ``end``] at which ``form`` has risen to ``rise``.
 
-    A table of the form brackets each root in a 2048th of a stretch; there Newton's steps converge
-    in two or three, and a step that leaves its bracket is replaced by a bisection.
+    A table of the form brackets each root in at most a 2048th of the time. There Newton's method
+    converges in two or three steps; a step that leaves its bracket is replaced by a bisection.
 
     Parameters
     ----------
+    form
+        A rise that never goes back.
     rise
         (n,) from 0 to the rise at ``end``.
     latest
-        Of the times of a dwell the last and not the first.
+        Where the form dwells at a rise, return the last time of the dwell and not the first.
     """
     inner = [b for b in form.breaks if 0.0 < b < end]
     grid = np.union1d(np.linspace(0.0, end, _CELLS + 1), inner)
@@ -34,7 +36,7 @@ def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) ->
     below, above = table[upper - 1], table[upper]
     span = np.where(above > below, above - below, 1.0)
     share = np.clip((rise - below) / span, 0.0, 1.0)
-    # From rest a rise starts as a power of time: the first cell is guessed by that power.
+    # From rest a rise starts as a power of time, which gives the first guess in the first cell.
     first = upper == 1
     if first.any():
         half = float(form.value(np.array([0.5 * grid[1]]), 0)[0])

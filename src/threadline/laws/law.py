@@ -28,10 +28,11 @@ class Law:
     form
         The rise on [0, ``meets``].
     closing
-        What is left of the rise, over the time left, on [0, 1 - ``meets``]: the motion seen from
-        its end. None where the second half mirrors the first; then ``meets`` is 1/2.
+        The rest of the rise as a function of the rest of the time, on [0, 1 - ``meets``]: the
+        motion seen backwards from its end. None where the second half of the motion mirrors the
+        first; then ``meets`` is 1/2.
     meets
-        Where the two views meet.
+        Time at which ``form`` hands over to ``closing``.
     """
 
     name: str
@@ -43,10 +44,11 @@ class Law:
     meets: float = 0.5
 
     def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
-        """Return the ``derivative``-th derivative (0 to 3) at ``t``; at rest outside [0, 1].
+        """Return the ``derivative``-th derivative (0 to 3) at (n,) times; at rest outside [0, 1].
 
-        At a step the value is that after it up to ``meets`` and before it afterwards; impulses are
-        left out.
+        Where a derivative jumps, the value after the jump is returned for times up to ``meets`` and
+        the value before it for later ones. The impulse of jerk at a jump of acceleration is left
+        out. A ValueError refuses other derivatives.
         """
         if not 0 <= derivative <= 3:
             raise ValueError(f"derivative must be 0 to 3, got {derivative}")
@@ -63,24 +65,25 @@ class Law:
         return value
 
     def left(self, before_end: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return the rise that is left ``before_end`` of the end, or a derivative by that time.
+        """Return the rest of the rise at (n,) times ``before_end``, counted back from the end.
 
-        Near the end it is right to the last digits of a small number, which ``1 - s`` is not.
+        ``derivative`` counts derivatives by that time. Close to the end the rest is accurate to its
+        last digits, as ``1 - s`` would not be.
         """
         closing = self.form if self.closing is None else self.closing
         return closing.value(before_end, derivative)
 
     def inverse(self, rise: FloatArray | float) -> FloatArray:
-        """Return the time at which the law has risen to ``rise``, in [0, 1]: s(t(x)) = x.
+        """Return the (n,) times at which the law has risen to ``rise``, in [0, 1]: s(t(x)) = x.
 
-        Where the law dwells at a rise, the earliest time there.
+        Where the law dwells at a rise, the earliest time of the dwell is returned.
 
         Raises
         ------
         ValueError
             If a rise is outside [0, 1].
         OptionError
-            If the law is not monotone: a rise is met more than once.
+            If the law goes back somewhere, and so meets a rise more than once.
         """
         refuse_descent(self)
         x = np.atleast_1d(np.asarray(rise, dtype=np.float64))
@@ -105,7 +108,10 @@ class Law:
 
     @property
     def efficiency(self) -> float:
-        """Heat of the cubic law, the least there is, over that of this law, for equal moves."""
+        """Heat in the motor with the cubic law, the least of all, over the heat with this law.
+
+        Heat is the integral of the squared acceleration of a move over the same distance and time.
+        """
         t, weights = gauss(self.edges)
         heat = float(self(t, 2) ** 2 @ weights)
         return LEAST_HEAT / heat
@@ -128,7 +134,10 @@ def measured_law(name: str, form: Form, closing: Form | None = None, meets: floa
 
 
 def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights of Gauss-Legendre quadrature on each of ``panels`` a stretch."""
+    """Return nodes and weights of Gauss-Legendre quadrature between (n,) edges.
+
+    Each stretch between two edges is divided into ``panels`` of ``points`` nodes.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(points)
     parts = np.arange(panels) / panels
     begins = (edges[:-1, None] + np.diff(edges)[:, None] * parts).ravel()

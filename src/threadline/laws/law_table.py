@@ -1,4 +1,4 @@
-"""Laws as tables: ``t, s, v, a, j`` with a row for each instant, in and out."""
+"""Laws as CSV tables ``t,s,v,a,j`` with a row for each instant, read and written."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from threadline.writing import staged_file
 
 ROWS = 1001
 _MOST_BYTES = 20_000_000
-_REST = 1e-6  # of the peak: what is left of velocity at an end of a table is rounding
+_REST = 1e-6  # share of the peak velocity: a smaller one at an end of a table is rounding
 
 
 def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
     """Write time, rise, velocity, acceleration and jerk of ``law``, unit rise in unit time.
 
-    The ends of its smooth stretches have rows, too, so that no row is in the middle of a corner.
+    Besides ``rows`` evenly spaced ones, each end of a smooth stretch of the law has a row, so that
+    no corner of a derivative falls between two rows.
 
     Raises
     ------
@@ -41,11 +42,11 @@ def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
 
 
 def read_law(file: Path) -> Law:
-    """Return the law of a table with the columns t and s, and v and a where there are any.
+    """Return the law of a table with the columns t and s and optionally v and a.
 
-    With v and a the pieces are quintic, so that the table's own derivatives hold at its rows;
-    without, a cubic spline at rest at both ends. Time and rise may have any scale: the first row
-    is 0 and the last is 1.
+    With v and a, quintic pieces take the table's rise, velocity and acceleration at each row;
+    without them, a cubic spline at rest at both ends goes through the rows. Times and rises of any
+    scale are normalised: the first row is 0 and the last is 1.
 
     Raises
     ------
@@ -86,7 +87,8 @@ def law_through(
     Parameters
     ----------
     v, a
-        Its derivatives there; without them a cubic spline at rest at both ends is taken.
+        (n,) velocities and accelerations at the rows; those of the cubic spline through the rows,
+        at rest at both ends, when one of them is None.
     """
     if v is None or a is None:
         from scipy.interpolate import CubicSpline

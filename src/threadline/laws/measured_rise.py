@@ -1,4 +1,4 @@
-"""What a measured cam says of itself: its noise, and where its rise starts and ends."""
+"""The noise of a measured cam, and the start and the end of its rise."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.laws.fairing import Smoother
 
-_ORDER = 4  # of the differences: what a rise has of them at a hundred rows is far below its noise
-_NEAR = 1.8  # times the usual span of five rows: across a gap a difference is no noise
+_ORDER = 4  # of the differences: those of a smooth rise at a hundred rows are far below its noise
+_NEAR = 1.8  # five rows that span more than this times the median have a gap: no noise is taken
 _OUTLYING = 4.0
 _FEWEST = 8
-_DWELL = 3  # rows that make one
-_STIFF = 1e-9  # weight of the jerk by rows: so stiff that the ends matter more than the noise
-_TRIED = 0.03  # of the window: how far the search for an end looks at first
+_DWELL = 3  # least number of rows of a dwell
+_STIFF = 1e-9  # weight of the jerk per row: so stiff that the ends matter more than the noise
+_TRIED = 0.03  # first step of the search for an end, as a share of the rise's length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,11 +26,12 @@ class Rise:
     Parameters
     ----------
     start_rad, end_rad
-        Angles of the cam.
+        Angles of the cam at the start and at the end of the rise.
     start_found, end_found
-        Whether a dwell beyond it shows it; otherwise it is the end of the table, or was given.
+        Whether the end was found from a dwell beside it. Otherwise it was given, or it is the end
+        of the table.
     said
-        What is to be said of either, in words.
+        A sentence about the start and one about the end: where it is, and how it was found.
     """
 
     start_rad: float
@@ -43,8 +44,9 @@ class Rise:
 def noise_of(x: FloatArray, y: FloatArray) -> float:
     """Return the standard deviation of the noise of ``y`` (n,) at rising ``x``, from differences.
 
-    Fourth divided differences, each scaled to unit noise; those of which the robust spread says
-    that they are outliers are left out of this estimate alone.
+    It is the root mean square of the fourth divided differences, each scaled so that noise of unit
+    variance gives it unit variance. Differences of more than four times the robust spread (from the
+    median) are outliers and left out.
 
     Raises
     ------
@@ -85,21 +87,22 @@ def rise_of(
 ) -> Rise:
     """Return where the rise starts and ends.
 
-    A dwell is a run of at least three rows at an end that the noise explains. The rise is so flat
-    beside it that its end cannot be seen; it is where a stiff monotone rise, at rest with no
-    acceleration at its ends, comes nearest to all rows. Where there is no dwell the table begins
-    within the rise, and that is said.
+    A dwell is a run of at least three rows, at an end of the table, that are equal within the
+    noise. Beside a dwell the rise is too flat for its end to be seen in the rows. Both ends are
+    therefore fitted: a stiff monotone rise, with velocity and acceleration 0 at its ends, comes
+    nearest to all rows with them. Where there is no dwell the table begins or ends within the rise;
+    the end of the table is taken, and ``said`` tells so.
 
     Parameters
     ----------
     alpha_rad, h_m
-        (n,) the rows.
-    follower, follower_noise
-        (n,) what the follower does there, and its noise.
+        (n,) angles and distances of the rows.
     noise_m
-        Of the distances.
+        Standard deviation of the distances.
+    follower, follower_noise
+        (n,) positions of the follower at the rows, and their standard deviations.
     start_rad, end_rad
-        Ends that were given.
+        Given start and end; found when None.
 
     Raises
     ------
@@ -153,7 +156,7 @@ def _nearest(
     ends: tuple[float, float],
     free: tuple[bool, bool],
 ) -> tuple[float, float]:
-    """Return the ends with which a stiff rise comes nearest; those that are not free stay."""
+    """Return the ends with which a stiff rise fits the rows best; ends that are not free stay."""
     from scipy.optimize import minimize
 
     if not any(free):
@@ -177,7 +180,7 @@ def _nearest(
         jerk = smoother.penalty @ found
         return float(rest @ rest + weight * (jerk @ jerk))
 
-    # From the last rows of the dwells inwards: the true ends lie behind them.
+    # The search goes inwards from the last rows of the dwells: the rise starts at them or later.
     inwards = np.array([1.0, -1.0])[which]
     simplex = np.vstack((np.zeros(len(which)), np.diag(inwards)))
     found = minimize(
@@ -189,7 +192,10 @@ def _nearest(
 
 
 def _foot(x: FloatArray, y: FloatArray, noise: float) -> tuple[float, bool]:
-    """Return the last row of the dwell at the first level and True; the first row where none is."""
+    """Return ``x`` of the last row of the dwell at the beginning, and True.
+
+    Where the rows begin without a dwell it is ``x`` of the first row, and False.
+    """
     count = 0
     for k in range(_DWELL, len(x) + 1):
         level = float(y[:k].mean())

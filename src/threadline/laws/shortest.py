@@ -13,17 +13,17 @@ from threadline.errors import OptionError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShortestMove:
-    """A symmetric move: jerk, acceleration, jerk, cruise, and the same backwards.
+    """A symmetric move of seven phases of constant jerk.
 
     Parameters
     ----------
     distance_si
-        m or rad, not negative.
+        Distance in m or rad, not negative.
     jerk_s, push_s, cruise_s
-        How long each of the four phases of jerk takes, the two of constant acceleration, and the
-        one of constant velocity; 0 for a phase that vanishes.
+        Time of each of the four phases with jerk, of each of the two with constant acceleration,
+        and of the one with constant velocity; 0 for a phase that vanishes.
     velocity_si, acceleration_si
-        The largest that are reached.
+        Largest velocity and acceleration of the move.
     """
 
     distance_si: float
@@ -35,13 +35,13 @@ class ShortestMove:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes."""
+        """Duration of the move."""
         return 4.0 * self.jerk_s + 2.0 * self.push_s + self.cruise_s
 
     def __call__(self, time_s: FloatArray | float, order: int = 0) -> FloatArray:
-        """Return the (n,) derivative of ``order``, 0 to 2, at times; held before and after.
+        """Return the (n,) derivative of ``order``, 0 to 2, at times; at rest before and after.
 
-        Each phase is integrated exactly from the one before it.
+        Each phase is a polynomial that starts from the exact end of the phase before it.
         """
         t = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
         jerk = self.acceleration_si / self.jerk_s if self.jerk_s > 0.0 else 0.0
@@ -72,12 +72,12 @@ class ShortestMove:
 def shortest_move(
     distance_si: float, velocity_si: float, acceleration_si: float, jerk_si: float = inf
 ) -> ShortestMove:
-    """Return the shortest move over a distance, in whichever regime it falls.
+    """Return the shortest move over a distance within limits of velocity, acceleration and jerk.
 
-    Long moves reach every limit; shorter ones do not cruise, and the shortest do not reach the
-    acceleration, or where the jerk takes longer to it than to the velocity, only that.
-    Biagiotti and Melchiorri, *Trajectory Planning for Automatic Machines and Robots* (2008),
-    section 3.4.
+    A long move reaches all limits. A shorter one has no cruise, and a still shorter one does not
+    reach the acceleration. Where the jerk is so low that the velocity is reached before the
+    acceleration, no move reaches the acceleration. The formulas are those of Biagiotti and
+    Melchiorri, *Trajectory Planning for Automatic Machines and Robots* (2008), section 3.4.
 
     >>> round(shortest_move(1.0, 0.5, 2.0).duration_s, 12)
     2.25
@@ -89,14 +89,14 @@ def shortest_move(
     Parameters
     ----------
     distance_si
-        m or rad; not negative.
+        Distance in m or rad, not negative.
     velocity_si, acceleration_si, jerk_si
-        Limits above 0; the jerk may be infinite.
+        Limits above 0; that of the jerk may be infinite.
 
     Raises
     ------
     OptionError
-        If one of them is not in its range.
+        If an argument is out of its range.
     """
     if not 0.0 <= distance_si < inf:
         raise OptionError(f"the distance of a move is {distance_si!r}; it must be 0 or more")
@@ -111,7 +111,7 @@ def shortest_move(
     push = max(velocity_si / peak - ramp, 0.0)
     top = velocity_si
     if top * (2.0 * ramp + push) > distance_si:
-        # Without a cruise: first shorten the push, then the jerk.
+        # No cruise: the phases of constant acceleration are shortened, then those of jerk.
         if finite and distance_si < 2.0 * jerk_si * ramp**3:
             ramp = (distance_si / (2.0 * jerk_si)) ** (1.0 / 3.0)
             peak, push = jerk_si * ramp, 0.0

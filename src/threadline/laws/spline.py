@@ -1,4 +1,4 @@
-"""A law from the spline of its velocity: what a linear program or a fit gives."""
+"""A law from the B-spline of its velocity, as a linear program or a fit gives it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from threadline.laws.law import Law, measured_law
 
 
 def law_of_velocity(name: str, knots: FloatArray, coefficients: FloatArray, degree: int) -> Law:
-    """Return the law whose velocity is this spline on [0, 1], scaled to rise 1.
+    """Return the law whose velocity is a B-spline on [0, 1], scaled to a rise of 1.
 
     Parameters
     ----------
+    name
+        Name of the law.
     knots
-        (n + degree + 1,) each end ``degree + 1`` times.
+        (n + degree + 1,) knots, 0 and 1 ``degree + 1`` times each.
     coefficients
-        (n,) none below 0, so that the law is monotone; the first and the last are 0.
+        (n,) not below 0, so that the law is monotone; the first and the last are 0.
+    degree
+        Degree of the velocity's pieces.
     """
     from scipy.interpolate import BSpline, PPoly
 

@@ -16,13 +16,13 @@ from threadline.arrays import FloatArray
 class Clock:
     """A clock with an exact rational period.
 
-    Instants are counts of it; they turn into seconds by one rounded division, so that the
-    millionth tick is as exact as the first.
+    Instants are whole numbers of periods. Each is converted to seconds by one rounded division, so
+    that the millionth tick is as exact as the first.
 
     Parameters
     ----------
     name
-        As in the machine file.
+        Name of the clock in the machine file.
     period_s
         Exact period in seconds, greater than zero.
     """

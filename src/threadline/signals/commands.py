@@ -66,7 +66,7 @@ class TickTable(Locked):
     blocks
         Re-iterable blocks of rows, consecutive from tick 0.
     job_sha256, machine_sha256
-        What the table was made from and for.
+        Hashes of the job and of the machine that the table was made for.
     """
 
     clock: Clock
@@ -95,7 +95,7 @@ class TickTable(Locked):
         return sum(len(block) for block in self)
 
     def rows_hash(self) -> RowsHash:
-        """Return a hash to which the rows of this table are added as they pass by."""
+        """Return a hash without rows yet, to which a reader of this table adds them in order."""
         return RowsHash(
             TICKS, self.clock.period_s, self.axes, self.counts_per_unit, self.start_counts
         )
@@ -103,8 +103,9 @@ class TickTable(Locked):
     def rows_sha256(self) -> str:
         """Return the hash of what the controller is told; reads the whole table.
 
-        Of the clock's period, axes, counts per unit, start, every row and every event, however
-        they are cut into blocks. ``docs/files.md`` defines it byte by byte.
+        It covers the clock's period, the axes, their counts per unit and start, every row and every
+        event, and does not depend on the division into blocks. ``docs/files.md`` defines it byte by
+        byte.
         """
         digest = self.rows_hash()
         for block in self:
@@ -137,8 +138,10 @@ class SwitchSchedule(Locked):
         (n,) int: index of the operation that each row belongs to.
     duration_ticks
         Length of the whole schedule.
+    job_sha256, machine_sha256
+        Hashes of the job and of the machine that the schedule was made for.
     events
-        Waits and stops in between, in order.
+        Waits and stops, in order of their ticks.
     """
 
     clock: Clock
@@ -173,8 +176,8 @@ class SwitchSchedule(Locked):
     def rows_sha256(self) -> str:
         """Return the hash of what the controller is told.
 
-        Of the clock's period, outputs, duration, every row and every event. ``docs/files.md``
-        defines it byte by byte.
+        It covers the clock's period, the outputs, the duration, every row and every event.
+        ``docs/files.md`` defines it byte by byte.
         """
         digest = RowsHash(
             SWITCHES, self.clock.period_s, self.outputs, np.array([self.duration_ticks])

@@ -1,4 +1,4 @@
-"""Something other than motion that happens: asked for by commands, told by recordings."""
+"""Events: what commands ask for besides motion, and what recordings report besides samples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ EventKind = Literal[
     "output", "wait", "stop", "dwell", "tool", "end",
     "hold", "resume", "late", "completed", "stopped", "fault",
 ]  # fmt: skip
-"""The first line is what commands ask for; the second is what recordings tell besides."""
+"""Commands ask for the kinds of the first line; recordings report all of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,15 +19,17 @@ class Event:
     Parameters
     ----------
     tick
-        When, counted from the start of the commands.
+        Tick of the event, counted from the start of the commands.
     kind
         ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
         ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
-        ``end`` is the end of the job. A recording tells of ``hold`` and ``resume`` of the rows, of
-        ``value`` ticks at which they came ``late``, and how it ended: ``completed``, ``stopped``
-        or ``fault``, with the reason as ``name``.
+        ``end`` is the end of the job. In recordings ``hold`` and ``resume`` stop and continue the
+        rows, ``late`` means that rows were missing for ``value`` ticks, and ``completed``,
+        ``stopped`` or ``fault`` is how the run ended, with the reason in ``name``.
     operation
-        Index of the operation of the job that asked for it.
+        Index of the operation of the job that the event belongs to; -1 for none.
+    name, value
+        Arguments of the event, as its kind says.
     """
 
     tick: int

@@ -1,4 +1,4 @@
-"""How a run ended and whether its rows came in time, told by the events of its recording."""
+"""How a run ended and whether its rows came in time, from the events of its recording."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from threadline.signals.event import Event
 
 
 class Ended(StrEnum):
-    """How a run ended; each is a kind of event, the last of a recording that knows."""
+    """How a run ended; an event of one of these kinds is the last of a recording."""
 
-    COMPLETED = "completed"  # every row was taken up
-    STOPPED = "stopped"  # somebody, or a stop that nobody answered, ended it before
+    COMPLETED = "completed"  # every row was played
+    STOPPED = "stopped"  # the operator, or a stop that nobody answered, ended it early
     FAULT = "fault"  # the machine or the link to it failed
 
 
@@ -24,18 +24,20 @@ class Outcome:
     Parameters
     ----------
     ended
-        How it ended; None while nothing says so, as in a trace of another controller.
+        How the run ended; None where no event says so, as in a trace of another controller.
     text
-        Why, for people; empty where it was completed.
+        Reason of a stop or a fault; empty where the run was completed.
     tick
-        When, on the clock of the recording; None with ``ended``.
+        Tick of the end on the clock of the recording; None with ``ended``.
     operation
-        Under way at that time.
+        Index of the operation that was under way at the end.
     late_ticks
-        Ticks at which a row was due and had not come.
+        Number of ticks at which a row was due and had not come.
     halted_ticks
-        Ticks from a stop, a wait or a hold to the resumption, summed; the last one is open where
-        the run ended in it.
+        Ticks from each stop, wait or hold to the resumption, summed; a halt that the run ended in
+        is not counted.
+    halted_since
+        Tick at which a halt began that has not been resumed; None where there is none.
 
     Examples
     --------
@@ -56,11 +58,11 @@ class Outcome:
 
     @property
     def incomplete(self) -> bool:
-        """Whether it ended before its last row."""
+        """Whether the run ended before its last row."""
         return self.ended in {Ended.STOPPED, Ended.FAULT}
 
     def after(self, events: Iterable[Event]) -> Outcome:
-        """Return what is known after further events, in order."""
+        """Return the outcome with further events, in their order, taken into account."""
         known = self
         for event in events:
             if event.kind in tuple(Ended):

@@ -1,4 +1,4 @@
-"""What happened: named channels of a stated kind, simulated or live."""
+"""Recordings: named channels of a stated kind, from a simulation or a real machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from threadline.signals.stream import Stream
 
 
 class ChannelKind(StrEnum):
-    """What a channel tells."""
+    """What the samples of a channel are."""
 
     COMMANDED = "commanded"  # where the axis was told to be
     MEASURED = "measured"  # what the axis' own encoder read
@@ -26,9 +26,9 @@ class ChannelKind(StrEnum):
     TOOL = "tool"  # where the point that does the work was
     VOLTAGE = "voltage"  # at the amplifier's input
     CURRENT = "current"  # in the motor
-    TORQUE_SHARE = "torque_share"  # asked of a position source, over what it has
-    INPUT = "input"
-    OUTPUT = "output"
+    TORQUE_SHARE = "torque_share"  # torque asked of a position source, over the torque it has
+    INPUT = "input"  # state of a digital input, 0 or 1
+    OUTPUT = "output"  # state of a digital output, 0 or 1
     OPERATION = "operation"  # index of the operation of the job that was under way
 
 
@@ -41,13 +41,13 @@ class Channel:
     name
         Unique within the recording, for instance ``"X.load"``.
     kind
-        What it tells.
+        What the samples are.
     unit
-        SI unit of the samples, ``""`` for plain numbers.
-    clock
-        Its samples lie on this clock, one every ``stride`` ticks.
+        SI unit of the samples, ``""`` for numbers without unit.
+    clock, stride
+        The clock of the samples, and the number of its ticks from sample to sample.
     axis
-        The axis that it belongs to, ``""`` for none.
+        Axis that the channel belongs to, ``""`` for none.
     """
 
     name: str
@@ -67,8 +67,8 @@ class RecordingBlock:
     first_tick
         Per clock name: the tick of the first sample of each channel of that clock.
     samples
-        Per channel name: (n,) float64, n the same for channels of one clock and stride; of several
-        runs side by side (n, runs) where they differ.
+        Per channel name: (n,) float64, n the same for channels of one clock and stride. A recording
+        of several runs has (n, runs) samples of each channel in which the runs differ.
     events
         Events that took effect within the block.
     """
@@ -83,23 +83,24 @@ class Recording:
     """What a machine, real or simulated, did.
 
     Sample k of a channel is the value at the instant of its tick, before the controller acts on
-    it. A channel that the machine cannot give is absent: nothing stands in for it.
+    that sample. A channel that the machine cannot measure is absent, and no other replaces it.
 
     Parameters
     ----------
     channels
-        Every channel, by name.
+        Every channel, each with a name of its own.
     blocks
-        Blocks of samples, re-iterable; a stream wherever they are to be sent.
+        Blocks of samples, in order. A ``Stream`` where they are to be read again or sent to another
+        process.
     job_sha256, machine_sha256
-        What ran, and on which machine.
+        Hashes of the job and of the machine.
     simulated
         False for a live recording.
     origin
         How the plan was made (job file, machine, interpolation, feed, tolerance ...), so that a
         recording can be judged on its own.
     runs
-        How many runs of the same commands it holds side by side.
+        Number of runs of the same commands that are recorded side by side.
     """
 
     channels: tuple[Channel, ...]
@@ -128,7 +129,7 @@ class Recording:
         Raises
         ------
         RecordingError
-            If there is none; the error lists those that there are.
+            If there is none of that name; the error lists the channels.
         """
         for channel in self.channels:
             if channel.name == name:
@@ -143,7 +144,7 @@ class Recording:
         return replace(self, blocks=Stream(_of_one_run, self.blocks, number - 1), runs=1)
 
     def outcome(self) -> Outcome:
-        """Return how it ended and whether its rows came in time; reads all of it."""
+        """Return how the run ended and whether its rows came in time; reads every block."""
         known = Outcome()
         for block in self:
             known = known.after(block.events)
@@ -164,7 +165,7 @@ class Recording:
 
 
 def _of_one_run(blocks: Iterable[RecordingBlock], run: int) -> Iterator[RecordingBlock]:
-    """Yield blocks with the samples of one run; those that all runs share have no second index."""
+    """Yield blocks with the samples of one run; channels that all runs share are (n,) already."""
     for block in blocks:
         yield replace(
             block,

@@ -1,6 +1,6 @@
-"""The hash of the rows of commands: what a controller will be told, and nothing of how it is kept.
+"""The hash of the rows of commands, which does not depend on the file that they are kept in.
 
-Defined in ``docs/files.md`` ("The hash of the rows"), so that another program can compute it.
+It is defined in ``docs/files.md`` ("The hash of the rows"), so that another program can compute it.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ STEPS = "threadline step play 1"
 
 
 class RowsHash:
-    """Takes in rows and events as they come; how they are cut into blocks makes no difference.
+    """Hashes rows and events as they are added; the division into blocks makes no difference.
 
     Parameters
     ----------
     title
         ``TICKS``, ``SWITCHES`` or ``STEPS``.
     period_s
-        Of the clock.
+        Period of the clock.
     names
-        Of the columns.
+        Names of the axes or outputs.
     numbers
-        What else there is beside the rows, in the order of the definition.
+        All other numbers besides the rows, in the order of the definition.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class RowsHash:
         self._row_count = self._event_count = 0
 
     def add(self, columns: Iterable[IntArray], events: Iterable[Event]) -> None:
-        """Take in (n,) or (n, k) columns of n rows, and events in their order."""
+        """Add n rows, given as (n,) or (n, k) columns, and events in their order."""
         rows = np.column_stack([*columns])
         self._rows.update(_eight_bytes(rows))
         self._row_count += len(rows)
@@ -71,7 +71,7 @@ class RowsHash:
             self._event_count += 1
 
     def hexdigest(self) -> str:
-        """Return the hash of all that was taken in."""
+        """Return the hash of all that was added."""
         whole = hashlib.sha256(self._head)
         for count, part in ((self._row_count, self._rows), (self._event_count, self._events)):
             whole.update(struct.pack("<Q", count) + part.digest())

@@ -52,12 +52,12 @@ class StepTable(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StitchBlock(Locked):
-    """A run of consecutive turns of the shaft of a ``StepPlay``; n turns, A axes.
+    """Consecutive turns of the main shaft in a ``StepPlay``; n turns, A axes.
 
     Parameters
     ----------
     first_stitch
-        Number of the first.
+        Number of the first turn, counted from 0.
     begin
         (n,) int: tick of the clock at which the tables begin.
     window
@@ -119,35 +119,35 @@ class StitchBlock(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepPlay(Locked):
-    """Tables of step intervals, played one for each stitch and axis: an embroidery frame's.
+    """Commands of an embroidery frame: a table of step intervals for each stitch and axis.
 
-    Each turn of the shaft has a window in which the frame moves. Tables counted by time fit one
-    speed of the shaft; those counted by angle follow it, turn by turn.
+    Each turn of the shaft has a window in which the frame moves. A table whose intervals are times
+    fits one speed of the shaft; a table whose intervals are angles fits every speed.
 
     Parameters
     ----------
     clock
         The timer of the controller.
     counted_by
-        What intervals are counts of: ticks of the clock, or angles.
+        What intervals are counts of: ticks of the clock, or parts of the shaft's turn.
     steps_per_turn
-        Angles in a turn of the shaft.
+        Number of equal parts into which a turn of the shaft is divided.
     window_angle
-        Those of them in the window of the move.
+        Number of those parts in the window of the move.
     axes
         Names, in the order of the columns.
     steps_per_unit
         (A,) steps of the motor per metre or per radian.
     start_steps
-        (A,) where each axis stands before the first stitch.
+        (A,) position of each axis before the first stitch, in steps.
     library
         The tables.
     blocks
         Re-iterable blocks of turns, consecutive from 0.
     duration_ticks
-        Length of the whole.
+        Length of all turns together, in ticks of the clock.
     job_sha256, machine_sha256
-        What it was made from and for.
+        Hashes of the job and of the machine that it was made for.
     """
 
     clock: Clock
@@ -187,8 +187,8 @@ class StepPlay(Locked):
         Raises
         ------
         ValueError
-            If a stitch names a table that is not there, begins outside its turn, has no time for
-            its table, or follows no other.
+            If a stitch names a table that does not exist, begins outside its turn, has a table
+            longer than its window, ends after the whole, or does not follow the stitch before it.
         """
         expected, free = 0, 0
         spans = np.array([*(int(t.intervals.sum()) for t in self.library), 0], dtype=np.int64)
@@ -230,7 +230,7 @@ class StepPlay(Locked):
             yield block
 
     def stitch_count(self) -> int:
-        """Return how many turns there are; reads all of it."""
+        """Return the number of turns; reads every block."""
         return sum(len(block) for block in self)
 
     def tick_count(self) -> int | None:
@@ -256,7 +256,7 @@ class StepPlay(Locked):
         return digest.hexdigest()
 
     def end_steps(self) -> IntArray:
-        """Return the (A,) position after the last stitch; reads all of it."""
+        """Return the (A,) position after the last stitch, in steps; reads every block."""
         # A stitch that stands takes the last entry, 0 steps.
         lengths = np.array([*(len(table) for table in self.library), 0], dtype=np.int64)
         total = self.start_steps.copy()

@@ -1,7 +1,7 @@
 """NumPy's ``.npz``, written and read piece by piece, so that no column has to be in memory.
 
-``numpy.load`` reads these files too. It is not used here: it takes whole arrays, and it trusts
-what the headers promise.
+``numpy.load`` reads these files, too. It is not used here, since it reads whole arrays and
+allocates what a header claims without checking it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from threadline.signals.files.common import MAX_META_BYTES, parse_json
 META = "meta.json"
 MAX_MEMBERS = 512
 MAX_TOTAL_BYTES = 1 << 40
-_MAX_RATIO = 1100  # deflate packs at most 1032 : 1; a promise beyond it is a lie
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # equal content gives equal files, whenever it is written
+_MAX_RATIO = 1100  # deflate packs at most 1032 : 1; a header that claims more is false
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # one date for all files: equal content gives equal files
 _COPY_BYTES = 1 << 20
 _MAX_HEADER = 1000
 _HEADER = re.compile(
@@ -41,7 +41,7 @@ class ColumnSpool:
     Parameters
     ----------
     folder
-        Where the temporary files live while the columns grow.
+        Folder of the temporary files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -106,7 +106,7 @@ class ColumnArchive:
     Raises
     ------
     RecordingError
-        If the archive is none, or promises more than it can hold.
+        If the file is no archive, or its headers claim more than it can hold.
     """
 
     def __init__(self, path: Path) -> None:

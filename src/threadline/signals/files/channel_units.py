@@ -1,4 +1,4 @@
-"""Units of the channels of a recording that was read: SI from here on, or refused."""
+"""Conversion of the channels of a recording that was read to SI units."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from threadline.units import unit_factor
 def in_si(recording: Recording, place: Place) -> Recording:
     """Return ``recording`` with every channel in the SI unit of its kind.
 
-    A file may give positions in mm or deg, voltages in mV, currents in mA: the samples are
-    multiplied. What is in SI already is returned as it is.
+    A file may give positions in mm or deg, voltages in mV and currents in mA; such samples are
+    multiplied while they are read. A recording in SI units is returned as it is.
 
     Raises
     ------
     RecordingError
-        If a channel is in a unit of another kind, or has one where there is none.
+        If the unit of a channel does not suit its kind, or its kind has no unit.
     """
     factors: dict[str, float] = {}
     channels = []

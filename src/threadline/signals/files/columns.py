@@ -1,4 +1,4 @@
-"""What the columns of a recorded trace are called: ``time [s]``, ``X [mm]``, ``A.load [deg]``."""
+"""Headings of the columns of a recorded trace: ``time [s]``, ``X [mm]``, ``A.load [deg]``."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _PER_AXIS = tuple(k for k in ChannelKind if k in _POSITIONS or k in _UNITS)
 
 
 def units_of(kind: ChannelKind) -> tuple[str, ...]:
-    """Return the SI units that a channel of ``kind`` may have; none of plain numbers."""
+    """Return the SI units that a channel of ``kind`` may have; none where it has no unit."""
     return _UNITS.get(kind, ("m", "rad") if kind in _POSITIONS else ())
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a trace: the channel that it is, and what one of its units is in SI."""
+    """A column of a trace: its channel, and the factor from its unit to the SI unit."""
 
     name: str
     kind: ChannelKind | None  # None for the time
@@ -46,7 +46,7 @@ class Column:
 
 
 def parse_column(text: str, place: Place) -> Column:
-    """Return what a column is by its heading.
+    """Return the channel that the heading of a column names.
 
     ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` and the like name another kind
     of channel; ``operation`` has no unit, nor have ``valve.output`` and ``switch.input``, which

@@ -1,4 +1,4 @@
-"""What all file formats of commands and recordings share: whole files or none, clear refusals."""
+"""Functions that all file formats of commands and recordings share."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A file that was written, with its hash and what there is to say about it.
+    """A file that was written, and its hash.
 
-    ``warnings`` deserve a second look; ``facts`` are what was checked of its content.
+    ``warnings`` say what was left out or looks suspicious; ``facts`` say what was checked of its
+    content.
     """
 
     path: Path
@@ -76,7 +77,7 @@ def written(path: Path, warnings: tuple[str, ...] = ()) -> Written:
 
 @contextmanager
 def clear_errors(path: Path) -> Iterator[None]:
-    """Turn what a broken file makes the libraries raise into one line that names the file."""
+    """Turn every error that a broken file causes into a ``RecordingError`` that names the file."""
     try:
         yield
     except ThreadlineError:
@@ -106,12 +107,12 @@ def clear_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(known: KnownFile) -> Iterator[None]:
-    """As ``clear_errors``, for a file that must still hold what it held when first read.
+    """Do as ``clear_errors`` while a file is read again, and refuse a file that was changed.
 
     Raises
     ------
     RecordingError
-        If it holds something else.
+        If the content is not the one of the first reading.
     """
     with clear_errors(known.path):
         if not known.is_unchanged():
@@ -124,7 +125,7 @@ def reading(known: KnownFile) -> Iterator[None]:
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line numbers, from 1, and lines; refuse what is not text before it fills memory."""
+    """Yield line numbers, from 1, and lines; a RecordingError refuses binary or endless lines."""
     with path.open("rb") as file:
         number = 0
         while raw := file.readline(MAX_LINE_BYTES + 1):

@@ -1,4 +1,4 @@
-"""Finds the even grid on which the instants of a trace lie."""
+"""The even grid on which the instants of a trace lie."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from math import floor
 from threadline.errors import Place, RecordingError
 
 JITTER = 0.05
-"""Fraction of a period by which an instant may lie beside the grid; beyond it a trace is refused
-instead of being resampled."""
+"""Largest distance of an instant from the grid, as a share of the period; a trace with a larger one
+is refused and not resampled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Grid:
 def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
     """Return the grid of a trace from its line numbers and instants.
 
-    The period is the mean step, as the simplest fraction that fits it.
+    The period is the fraction with the least denominator that is the mean step within a tolerance.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
 
 
 def check_on_grid(time_s: float, tick: int, period_s: Fraction, stride: int, place: Place) -> None:
-    """Refuse an instant that is not that of ``tick``, by more than ``JITTER`` of a step."""
+    """Refuse an instant that is more than ``JITTER`` of a step away from that of ``tick``."""
     step_s = float(period_s) * stride
     expected_s = tick * float(period_s.numerator) / float(period_s.denominator)
     if not abs(time_s - expected_s) <= JITTER * step_s:

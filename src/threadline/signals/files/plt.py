@@ -58,9 +58,10 @@ def write_plt(
     every
         Ticks from one line to the next; by default every sample.
     kind
-        Which positions: as the encoders read them, or of another kind.
+        Kind of the positions; by default those that the encoders read.
     limit_lines
-        Stop after so many lines (``LINES_1994`` in 1994), with a warning; None writes all.
+        Largest number of lines (``LINES_1994`` in 1994); a warning says that the rest was left out.
+        None writes all.
 
     Raises
     ------

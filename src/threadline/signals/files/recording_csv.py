@@ -1,4 +1,4 @@
-"""Recordings in ``.csv`` files: our own with everything, and traces from anywhere with units."""
+"""Recordings in ``.csv`` files: complete ones that Threadline writes, and traces from elsewhere."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def read_recording_csv(path: Path) -> Recording:
     Raises
     ------
     RecordingError
-        If it is neither, with the line.
+        With the line, if the file is neither a recording nor such a trace.
     """
     with clear_errors(path):
         own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
@@ -262,7 +262,7 @@ def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[fl
 
 
 def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
-    """Return the number in ``cell``; ``nan`` allows what Threadline itself writes for no number."""
+    """Return the number in ``cell``; ``nan`` allows one that is not finite, as in our own files."""
     value: float | None = None
     if cell.isascii() and "_" not in cell:
         with suppress(ValueError):

@@ -1,7 +1,8 @@
-"""Recordings in MCAP files, written block by block: what a crash leaves can be read.
+"""Recordings in MCAP files, written block by block and readable after a crash of the writer.
 
-MCAP (mcap.dev) is a container of messages. Channels, clocks and what was run stand in the schema;
-each block is one message, which is whole in the file as soon as it has been written.
+MCAP (mcap.dev) is a container of messages. The schema holds the channels, their clocks and the
+hashes of job and machine. Each block is one message, which is complete in the file as soon as it
+has been written.
 """
 
 from __future__ import annotations
@@ -51,14 +52,14 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 
 class TraceWriter:
-    """Writes a recording while it is being made; every block is in the file when it was given.
+    """Writes a recording while it is being made; each block is flushed to the file at once.
 
     Parameters
     ----------
     file
-        Opened for writing; the caller closes it.
+        A file opened for writing; the caller closes it.
     recording
-        What is to be said of it: its blocks are not read.
+        Description of the recording: its channels and origin are written, its blocks are not read.
     """
 
     def __init__(self, file: IO[bytes], recording: Recording) -> None:
@@ -89,7 +90,7 @@ class TraceWriter:
         self._count += 1
 
     def finish(self) -> None:
-        """Write the end: without it the file says that it breaks off."""
+        """Write the end of the file; a file without it is read as one that breaks off."""
         self._writer.finish()  # type: ignore[no-untyped-call]  # the library leaves out "-> None"
         self._file.flush()
 
@@ -105,7 +106,7 @@ def write_recording_mcap(recording: Recording, path: Path) -> Written:
 
 
 def read_recording_mcap(path: Path) -> Recording:
-    """Read what ``TraceWriter`` wrote; a file that breaks off ends in an event of a fault.
+    """Read what ``TraceWriter`` wrote; a file that breaks off gets a final event of kind ``fault``.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def read_recording_mcap(path: Path) -> Recording:
                 "the file does not hold a recording of a known version", place=Place(str(path))
             )
         recording = recording_from(meta, path, _blocks)
-        for _ in recording:  # what is damaged is told now, and not in the middle of a judgement
+        for _ in recording:  # damage is found now, and not in the middle of a judgement
             pass
     return in_si(recording, Place(str(path)))
 
@@ -134,7 +135,7 @@ def read_recording_mcap(path: Path) -> Recording:
 def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
     """Yield schemas and messages of the data section, then None and True at its regular end.
 
-    A record that is not whole is where the program that wrote the file ended: nothing follows.
+    A record that is not complete is the last: the program that wrote the file ended there.
     """
     if file.read(len(_MAGIC)) != _MAGIC:
         raise RecordingError("the file is no MCAP file", place=Place(str(path)))

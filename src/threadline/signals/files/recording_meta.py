@@ -1,4 +1,4 @@
-"""What the files of recordings say beside the samples."""
+"""The description of a recording, which its files hold besides the samples."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ChannelMeta:
 
 @dataclass(frozen=True, config=_STRICT)
 class RecordingMeta:
-    """A recording as it stands in a file, but for its samples."""
+    """The description of a recording as it stands in a file."""
 
     version: Label
     clocks: dict[Label, FractionText]
@@ -62,7 +62,7 @@ _META = TypeAdapter(RecordingMeta)
 
 
 def recording_meta(recording: Recording) -> dict[str, Any]:
-    """Return what is to be written of ``recording`` beside its samples.
+    """Return the description of ``recording`` for a file.
 
     Raises
     ------
@@ -100,7 +100,10 @@ def recording_meta(recording: Recording) -> dict[str, Any]:
 
 
 def operation_fault(value: float) -> str | None:
-    """Return what is wrong with a sample of an operation: they count from 0, and -1 is none."""
+    """Return what is wrong with a sample of a channel of operations, or None.
+
+    Operations are counted from 0; -1 stands for none.
+    """
     if -1.0 <= value <= _MOST_OPERATIONS and value.is_integer():
         return None
     return f"the operation {value:.12g} is no whole number from 0 on, nor -1 for none"
@@ -114,11 +117,17 @@ def recording_from(
     Parameters
     ----------
     meta
-        The description.
+        The description, as it was read.
     path
         The file.
     samples
-        Called for each reading with the opened file, the channels, and the arguments ``given``.
+        Called for each reading with the file and its hash, the channels, and the arguments
+        ``given``; it yields the blocks.
+
+    Raises
+    ------
+    RecordingError
+        If the description is wrong.
     """
     found = checked_meta(_META, meta, path)
     place = Place(str(path))

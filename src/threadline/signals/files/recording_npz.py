@@ -25,14 +25,14 @@ from threadline.signals.files.recording_meta import (
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
 
 MAX_BLOCK_SAMPLES = 1 << 26
-"""Samples of one block, of all channels: what has to be in memory at once."""
+"""Largest number of samples in one block, all channels together: a block is kept in memory."""
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,60}")
 _TAKEN = {"blocks", "event_tick", "event_kind", "event_operation", "event_name", "event_value"}
 
 
 def _column_names(channels: tuple[Channel, ...]) -> list[str]:
-    """Return the column of each channel: its name where a file can be called so."""
+    """Return the column of each channel: its own name where that can be the name of a file."""
     return [
         c.name
         if _PLAIN.fullmatch(c.name) and c.name not in _TAKEN and not c.name.startswith("channel-")

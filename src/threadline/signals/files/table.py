@@ -1,4 +1,4 @@
-"""Tick tables in ``.npz`` and ``.csv`` files; both keep everything, block by block."""
+"""Tick tables in ``.npz`` and ``.csv`` files, written without loss, block by block."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _UNIT: Final = "count/m of a linear axis, count/rad of a rotary one"
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class TableMeta:
-    """What a file says of a tick table beside its rows."""
+    """The description of a tick table as it stands in a file."""
 
     clock: tuple[Label, FractionText]
     axes: Annotated[tuple[Label, ...], Field(min_length=1, max_length=MAX_AXES)]
@@ -64,7 +64,7 @@ _META = TypeAdapter(TableMeta)
 
 
 def table_meta(table: TickTable) -> dict[str, Any]:
-    """Return what is to be written of ``table`` beside its rows."""
+    """Return the description of ``table`` for a file."""
     return {
         "clock": [table.clock.name, fraction_text(table.clock.period_s)],
         "axes": list(table.axes),
@@ -84,12 +84,17 @@ def table_from(
     Parameters
     ----------
     meta
-        The description.
+        The description, as it was read.
     path
         The file.
     rows
-        Called for each reading with the opened file, the number of axes, and the arguments
-        ``given``.
+        Called for each reading with the file and its hash, the number of axes, and the arguments
+        ``given``; it yields the blocks.
+
+    Raises
+    ------
+    RecordingError
+        If the description is wrong.
     """
     found = checked_meta(_META, meta, path)
     place = Place(str(path))
@@ -113,14 +118,14 @@ def table_from(
 
 
 def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
-    """Return ``table``, described by ``meta``, after a check that its rows are those written.
+    """Return ``table`` after a check of its rows against their hash in ``meta``.
 
-    Older tables don't say what the hash of their rows is; they are taken as they are.
+    A table of an older version has no hash of its rows and is not checked.
 
     Raises
     ------
     RecordingError
-        If they are not, or cannot be read.
+        If the hash is another one, or a row cannot be read.
     """
     told = meta.get("rows_sha256")
     if told is None:
@@ -241,7 +246,7 @@ def checked_counts(counts: IntArray, path: Path) -> IntArray:
 
 
 def write_table_csv(table: TickTable, path: Path) -> Written:
-    """Write ``table`` as text: one line per tick, after comment lines with the rest."""
+    """Write ``table`` as text: comment lines with its description, then one line per tick."""
     columns = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
     return write_text(table, path, TITLE, columns, _csv_rows)
 
@@ -255,7 +260,7 @@ def write_text(
 ) -> Written:
     """Write ``table`` as text: its description, the columns, the lines of each block, the end.
 
-    The hash of the rows is known at the end only, and put into the description then.
+    The hash of the rows is written into the description last, when all rows have been read.
     """
     with atomic_file(path) as file:
         for line in meta_lines(title, {**table_meta(table), "rows_sha256": "0" * 64}):

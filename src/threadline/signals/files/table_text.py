@@ -1,4 +1,4 @@
-"""Reading tick tables from text: the CSV table of every tick."""
+"""Reading of tick tables in CSV, and of the lines that all text formats of them share."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from threadline.signals.files.table import (
     table_from,
 )
 
-_LAST = 200  # bytes that the last line is within
+_LAST = 200  # bytes at the end of a file that hold its last line
 
 
 def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
@@ -67,7 +67,7 @@ def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
 
 
 def check_columns(found: str, expected: list[str], place: Place) -> None:
-    """Refuse a line of column names that is not as expected, naming the first that differs."""
+    """Refuse a line of column names that is not as expected, naming the first unknown column."""
     names = found.split(",")
     for name in names:
         if name not in expected:
@@ -146,12 +146,12 @@ def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
 
 
 def body_lines(path: Path, head: int) -> Iterator[tuple[int, str]]:
-    """Yield the lines after ``head``; refuse a table without its last line, or with more after it.
+    """Yield the lines after line ``head``, up to the line that ends the table.
 
     Raises
     ------
     RecordingError
-        Once the lines are through, if the table was cut off.
+        If lines follow the end of the table, or the file has no such end.
     """
     ended, number = False, head
     for number, line in text_lines(path):
@@ -174,12 +174,12 @@ def _cut_off(place: Place) -> RecordingError:
 
 
 def told_end(path: Path) -> int:
-    """Return how many ticks the last line of a table tells, before any of them is read.
+    """Return the number of ticks that the last line of a table gives, without reading the others.
 
     Raises
     ------
     RecordingError
-        If it is another line.
+        If the last line is not the one that ends a table.
     """
     place = Place(str(path))
     with path.open("rb") as file:
