@@ -139,7 +139,7 @@ def rates() -> list[dict[str, Any]]:
         note = f"path and trajectory: {pieces} pieces in time, {duration_s:,.0f} s of motion"
         results.append(rate(name, seconds, note))
     path = plan_path(programmed, MACHINE, "auto")
-    seconds, _ = timed(lambda: path_deviation(programmed, path, MACHINE).at_tool_m, 1)
+    seconds, _ = timed(lambda: path_deviation(programmed, path).at_tool_m, 1)
     results.append(rate("path deviation of auto, planning included", seconds, ""))
     return results
 

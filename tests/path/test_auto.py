@@ -111,19 +111,19 @@ def test_tolerance_is_used_and_held_as_it_shrinks():
     """The spline is pulled to the corner by nearer points, never given up: it scales."""
     for tolerance_m in (1e-3, 1e-4, 1e-5, 1e-6):
         programmed, path = planned(there_and_back(), ("X",), tolerance_m)
-        deviation = path_deviation(programmed, path, WINDER)
+        deviation = path_deviation(programmed, path)
         assert 0.3 * tolerance_m < deviation.at_tool_m <= tolerance_m
         assert deviation.line == 7  # the reversal
         assert sum(int(block.rest_after.sum()) for block in path) == 1
     # Where no curve is left that the numbers can tell, the corner is met at rest.
     programmed, path = planned(there_and_back(), ("X",), 1e-9)
-    assert path_deviation(programmed, path, WINDER).at_tool_m <= 1e-9
+    assert path_deviation(programmed, path).at_tool_m <= 1e-9
     assert sum(int(block.rest_after.sum()) for block in path) == 2
 
 
 def test_summary_tells_points_added_and_the_worst_place():
     programmed, path = planned([[0, 0], [0.1, 0], [0.1, 0.1], [0.2, 0.1]], ("X", "Y"), 1e-4)
-    measured = path_deviation(programmed, path, WINDER)
+    measured = path_deviation(programmed, path)
     assert path.summary["points_added"] == 4  # one on either side of both corners
     assert path.summary["largest_deviation_m"] == pytest.approx(measured.at_tool_m)
     assert path.summary["largest_deviation_line"] == measured.line
@@ -150,7 +150,7 @@ def test_blocks_leave_no_seam(seed):
     c = pieces(path)
     assert c.sum(axis=1)[:-1] == pytest.approx(c[1:, 0], abs=1e-13)
     assert sum(int(block.rest_after.sum()) for block in path) == 1
-    assert path_deviation(programmed, path, WINDER).at_tool_m <= 1e-4
+    assert path_deviation(programmed, path).at_tool_m <= 1e-4
 
 
 @pytest.mark.parametrize("seed", [246, 276, 433, 453, 548, 579])

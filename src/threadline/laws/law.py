@@ -118,7 +118,10 @@ class Law:
 
 
 def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
-    """Return the law of these forms with its peaks computed from them."""
+    """Return the law of the given forms, with peaks that are computed from them.
+
+    The arguments are those of ``Law``. The jerk of the law is None where the acceleration jumps.
+    """
     bare = Law(
         name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,
         meets=meets,

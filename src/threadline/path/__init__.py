@@ -1,4 +1,4 @@
-"""Paths in axis space: what is programmed, what is planned, how far the two are apart."""
+"""Programmed and planned paths in axis space, and the deviation between them."""
 
 from threadline.path.deviation import PathDeviation, path_deviation
 from threadline.path.interpolations import (

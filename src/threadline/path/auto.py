@@ -1,9 +1,9 @@
-"""The path that follows the program within a tolerance: lines where straight, B-splines elsewhere.
+"""Paths that follow the program within a tolerance: lines where straight, B-splines elsewhere.
 
-The programmed vertices and points added beside them are the control polygon of one cubic
-B-spline per run between two rests, with knots spaced as the points are. Four control points in a
-row on one line make a straight piece; whatever they are, pieces join with continuous second
-derivative, and the spline stays in the hull of its polygon, so that it never leaves the travel.
+Between two rests, the programmed vertices and points added beside them are the control polygon of
+one cubic B-spline with knots spaced as the points are. Four consecutive control points on one line
+make a straight piece. All pieces join with continuous second derivative. The spline stays in the
+convex hull of its polygon and so within the travel of the axes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from threadline.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, r
 from threadline.path.spans import pieces_of
 from threadline.path.types import PieceBlock, ProgrammedPath
 
-_AHEAD = 1  # vertex beyond a chord that its control points depend on
-_CARRIED = 2  # control points before and after a span that its shape depends on
+_AHEAD = 1  # number of vertices beyond a chord on which its control points depend
+_CARRIED = 2  # number of control points on either side of a span on which its shape depends
 
 
 def auto_pieces(
@@ -35,8 +35,8 @@ def auto_pieces(
 ) -> Iterator[PieceBlock]:
     """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
-    ``cut_m`` is a distance at the tool, rotary axes at their radius; vertices within ``near_m`` of
-    each other are one.
+    Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
+    the one before it is left out.
     """
     run = _Run(programmed.radius_m, cut_m)
     for chunk in runs(programmed, near_m):
@@ -44,7 +44,7 @@ def auto_pieces(
 
 
 def points_added(programmed: ProgrammedPath, cut_m: float) -> int:
-    """Return how many control points are not vertices of the program; reads it once."""
+    """Return the number of control points that are not vertices; reads the whole program."""
     run = _Run(programmed.radius_m, cut_m)
     for chunk in runs(programmed):
         for _ in run.extend(chunk):
@@ -54,22 +54,22 @@ def points_added(programmed: ProgrammedPath, cut_m: float) -> int:
 
 @dataclass(slots=True)
 class _Run:
-    """The run under way: what has come in and is not yet a piece."""
+    """State of the run under way: vertices and control points that are not yet in a piece."""
 
     radius_m: FloatArray
     cut_m: float
     vertices: Vertices | None = None
     controls: Controls | None = None
-    first_chord: int = 0  # of those between ``vertices`` that is not yet in ``controls``
-    begun: bool = False  # pieces of this run are out
-    added: int = 0  # control points that are not vertices, so far
+    first_chord: int = 0  # first chord between ``vertices`` that is not yet in ``controls``
+    begun: bool = False  # whether pieces of this run were yielded already
+    added: int = 0  # number of control points so far that are not vertices
 
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
-        """Take in more vertices and yield the pieces that they settle."""
+        """Add vertices, and yield the pieces that no later vertex can change."""
         self.vertices = join_vertices(self.vertices, chunk.vertices)
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m)
-            # A corner that leaves no room for a curve within the tolerance is met at rest.
+            # At a corner too tight for a curve within the tolerance the motion comes to rest.
             tight = np.flatnonzero(self.cut_m < EVEN_CUT * LEAST_SPACING_M * turn)
             tight = tight[tight >= max(self.first_chord, 1)]
             if not len(tight):

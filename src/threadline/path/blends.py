@@ -18,14 +18,14 @@ CUT = 4.0  # a parabola over the length l on either side cuts the corner by turn
 def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBlock]:
     """Yield lines and, at every vertex in motion, a parabola that cuts it by ``cut_m`` at most.
 
-    A parabola passed at even speed is a constant acceleration: the linear path with parabolic
-    blends of the textbooks (Craig, "Introduction to Robotics", trajectory generation). It
-    begins as far before the vertex as it ends after it, at most half way to the next. It is
-    yielded as two pieces, one for each of the two moves.
+    This is the linear path with parabolic blends of the textbooks (Craig, "Introduction to
+    Robotics", trajectory generation): a parabola traversed evenly in its parameter is a motion of
+    constant acceleration. Each parabola begins as far before the vertex as it ends after it, at
+    most half way to the next vertex, and is yielded as two pieces, one for each of the two moves.
     """
     radius = programmed.radius_m
     held: Vertices | None = None
-    first = 0  # chord between ``held`` that is next
+    first = 0  # first chord between ``held`` that was not yielded yet
     for chunk in runs(programmed):
         held = join_vertices(held, chunk.vertices)
         while True:

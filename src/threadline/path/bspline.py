@@ -13,15 +13,27 @@ from threadline.machine import Machine
 from threadline.path.straight import chord_time_s, velocity_limit_of, with_previous
 from threadline.path.types import PieceBlock, ProgrammedPath
 
-MULTIPLICITY = 3  # a point that stands three times in a row is met, at rest
+MULTIPLICITY = 3  # the curve meets a point that is repeated three times, and rests there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlPoints:
-    """A run of control points, with the move into each.
+    """Consecutive control points; row i of a column is of point i or of the move into it.
 
-    ``copy`` counts the repetitions of one vertex from 0; ``chord_s`` is the nominal time from
-    the point before, 0 for a repetition; ``span`` is the knot interval from there, 1 if even.
+    Parameters
+    ----------
+    positions
+        (n, axes) m or rad.
+    chord_s
+        (n,) time of the move into the point at its feed; 0 for a repetition of the point.
+    operation, line
+        (n,) operation of that move, and its line in the job file.
+    rest, dwell_s
+        (n,) 1 where the motion rests at the point, else 0; time spent there.
+    copy
+        (n,) number of the repetition of one vertex, counted from 0.
+    span
+        (n,) knot interval from the point before, in units of the even one.
     """
 
     positions: FloatArray
@@ -44,23 +56,25 @@ class ControlPoints:
 _COLUMNS = ("positions", "chord_s", "operation", "line", "rest", "dwell_s", "copy", "span")
 
 Refine = Callable[[ControlPoints, FloatArray, ControlPoints | None, float], ControlPoints]
-"""Turns vertices and their (n,) 0/1 turning points into control points.
+"""Turns vertices into control points.
 
-The last two arguments are the vertex before the first, and whether it is a turning point.
+Arguments are the vertices, (n,) 1 for each that is a turning point and 0 for the others, the vertex
+before the first of them (or None), and 1.0 if that one is a turning point.
 """
 
 
 def join(parts: list[ControlPoints]) -> ControlPoints:
-    """Return the points of all ``parts`` in a row."""
+    """Return the points of all ``parts``, one after another."""
     return ControlPoints(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}
     )
 
 
 def bspline_coefficients(points: FloatArray) -> FloatArray:
-    """Return the (n - 3, 4, axes) a0..a3 of the uniform cubic B-spline on (n, axes) points.
+    """Return the (n - 3, 4, axes) coefficients of the uniform cubic B-spline on (n, axes) points.
 
-    Thesis, section 8.8.1; ``a0 + a1 u + a2 u^2 + a3 u^3`` for u in [0, 1].
+    Each piece is ``a0 + a1 u + a2 u^2 + a3 u^3`` for u in [0, 1]: filament winding thesis, section
+    8.8.1.
     """
     out = np.empty((max(len(points) - 3, 0), 4, points.shape[1]))
     _fill(np.ascontiguousarray(points), out)
@@ -84,8 +98,8 @@ def vertices_as_points(
 ) -> Iterator[tuple[ControlPoints, FloatArray]]:
     """Yield every vertex once, with 1 for those where an axis turns back, 0 for the others.
 
-    Whether a vertex is a turning point shows only at the vertex after it, so the last vertex of
-    each block is held back.
+    The vertex after it decides whether a vertex is a turning point, so the last vertex of each
+    block is yielded with the next block.
     """
     limit = velocity_limit_of(programmed, machine)
     held: ControlPoints | None = None
@@ -119,7 +133,7 @@ def vertices_as_points(
 
 
 def repeat(points: ControlPoints, times: IntArray) -> ControlPoints:
-    """Return ``points`` with point i standing ``times[i]`` times in a row."""
+    """Return ``points`` with point i repeated ``times[i]`` times."""
     rows = np.repeat(np.arange(len(points)), times)
     first = np.concatenate([[0], np.cumsum(times)[:-1]])
     copy = np.arange(len(rows)) - first[rows]
@@ -139,14 +153,14 @@ def repeat(points: ControlPoints, times: IntArray) -> ControlPoints:
 def plain(
     points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
 ) -> ControlPoints:
-    """Triple the ends and every other vertex at which the motion rests."""
+    """Return the vertices as control points, tripled wherever the motion rests (a ``Refine``)."""
     del turning, before, turned
     return repeat(points, np.where(points.rest == 1, MULTIPLICITY, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Control points with all that the pieces between ``first`` and ``stop`` depend on.
+    """Control points that determine the pieces from ``first`` up to ``stop``.
 
     Piece j leads from point j to point j + 1.
     """
@@ -157,7 +171,7 @@ class Window:
 
 
 def windows(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> Iterator[Window]:
-    """Yield the control points in windows whose pieces follow on each other."""
+    """Yield the control points in windows whose pieces, in order, are those of the whole path."""
     carried: ControlPoints | None = None
     before: ControlPoints | None = None
     turned, first = 0.0, 1
@@ -176,12 +190,12 @@ def windows(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> Ite
 
 
 def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> float:
-    """Return the time per knot interval at which the fastest interval just meets the feed.
+    """Return the time of an even knot interval, in s, at which no interval is above its feed.
 
-    The velocity of an interval is a mean of three successive differences of control points (with
-    even knots the weights are (1-u)^2/2, -u^2+u+1/2, u^2/2). Measured in the time that each takes
-    at its feed, the same mean of nominal times bounds the time that the interval needs, whatever
-    the feed means; the bound is met where the differences point the same way.
+    The velocity in an interval is a weighted mean of three successive differences of control points
+    (with even knots the weights are (1-u)^2/2, -u^2+u+1/2, u^2/2). The same mean of the times that
+    these differences take at their feeds is an upper bound of the time that the interval needs,
+    whichever kind of feed it is. The bound is exact where the three differences have one direction.
     """
     longest = 0.0
     for window in windows(programmed, machine, refine):
@@ -201,10 +215,11 @@ def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine
 def bezier_differences(
     leg: FloatArray, span: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the three (n, axes) differences of the Bezier points of the span over each leg.
+    """Return the three (n, axes) differences of the Bezier points on each knot span.
 
-    ``leg`` and ``span`` are the differences of n + 1 control points and the knot intervals
-    between them; those of the first and last leg are not complete. Boehm's construction.
+    ``leg`` (n, axes) and ``span`` (n,) are the differences of n + 1 control points and the knot
+    intervals between them. The Bezier points are those of Boehm's construction; on the first and
+    the last span, whose neighbours are missing, the differences are not to be used.
     """
     before = np.concatenate([span[:1], span[:-1]])
     after = np.concatenate([span[1:], span[-1:]])
@@ -234,7 +249,7 @@ def _coefficients(window: Window) -> FloatArray:
 def bspline_pieces(
     programmed: ProgrammedPath, machine: Machine, refine: Refine, interval_s: float
 ) -> Iterator[PieceBlock]:
-    """Yield one cubic piece per knot interval; an even one lasts ``interval_s``."""
+    """Yield one cubic piece per knot interval, with ``interval_s`` as the time of an even one."""
     begun = False
     for window in windows(programmed, machine, refine):
         points = window.points

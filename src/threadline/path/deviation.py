@@ -1,4 +1,4 @@
-"""How far a planned path is from the programmed one: geometry only, no time."""
+"""Distance of a planned path from the programmed one, as the planner reports it."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.machine import Machine
 from threadline.path.nearest import compare
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath
 
-WINDOW = 2  # moves before and after that a piece is held against
+WINDOW = 2  # number of moves, before its own and after, with which a piece is compared
 _PIECES = 4096
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathDeviation:
-    """The worst places of a planned path.
+    """Largest deviation of a planned path, and where it is.
 
     Parameters
     ----------
     at_tool_m
-        Largest distance at the tool, rotary axes at their radius.
+        Largest distance at the tool, with rotary axes at their radius.
     at_vertex
-        True where a programmed vertex is missed, False where the path strays from a chord.
+        True if that is the distance of a programmed vertex from the path, False if it is that of
+        the path from a chord.
     line, operation
-        Of the job, for that place.
+        Line of the job file and operation at that place.
     position
-        (axes,) of the programmed path there, m or rad.
+        (axes,) the vertex, or the place of the path, m or rad.
     per_axis
-        (axes,) largest difference of each axis, m or rad, between the path and the nearest
-        place of the program, or a vertex and the nearest place of the path.
+        (axes,) largest difference of each axis, m or rad, between the path and the nearest place of
+        the program, or between a vertex and the nearest place of the path.
     """
 
     at_tool_m: float
@@ -43,25 +43,22 @@ class PathDeviation:
     per_axis: FloatArray
 
 
-def path_deviation(
-    programmed: ProgrammedPath, planned: PlannedPath, machine: Machine | None = None
-) -> PathDeviation:
-    """Return how far the two paths are apart, each piece held against the moves around its own.
+def path_deviation(programmed: ProgrammedPath, planned: PlannedPath) -> PathDeviation:
+    """Return the largest deviation between the two paths.
 
-    Both ways count: from the planned path to the nearest programmed chord, and from each vertex
-    to the nearest place of the planned path. Only moves near in order are looked at, because
-    paths cross and retrace themselves.
+    It is the larger one of two distances: from the planned path to the nearest programmed chord,
+    and from a programmed vertex to the nearest place of the planned path. Each piece is compared
+    with a few moves before and after its own alone, because paths cross and retrace themselves.
 
-    The planner reports it of its own paths. The judge does not take its word, and has a measure of
-    its own (``threadline.verdict.deviation``).
+    Planners report this number. The judge measures the deviation independently
+    (``threadline.verdict.deviation``).
     """
-    del machine  # the radii travel with the paths
     return _Comparison(programmed, planned).run()
 
 
 @dataclass(slots=True)
 class _Window:
-    """Vertices in hand; ``best`` is the squared distance of each to the path so far."""
+    """Vertices near the current piece; ``best`` is the squared distance of each to the path."""
 
     positions: FloatArray
     operation: IntArray
@@ -124,7 +121,7 @@ class _Comparison:
         )
 
     def _take(self, coefficients: FloatArray, operation: IntArray) -> None:
-        """Hold pieces against the window around each."""
+        """Compare pieces with the vertices around each."""
         last = int(operation[-1])
         while not self._ended and int((self._window.operation > last).sum()) <= 2 * WINDOW:
             self._read()
@@ -146,7 +143,7 @@ class _Comparison:
             self._where = (False, int(w.line[mine]), int(operation[at]), position)
 
     def _settle(self, count: int) -> None:
-        """Let go of the first ``count`` vertices: no later piece comes near them."""
+        """Record the distances of the first ``count`` vertices, which no later piece can change."""
         w = self._window
         reached = w.best[:count]
         seen = np.flatnonzero(np.isfinite(reached))

@@ -22,7 +22,7 @@ from threadline.signals import Stream
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
-_NEAR_SHARE = 0.01  # of the tolerance: vertices nearer to each other are one to ``optimal``
+_NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices nearer to the last
 _ROUNDING = 1e-9
 CHORDS = "chords"
 """The programmed chords as they stand; no interpolation of its own."""
@@ -32,12 +32,12 @@ OPTIMAL = "optimal"
 FIRMWARE = "firmware"
 """The chords as the machine's own firmware times them."""
 KEEPING_TOLERANCE = ("auto", OPTIMAL, "parabolic")
-"""Interpolations that stay within the tolerance everywhere; the others report what they do."""
+"""Interpolations that stay within the tolerance everywhere; the others report their deviation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathOptions:
-    """What an interpolation may need besides the programmed path."""
+    """Options of the interpolations; see ``plan_path``."""
 
     tolerance_m: float = DEFAULT_TOLERANCE_M
     pull: Pull = "repeat"
@@ -62,9 +62,9 @@ def plan_path(
     interpolation
         One of ``interpolation_names()``.
     tolerance_m
-        Largest distance between planned and programmed path, per axis, rotary axes at the
-        radius of the tool. The historical interpolations ignore it; the cubic keeps it at the
-        points only and the quintic meets them: of neither is the path between them bounded.
+        Largest distance between planned and programmed path at the tool, with rotary axes at
+        their radius. The historical interpolations ignore it. The cubic keeps it at the points
+        and the quintic meets the points; between the points neither has a bound.
     pull
         How ``b-spline-pulled`` is pulled to its turning points: by repeating them, by points
         nearby, or by knot spacing.
@@ -95,15 +95,15 @@ def plan_path(
 
 
 def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> PlannedPath:
-    """Return the chords of the program themselves, for motions that need no rounded corners.
+    """Return the programmed chords as a path, for motions that need no rounded corners.
 
-    They are passable at programmed times, smoothed afterwards (``Pace.PROGRAMMED``), or from rest
-    to rest (``Pace.LAW``).
+    Such motions are smoothed in time (``Pace.PROGRAMMED``) or rest at every vertex
+    (``Pace.LAW``).
 
     Parameters
     ----------
     interpolation
-        What it is called.
+        Name that the path is given.
     """
     return PlannedPath(
         axes=programmed.axes,
@@ -116,7 +116,7 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
 
 
 def on_chords(interpolation: str) -> bool:
-    """Say whether an interpolation follows the programmed chords themselves."""
+    """Return whether the interpolation of that name follows the programmed chords themselves."""
     return interpolation == CHORDS or interpolation.startswith(BY_LAW)
 
 
@@ -200,8 +200,8 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
 
 
 def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
-    # Jerk is a limit of the timing, so that the shape has all of the tolerance but what vertices
-    # lose that stand for their neighbours: nothing can be timed on moves of a nanometre.
+    # Jerk is limited by the timing, so the shape has the whole tolerance, less the distance of the
+    # vertices that are left out: moves of a nanometre cannot be timed.
     del machine
     near_m = _NEAR_SHARE * options.tolerance_m
     cut_m = options.tolerance_m * (1.0 - _NEAR_SHARE - _ROUNDING)
@@ -238,8 +238,8 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
 def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     smoothing = smoothing_for(machine, programmed.axes)
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
-    # A parabola uses all of its share, unlike a spline, and nothing is left for the outer ends
-    # of the smoothing: found by trial to need a tenth at reversals.
+    # Unlike a spline, a parabola uses all of its share and leaves nothing for the smoothing's outer
+    # ends, which by trial need a tenth of it at reversals.
     smoothing_m = PARABOLA_SHARE * share * options.tolerance_m
     cut_m = (1.0 - share) * options.tolerance_m
     path = PlannedPath(
@@ -264,8 +264,8 @@ def _polynomial(name: str) -> Planner:
             for limit in ("velocity", "acceleration", "jerk")
         ]
         if not quintic:
-            # The acceleration of a cubic steps; what the smoothing misses the points by is half
-            # its variance times the acceleration.
+            # The acceleration of a cubic jumps at the points; there the smoothing misses them by
+            # half its variance times the acceleration.
             variance = smoothing_for(machine, programmed.axes).variance_s2
             room = 2.0 * options.tolerance_m / (variance * programmed.radius_m)
             limits = [limits[0], np.minimum(limits[1], room)]

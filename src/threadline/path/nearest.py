@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 
 SAMPLES = 8  # per curved piece, before refining
-NEAREST = 40  # steps to the nearest place of a piece; Newton's needs a few of them
-CLOSE = 1e-12  # of a piece: no step is smaller
+NEAREST = 40  # most steps to the nearest place of a piece; Newton's method needs a few
+CLOSE = 1e-12  # least step, as a share of a piece
 REFINE = 24  # golden-section steps: 1e-5 of a sample interval
 _GOLDEN = 0.6180339887498949
 
@@ -60,11 +60,12 @@ def _gap(c, u, target):
 
 @njit(cache=True)
 def _bracketed(c, target, low, high, u):
-    """Return u and the squared distance of a nearest place between two samples, from ``u`` on.
+    """Return u and the squared distance of the nearest place between ``low`` and ``high``.
 
-    Newton's step on the slope of the squared distance, where it stays within the bracket; else the
-    middle of it. The bracket shrinks to the side to which the distance falls, so that a place at
-    which the slope vanishes without being nearest (a piece that begins at rest) holds nothing up.
+    It takes Newton's steps on the slope of the squared distance from ``u`` on, and halves the
+    bracket where such a step would leave it. The bracket shrinks to the side to which the distance
+    falls, so that a slope of 0 away from the nearest place (where a piece begins at rest) does not
+    end the search.
     """
     best, where = np.inf, u
     for _ in range(NEAREST):
@@ -100,14 +101,15 @@ def _bracketed(c, target, low, high, u):
 def _nearest_on_piece(c, target, limit, gaps):
     """Return u and the squared distance of the place of a piece that is nearest to ``target``.
 
-    Places farther than ``limit`` (squared) are found roughly. ``gaps`` is (SAMPLES + 1,) room.
+    If it is farther away than ``limit`` (a squared distance), only the nearest sample is returned.
+    ``gaps`` is (SAMPLES + 1,) scratch space.
     """
     best, where = np.inf, 0.0
     for k in range(SAMPLES + 1):
         gaps[k] = _gap(c, k / SAMPLES, target)
         if gaps[k] < best:
             best, where = gaps[k], k / SAMPLES
-    # No place between two samples is nearer than the samples by more than the way between them.
+    # A place between two samples is nearer than they are by at most the path length between them.
     way = 0.0
     for j in range(c.shape[1]):
         rate = 0.0
@@ -116,7 +118,7 @@ def _nearest_on_piece(c, target, limit, gaps):
         way += rate * rate
     way = np.sqrt(way) / SAMPLES
     for k in range(SAMPLES + 1):
-        # Every sample that is nearer than its neighbours has a nearest place about it.
+        # Around every sample that is nearer than its neighbours there is a local minimum.
         if (k > 0 and gaps[k] > gaps[k - 1]) or (k < SAMPLES and gaps[k] > gaps[k + 1]):
             continue
         if np.sqrt(gaps[k]) - way > np.sqrt(min(best, limit)):
@@ -130,11 +132,26 @@ def _nearest_on_piece(c, target, limit, gaps):
 
 @njit(cache=True)
 def compare(c, vertex, vertices, window, best, offset):
-    """Hold pieces against the vertices around vertex ``vertex[i]`` of each.
+    """Compare n pieces with the vertices around them.
 
-    ``best`` and ``offset``, the squared distance and the difference of every vertex to the path,
-    are brought up to date. Returns the largest squared distance of the path to the chords, its
-    piece and u, and the largest difference per axis.
+    Parameters
+    ----------
+    c
+        (n, order, axes) coefficients, at the tool.
+    vertex
+        (n,) the vertex to which the move of each piece leads.
+    vertices
+        (k, axes) positions at the tool.
+    window
+        Number of vertices on either side with whose chords a piece is compared.
+    best, offset
+        (k,) and (k, axes): squared distance of each vertex to the path so far, and its difference
+        from there; both are updated.
+
+    Returns
+    -------
+    The largest squared distance of the path to the chords, its piece and u, and the (axes,) largest
+    differences.
     """
     axes = c.shape[2]
     point = np.empty(axes)

@@ -1,8 +1,9 @@
-"""Programmed vertices -> control polygon of a cubic B-spline that stays within a tolerance.
+"""The control polygon of a cubic B-spline that stays within a tolerance of programmed vertices.
 
 Where the program turns so little that the spline cuts a vertex by less than the tolerance, the
-vertices alone are the control points. Elsewhere points are added on the chords beside the vertex,
-nearer the tighter the tolerance. Everything is measured at the tool: rotary axes at their radius.
+vertices alone are the control points. Elsewhere points are added on the chords on either side of
+the vertex, the nearer to it the smaller the tolerance. All lengths are measured at the tool, with
+rotary axes at their radius.
 """
 
 from __future__ import annotations
@@ -16,22 +17,32 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.path.runs import Vertices
 
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
-LEAST_SPACING_M = 1e-7  # below this a corner is met at rest instead
+LEAST_SPACING_M = 1e-7  # a corner that would need points nearer than this is met at rest
 # With neighbours at h1 and h2 a vertex is cut by at most |dt| max(h1, h2) / 4, whatever the
 # spacing beyond them; with even spacing l on both sides by |dt| l / 6.
 ANY_CUT = 1.0 / 4.0
 EVEN_CUT = 1.0 / 6.0
-TOUCH = 1e-9  # of the chord: points of the two ends that are nearer become one
-EXTRA = 1.75  # of the spacing: room for another point before a vertex without points
-MOST_POINTS = 4  # of a chord, the vertex at its end included
+TOUCH = 1e-9  # share of the chord: two added points that are nearer to each other become one
+EXTRA = 1.75  # share of the spacing: room for another point before a vertex without points
+MOST_POINTS = 4  # most control points of a chord, the vertex at its end included
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controls:
-    """Control points; row i of the last four columns is of the leg into point i.
+    """Consecutive control points; the leg of point i leads from point i - 1 to it.
 
-    ``turn`` is |t2 - t1| of the unit tangents at the tool, 0 on a straight line; ``added`` is 1
-    for a point that is not a vertex.
+    Parameters
+    ----------
+    positions
+        (n, axes) m or rad.
+    turn
+        (n,) |t2 - t1| of the unit tangents before and after the point, at the tool; 0 on a line.
+    added
+        (n,) 1 for a point that is not a vertex, else 0.
+    length_m, nominal_s
+        (n,) length of the leg at the tool, and its time at the feed.
+    operation, line
+        (n,) operation that the leg belongs to, and its line in the job file.
     """
 
     positions: FloatArray
@@ -54,7 +65,7 @@ _COLUMNS = ("positions", "turn", "added", "length_m", "nominal_s", "operation", 
 
 
 def join_controls(first: Controls | None, second: Controls) -> Controls:
-    """Return both in a row."""
+    """Return the points of ``first``, if there are any, followed by those of ``second``."""
     if first is None:
         return second
     return Controls(
@@ -102,11 +113,12 @@ def control_polygon(
     Parameters
     ----------
     vertices
-        n of one run, with one more on either side of the chords unless the run ends there.
+        n vertices of one run, among them one on either side of the chords unless the run ends
+        there.
     length_m, turn
-        (n - 1,) and (n,), as ``turns`` gives them.
+        (n - 1,) lengths and (n,) turns of ``turns``.
     cut_m
-        As for ``corner_spacing``.
+        Largest distance of the spline from vertices and chords, at the tool.
     """
     spacing = corner_spacing(length_m, turn, cut_m)
     fraction, owner, vertex = _insert(length_m, turn, spacing, first, stop)
@@ -129,7 +141,7 @@ def control_polygon(
 def _insert(
     length: FloatArray, turn: FloatArray, spacing: FloatArray, first: int, stop: int
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return place on its chord, chord and 0/1 vertex of every control point."""
+    """Return of every control point its place on its chord (0 to 1), the chord, 1 if a vertex."""
     fraction = np.empty((stop - first) * MOST_POINTS)
     owner = np.empty((stop - first) * MOST_POINTS, dtype=np.int64)
     vertex = np.zeros((stop - first) * MOST_POINTS, dtype=np.int64)
@@ -142,7 +154,7 @@ def _insert(
             fraction[n] = 0.5
             n += 1
         else:
-            # Towards a curve that has no added points a second one keeps the spacing even.
+            # Towards a vertex without added points, a second added point keeps the spacing even.
             if near > 0.0:
                 fraction[n] = near
                 n += 1

@@ -1,11 +1,11 @@
 """Cubic and quintic polynomials in time from point to point, passing the points in motion.
 
 Each axis passes a point at the smaller of the mean velocities before and after it, and at 0 where
-it turns back. So each piece is monotone, its end velocities are 0 to 1 times its mean velocity,
-and the peaks of its derivatives are bounded by those of the four extreme cases (they are convex
-in the end velocities): with the mean velocity d / T of an axis, at most ``peaks[k] * d / T**k``.
-The time T of every piece is the shortest that keeps these bounds within the limits and the
-velocity within the feed. A quintic passes the points without acceleration.
+it turns back. So each piece is monotone and its end velocities are 0 to 1 times its mean velocity.
+The peaks of its derivatives are convex functions of the end velocities and hence largest in one of
+the four extreme cases: the k-th derivative of an axis that moves by d in a time T is at most
+``peaks[k] * d / T**k``. The time T of every piece is the shortest that keeps these bounds within
+the limits and the velocity within the feed. A quintic passes the points without acceleration.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def polynomial_pieces(
     Parameters
     ----------
     programmed
-        What the job says.
+        The programmed path.
     limits
         (axes,) limits of velocity, acceleration and, for a quintic, jerk.
     quintic

@@ -1,4 +1,4 @@
-"""Job -> programmed path: vertices in axis space, with the time that the feed gives each move."""
+"""The programmed path of a job: vertices in axis space, with the time of each move at its feed."""
 
 from __future__ import annotations
 
@@ -17,29 +17,31 @@ from threadline.signals import Stream
 
 BLOCK = 4096
 _NONE_YET = Feed(FeedMode.RAPID, 0.0)
-_TRAVEL_SLACK = 1e-9  # m or rad: sums of incremental moves end a rounding beyond the limit
+_TRAVEL_SLACK = 1e-9  # m or rad: rounding of sums of incremental moves that end at a limit
 
 
 def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> ProgrammedPath:
-    """Return what ``job`` says, as a stream of vertices on the axes of the job.
+    """Return the programmed path of ``job``, a stream of vertices on the axes of the job.
 
-    The motion rests where something else than a move follows: a dwell, an output, a wait, a
-    stop, a tool event, the end.
+    The motion rests where something other than a move follows: a dwell, an output, a wait, a stop,
+    a tool event, the end.
 
     Parameters
     ----------
     job, machine
-        What is to be done, and on what.
+        The job, and the machine that does it.
     feed
-        Replaces the feed of every move but the rapid ones. Without it the job's feeds count,
-        each no faster than the operator's normal feed where the machine file has one; how many
-        moves that slowed is in ``VertexBlock.slowed``.
+        Feed of every move but the rapid ones. When None, each move has its programmed feed, but
+        none faster than the operator's normal feed if the machine file has one;
+        ``VertexBlock.slowed`` counts the moves that were slowed to it.
 
     Raises
     ------
     PlanError
-        If an axis of the job is not on the machine. While the stream is read: if a feed is
-        missing or not above 0, or (as ``LimitError``) a move ends outside the travel.
+        If an axis of the job is not on the machine, or ``feed`` is not above 0. While the stream is
+        read: if a feed is missing or not above 0.
+    LimitError
+        While the stream is read: if the start or the end of a move is outside the travel.
     """
     for axis in job.axes:
         if axis not in machine.axes:
@@ -75,7 +77,7 @@ class _Pending:
     count: int = 1
 
     def add(self, run: MoveRun, operation: int) -> None:
-        """Take in a run of moves whose first is ``operation``."""
+        """Append a run of moves, of which the first is number ``operation``."""
         self.file = run.file
         for begin, feed in run.feeds:
             if feed is not self.feeds[-1][1]:
@@ -86,11 +88,11 @@ class _Pending:
         self.count += len(run)
 
     def rest(self, dwell_s: float) -> None:
-        """Let the motion rest at the latest vertex."""
+        """Add a rest of ``dwell_s`` at the latest vertex."""
         self.rests[self.count - 1] = self.rests.get(self.count - 1, 0.0) + dwell_s
 
     def after(self, size: int) -> _Pending:
-        """Return what is left once the first ``size`` vertices are in a block."""
+        """Return the vertices after the first ``size``, which are in a block."""
         return _Pending(
             [np.concatenate(self.targets)[size:]],
             [np.concatenate(self.line)[size:]],

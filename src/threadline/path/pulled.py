@@ -1,4 +1,4 @@
-"""Pulling a uniform B-spline to its turning points, the three ways of the thesis (section 8.8)."""
+"""Three ways to pull a uniform B-spline to its turning points: winding thesis, section 8.8."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from threadline.path.bspline import MULTIPLICITY, ControlPoints, Refine, join, r
 
 Pull = Literal["repeat", "points", "spacing"]
 
-NEARBY = 1.0 / 8.0  # of the chord: where the points near a turning point stand
-CLOSE_KNOTS = 1.0 / 8.0  # of the others: the knot intervals on either side of a turning point
+NEARBY = 1.0 / 8.0  # distance of added points from a turning point, as a share of the chord
+CLOSE_KNOTS = 1.0 / 8.0  # knot intervals beside a turning point, in units of the others
 
 
 def by_repetition(
     points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
 ) -> ControlPoints:
-    """Triple the turning points: the curve meets them, at rest."""
+    """Repeat each turning point three times: the curve meets it, and rests there (a ``Refine``)."""
     del before, turned
     return repeat(points, np.where((points.rest == 1) | (turning == 1), MULTIPLICITY, 1))
 
@@ -27,9 +27,10 @@ def by_repetition(
 def by_points(
     points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
 ) -> ControlPoints:
-    """Add a point on either side of each turning point, at an eighth of the chords there.
+    """Add a point on either side of each turning point, at an eighth of its chord (a ``Refine``).
 
-    The curve misses the turning point by an eighth of what it would: |P0 - 2 P1 + P2| / 48.
+    The curve misses the turning point by |P0 - 2 P1 + P2| / 48, an eighth of the distance without
+    the added points.
     """
     chain = points if before is None else join([before, points])
     turns = turning if before is None else np.concatenate([[turned], turning])
@@ -45,7 +46,7 @@ def by_points(
         order = np.argsort(np.concatenate(rows), kind="stable")
         kept = order[np.concatenate(wanted)[order]]
         fresh = join([near, far, end]).take(kept)
-        # Each point takes the share of its chord's time that lies between it and the one before.
+        # The time of a chord is divided among its points in proportion to their distances.
         share = np.concatenate(
             [np.full(len(end), NEARBY), np.full(len(end), 1.0 - NEARBY), np.ones(len(end))]
         )[kept]
@@ -60,7 +61,7 @@ def by_points(
 def by_spacing(
     points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
 ) -> ControlPoints:
-    """Shorten the knot intervals on either side of each turning point to an eighth.
+    """Shorten the knot intervals on either side of each turning point to an eighth (a ``Refine``).
 
     The curve misses the turning point by |P0 - 2 P1 + P2| e / (2 (1 + 2 e)) with e = 1/8, and
     its peak velocity is 3 / (1 + 2 e) of that with even knots.
@@ -73,7 +74,7 @@ def by_spacing(
 
 
 def _on_chords(begin: ControlPoints, end: ControlPoints, fraction: float) -> ControlPoints:
-    """Return a point of each chord that is no vertex; it belongs to the move along the chord."""
+    """Return an added point at ``fraction`` of each chord; it belongs to the move along it."""
     return replace(
         end,
         positions=begin.positions + fraction * (end.positions - begin.positions),

@@ -1,4 +1,4 @@
-"""Programmed path -> runs of distinct vertices between two rests, in chunks."""
+"""Runs: the distinct vertices of a programmed path from rest to rest, read in chunks."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from numba import njit
 from threadline.arrays import FloatArray, IntArray
 from threadline.path.types import ProgrammedPath
 
-COINCIDENT_M = 1e-12  # vertices nearer than this at the tool are one
+COINCIDENT_M = 1e-12  # a vertex nearer than this at the tool to the one before is left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vertices:
-    """Vertices without repetitions; row i of a column is of the move into vertex i."""
+    """Vertices without repetitions; row i of a column is of vertex i or of the move into it.
+
+    ``positions`` are (n, axes) in m or rad; ``nominal_s``, ``operation`` and ``line`` are (n,), as
+    in ``VertexBlock``.
+    """
 
     positions: FloatArray
     nominal_s: FloatArray
@@ -37,7 +41,7 @@ class Vertices:
 
 
 def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
-    """Return both in a row."""
+    """Return the vertices of ``first``, if there are any, followed by those of ``second``."""
     if first is None or not len(first):
         return second
     return Vertices(
@@ -50,7 +54,10 @@ def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
 
 @njit(cache=True)
 def _away(places, near_m):  # type: ignore[no-untyped-def]
-    """Return which of (n + 1, axes) places but the first are away from the last that counted."""
+    """Return (n,) whether each of (n + 1, axes) places after the first one is kept.
+
+    A place is kept if it is farther than ``near_m`` from the last place that was kept.
+    """
     away = np.zeros(len(places) - 1, dtype=np.bool_)
     last = 0
     for k in range(1, len(places)):
@@ -62,9 +69,9 @@ def _away(places, near_m):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chunk:
-    """More vertices of the run under way (none is possible).
+    """The next vertices of a run; there may be none.
 
-    ``ends`` tells that the run ends at the last vertex so far, with a pause of ``dwell_s``.
+    ``ends`` is True if the run ends with them, with a pause of ``dwell_s`` at the last vertex.
     """
 
     vertices: Vertices
@@ -73,15 +80,16 @@ class Chunk:
 
 
 def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[Chunk]:
-    """Yield every run in chunks: a run begins where the one before it ended.
+    """Yield every run in chunks; the last vertex of a run is where the next run begins.
 
-    Moves of no length are left out; the rest and the pause that follow them count for the
-    vertex at which they happen. The start is a run of one vertex.
+    Moves of no length are left out; a rest or a pause after such a move belongs to the vertex at
+    which it happens. The start is a run of one vertex.
 
     Parameters
     ----------
     near_m
-        A vertex no farther at the tool from the one before it that counts is the same vertex.
+        Vertices no farther than this from the last one that was kept are left out. Distances are
+        the largest difference of an axis, at the tool.
     """
     radius = programmed.radius_m
     last: Vertices | None = None

@@ -1,4 +1,4 @@
-"""Control polygon -> cubic pieces of the B-spline whose knots are spaced as its points are."""
+"""The cubic pieces of a B-spline whose knots are spaced as its control points are."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadline.path.types import PieceBlock
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 _EVEN = 0.02
-"""A piece on which the programmed pace changes by more than this share of it is cut."""
+"""A piece is divided where its time per unit of u, by the feed, varies by more than this share."""
 _MOST_PARTS = 16
 
 
@@ -26,19 +26,20 @@ def pieces_of(
     Parameters
     ----------
     controls
-        With at least two points more on either side, unless the run begins at the first or ends
-        at the last.
-    dwell_s
-        Pause at the end of the run.
+        Control points, with at least two before ``first`` and two after ``stop`` unless the run
+        begins at the first or ends at the last.
+    ends, dwell_s
+        Whether the run ends at ``stop``, and the pause there.
 
     Notes
     -----
     Boehm's construction: leg k, from point k to k + 1 of length h[k], carries the two inner
     Bezier points of its span at the fractions h[k-1] / H and (h[k-1] + h[k]) / H,
     H = h[k-1] + h[k] + h[k+1]; the joint at point k divides the last of leg k - 1 and the first
-    of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a
-    line, and the spline beside it ends in their common point like a run: mirrored, so that it
-    leaves straight, without curvature and evenly, however long the line is.
+    of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a line.
+    The spline beside a line ends in their common point as at the end of a run: its polygon is
+    mirrored there, so that it leaves straight, without curvature and evenly, whatever the length
+    of the line.
     """
     line = (controls.turn[:-1] == 0.0) & (controls.turn[1:] == 0.0)
     leg = np.diff(controls.positions, axis=0)
@@ -83,16 +84,18 @@ def pieces_of(
 def _evenly_timed(
     coefficients: FloatArray, t0: FloatArray, t1: FloatArray, t2: FloatArray, straight: BoolArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Cut curved pieces on which the programmed pace changes; each part has its own.
+    """Divide curved pieces along which the programmed speed changes.
 
-    The time that the program gives is a spline over the same knots as the path, with the Bezier
-    differences ``t0, t1, t2`` (m, 1) on each piece. A piece has but one pace: at the slowest of
-    the three it would take up to half as long again, and the needle would wait for the head.
+    The time at the feed is a spline over the same knots as the path, with the Bezier differences
+    ``t0, t1, t2`` (m, 1) on each of m pieces. A piece has a single nominal time. At the slowest of
+    its three differences it would take up to half as long again as programmed, and the needle of a
+    stitcher would wait for the head.
 
     Returns
     -------
     owner, coefficients, nominal_s
-        (k,) piece that each part is of, (k, 4, axes) and (k,).
+        (k,) piece that each part belongs to, and the (k, 4, axes) coefficients and (k,) times of
+        the parts.
     """
     pace = 3.0 * np.concatenate([t0, t1, t2], axis=1)
     mean = np.maximum(pace.mean(axis=1), np.finfo(np.float64).tiny)
@@ -117,7 +120,7 @@ def _evenly_timed(
     cut[whole] = c[whole]
     a, b, d = pace[owner].T
     end = begin + share
-    # The largest Bezier value of each part's own pace: the feed is an upper bound.
+    # The largest Bezier value of the part's time per u, so that no place is above its feed.
     first = a * (1.0 - begin) ** 2 + 2.0 * b * begin * (1.0 - begin) + d * begin**2
     last = a * (1.0 - end) ** 2 + 2.0 * b * end * (1.0 - end) + d * end**2
     middle = a * (1.0 - begin) * (1.0 - end) + d * begin * end
@@ -127,10 +130,10 @@ def _evenly_timed(
 
 @dataclass(frozen=True, slots=True)
 class _Knots:
-    """(n,) of each leg: its span, those before and after it, and where its spline begins and ends.
+    """Knot spans of n legs: ``h`` of each, and those of the legs ``before`` and ``after`` it.
 
-    ``lead`` and ``trail`` are the parts of a leg before its first and behind its second inner
-    Bezier point.
+    ``opens`` and ``closes`` tell whether the spline begins or ends with the leg; ``lead`` and
+    ``trail`` are the shares of the leg before its first and after its second inner Bezier point.
     """
 
     h: FloatArray
@@ -143,7 +146,7 @@ class _Knots:
 
 
 def _knots(h: FloatArray, line: BoolArray) -> _Knots:
-    """Return the knot spans, which are the lengths of the legs; beside a line their mirror."""
+    """Return the knot spans: the (n,) lengths of the legs, mirrored at lines and at run ends."""
     opens = np.concatenate([[True], line[:-1]]) | line
     closes = np.concatenate([line[1:], [True]]) | line
     before = np.where(opens, h, np.concatenate([h[:1], h[:-1]]))
@@ -155,8 +158,8 @@ def _knots(h: FloatArray, line: BoolArray) -> _Knots:
 def _differences(leg: FloatArray, knots: _Knots) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the three (n, axes) differences of the Bezier points of every span.
 
-    ``leg`` may be any quantity that adds up along the polygon: with nominal times for vectors
-    the differences bound the time at the feed.
+    ``leg`` (n, axes) holds differences along the polygon: of positions, or of the time at the feed,
+    whose Bezier differences bound the time that a span needs.
     """
     lead, trail = knots.lead[:, None] * leg, knots.trail[:, None] * leg
     around = np.zeros((len(leg) + 1, leg.shape[1]))

@@ -16,7 +16,7 @@ CUBIC_PEAK_VELOCITY = 1.5  # Cv of the law 3u^2 - 2u^3
 def chord_time_s(
     displacement: FloatArray, nominal_s: FloatArray, velocity_limit: FloatArray
 ) -> FloatArray:
-    """Return the (n,) time of each chord: at its feed, or as the velocity limits allow if rapid."""
+    """Return the (n,) times of chords at their feeds, or at the velocity limits where rapid."""
     fastest = (np.abs(displacement) / velocity_limit).max(axis=1)
     return np.where(nominal_s > 0, nominal_s, fastest)
 
@@ -27,7 +27,7 @@ def velocity_limit_of(programmed: ProgrammedPath, machine: Machine) -> FloatArra
 
 
 def chords(programmed: ProgrammedPath) -> Iterator[PieceBlock]:
-    """Yield one straight piece per move, with the time at its feed: 0 for a rapid move."""
+    """Yield one straight piece per move, with the time at its feed (0 for a rapid move)."""
     for block, start in with_previous(programmed):
         displacement = np.diff(block.positions, axis=0, prepend=start)
         coefficients = np.stack([block.positions - displacement, displacement], axis=1)
@@ -37,15 +37,15 @@ def chords(programmed: ProgrammedPath) -> Iterator[PieceBlock]:
 def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield one straight piece per move, at constant velocity, all axes arriving together.
 
-    The travel time is rounded up to whole ticks, as the 1994 controller stored it (thesis,
-    section 9.5), so that no axis is faster than the feed.
+    The travel time is rounded up to whole ticks, as the 1994 controller stored it (filament winding
+    thesis, section 9.5), so that no axis is faster than the feed.
     """
     tick_s = float(machine.tick_clock.period_s)
     limit = velocity_limit_of(programmed, machine)
     for block, start in with_previous(programmed):
         displacement = np.diff(block.positions, axis=0, prepend=start)
         exact = chord_time_s(displacement, block.nominal_s, limit) / tick_s
-        # A travel time that is whole but for a rounding keeps its ticks.
+        # A travel time of whole ticks must not become a tick longer by rounding.
         ticks = np.ceil(exact * (1 - 1e-9))
         begin = block.positions - displacement
         coefficients = np.stack([begin, displacement], axis=1)
@@ -55,8 +55,8 @@ def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[Piec
 def point_to_point_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield one straight piece per move that starts and ends at rest.
 
-    The velocity is a parabola over time, the profile that wastes least heat in the motor (thesis,
-    section 5 and 8.6); its peak meets the feed.
+    The velocity is a parabola over time, the profile with the least heat in the motor (filament
+    winding thesis, sections 5 and 8.6); its peak is the feed.
     """
     limit = velocity_limit_of(programmed, machine)
     for block, start in with_previous(programmed):
@@ -69,7 +69,7 @@ def point_to_point_pieces(programmed: ProgrammedPath, machine: Machine) -> Itera
 
 
 def with_previous(programmed: ProgrammedPath) -> Iterator[tuple[VertexBlock, FloatArray]]:
-    """Yield every block with the (1, axes) position before it; the start precedes itself."""
+    """Yield every block with the (1, axes) position before it, which for the first is the start."""
     previous: FloatArray | None = None
     for block in programmed:
         yield block, block.positions[:1] if previous is None else previous

@@ -1,4 +1,4 @@
-"""What a planner reports of its path, worked out when somebody asks."""
+"""Numbers that a planner reports of its path, computed when they are first read."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ P = ParamSpec("P")
 
 
 class LazySummary(Mapping[str, float]):
-    """A mapping that reads its paths at the first look at it, and once only.
+    """A mapping that is computed when it is first read.
 
     Parameters
     ----------
     work
-        A function that its module names, and what it is called with: like a stream, a summary
-        can be sent to another process.
+        Function of a module, not nested in another, so that a summary can be pickled as a
+        ``Stream`` can.
+    arguments, keywords
+        Arguments with which it is called.
     """
 
     def __init__(
@@ -45,13 +47,13 @@ class LazySummary(Mapping[str, float]):
 def auto_summary(
     programmed: ProgrammedPath, planned: PlannedPath, cut_m: float
 ) -> dict[str, float]:
-    """Return points added, largest deviation and the program line where it is."""
+    """Return the number of points added, the largest deviation in m and its program line."""
     added = {"points_added": float(points_added(programmed, cut_m))}
     return added | deviation_summary(programmed, planned)
 
 
 def deviation_summary(programmed: ProgrammedPath, planned: PlannedPath) -> dict[str, float]:
-    """Return the largest deviation and the program line where it is."""
+    """Return the largest deviation in m, and its program line."""
     deviation = path_deviation(programmed, planned)
     return {
         "largest_deviation_m": deviation.at_tool_m,

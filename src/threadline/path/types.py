@@ -11,17 +11,17 @@ from threadline.signals import Stream
 
 
 class Timing(StrEnum):
-    """What the parameter of a planned piece is."""
+    """How a planned path is timed."""
 
-    TIME = "time"  # the piece lasts nominal_s and its parameter runs evenly in time
-    GEOMETRIC = "geometric"  # only the shape is settled; the trajectory finds the timing
-    FASTEST = "fastest"  # the same, and the timing is the fastest within all limits
-    FIRMWARE = "firmware"  # the same, and the machine's own firmware finds the timing
+    TIME = "time"  # a piece lasts nominal_s, and its parameter is proportional to time
+    GEOMETRIC = "geometric"  # the path is a shape alone; the trajectory finds the timing
+    FASTEST = "fastest"  # a shape alone; the timing is the fastest within all limits
+    FIRMWARE = "firmware"  # a shape alone; the timing is that of the machine's own firmware
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VertexBlock(Locked):
-    """A run of programmed vertices; the chord into a vertex belongs to the vertex.
+    """Consecutive programmed vertices; row i of a column is of vertex i or of the chord into it.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ class VertexBlock(Locked):
     line
         (n,) int: line of the job file, 0 for the start.
     slowed
-        How many of these moves were programmed faster than the operator's normal feed and take
-        that one instead.
+        Number of these moves that were programmed faster than the operator's normal feed and were
+        slowed to it.
     """
 
     positions: FloatArray
@@ -71,7 +71,7 @@ class VertexBlock(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProgrammedPath:
-    """What the job says: vertices joined by chords. The first vertex is the start position.
+    """The path as the job gives it: vertices joined by chords, the first one the start position.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ class ProgrammedPath:
         (axes,) 1 for a linear axis; for a rotary one the radius at which it acts, so that
         ``radius_m * difference`` is a length at the tool for every axis.
     blocks
-        Re-iterable. A path holds motion only; outputs and waits stay with the job, found again
-        by the index of their operation.
+        Re-iterable blocks of vertices. A path holds motion only; outputs and waits stay in the job
+        and are found by the index of their operation.
     """
 
     axes: tuple[str, ...]
@@ -95,7 +95,7 @@ class ProgrammedPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PieceBlock(Locked):
-    """A run of consecutive polynomial pieces.
+    """Consecutive polynomial pieces of a path.
 
     Parameters
     ----------
@@ -103,10 +103,10 @@ class PieceBlock(Locked):
         (n, order, axes): position of piece i at u in [0, 1] is
         ``sum(coefficients[i, k] * u**k)``, m or rad.
     operation
-        (n,) int.
+        (n,) int: operation of the job that the piece belongs to.
     nominal_s
-        (n,) time at the programmed feed, the least that a geometric piece may take; 0 where only
-        the limits bind.
+        (n,) time at the programmed feed, the least that a geometric piece may take; 0 where nothing
+        but the limits of the axes bounds it.
     rest_after
         (n,) int 0/1: the motion is at rest at the end of the piece.
     dwell_s
@@ -137,25 +137,25 @@ class PieceBlock(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlannedPath:
-    """What will be followed, within the stated tolerance of the programmed path.
+    """The path that will be followed, made from the programmed path by an interpolation.
 
     Parameters
     ----------
     axes, radius_m
-        As for the programmed path.
+        As in ``ProgrammedPath``.
     interpolation
         Name of the interpolation that made it.
     timing
-        What the parameter of the pieces means.
+        How it is timed.
     historical
-        True for the interpolations of the 1994 controller, which ask for more acceleration and
-        jerk than the machine has; their demands are reported, not limited.
+        True for the interpolations of the 1994 controller and of firmware: the accelerations and
+        jerks that they ask for are reported, but not limited.
     blocks
-        Re-iterable.
+        Re-iterable blocks of pieces.
     summary
-        What the planner reports of itself: points added, scale and the like.
+        Numbers that the planner reports, such as points added and largest deviation.
     smoothing_m
-        What is left of the tolerance, at the tool, for smoothing a geometric path in time.
+        Part of the tolerance, at the tool, that is left for smoothing a geometric path in time.
     """
 
     axes: tuple[str, ...]
