@@ -12,6 +12,7 @@ import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline import proof_file
+from threadline.cli import run_
 from threadline.cli.main import main
 from threadline.errors import CommandError, LimitError, OptionError, PlanError, ProofError
 from threadline.live.supervised import check_halts, check_override, check_runnable
@@ -209,3 +210,17 @@ def test_wrong_input_is_one_line(
     assert said in captured.err
     assert len(captured.err.strip().splitlines()) == 1
     assert captured.out == ""
+
+
+def test_a_proof_that_is_not_there_is_told_before_anything_is_planned(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def planned(*_: object) -> None:
+        raise AssertionError("the job was planned")
+
+    monkeypatch.setattr(run_, "plan_job", planned)
+    arguments = ("-m", "lathe-winder", "--proof", "none.json")
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(EXAMPLES / "x-180.prg"), *arguments])
+    assert ended.value.code == 2
+    assert "none.json" in capsys.readouterr().err

@@ -70,7 +70,7 @@ def test_where_refills_stop_it_brakes_on_the_path(tick: int) -> None:
         machine.play(5)
         message = bench.wire.receive()
         assert message is not None
-        bench.executor._keep(message)
+        bench.kept.block(bench.executor.far_end.reported(message, None))
     counts = bench.commanded()
     assert off_path(counts) <= 1.0
     limits = CountLimits.of(winder())

@@ -59,7 +59,7 @@ from threadline.live.supervised import (
 )
 from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.plan import Plan
-from threadline.proof_file import write_proof
+from threadline.proof_file import read_proof, write_proof
 from threadline.signals import Ended
 from threadline.signals.files import read_recording, write_recording
 from threadline.store.run_store import RunStore
@@ -161,6 +161,8 @@ def run(
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     check_machine(chosen)
+    if proof_file is not None:
+        read_proof(proof_file)  # one that cannot be read is told before anything is planned
     with progress_bar(not json) as progress, tempfile.TemporaryDirectory() as folder:
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         check_halts(plan, answered=pass_stops or sys.stdin.isatty())

@@ -2,34 +2,27 @@
 
 It sends rows at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
 the next refill replaces that tail: whoever dies, the machine comes to rest within its limits.
-What it keeps between two reports is one state, which is why the file is longer than most.
 """
 
 from __future__ import annotations
 
 import select
 from collections.abc import Mapping
-from typing import Protocol
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
 from threadline.live.ahead import Ahead, ticks_in
 from threadline.live.desk import Desk
-from threadline.live.greeting import channels_told
-from threadline.live.guards import Guards
+from threadline.live.far_end import FarEnd
+from threadline.live.guards import Guards, refuse_start_elsewhere
 from threadline.live.jogging import JogAhead
+from threadline.live.kept import Sink
 from threadline.live.states import MOVING, Cause, State, next_state
-from threadline.live.wire import Connection, Message, event_of
+from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
-from threadline.signals import (
-    Channel,
-    Ended,
-    Event,
-    RecordingBlock,
-    TickTable,
-)
+from threadline.signals import Ended, Event, TickTable
 
 DEPTH_S = 0.1
 """Rows are sent no further ahead than this, s."""
@@ -37,24 +30,10 @@ LEASE_S = 0.25
 """A jog goes on no longer than this after somebody has said that he is there, s."""
 SETTLE_S = 0.5
 """How long the machine is recorded after the last row, s: as long as it is simulated."""
-_ANSWER_S = 60.0  # a machine may have to be built first
 _STEPPED_S = 60.0  # silence of a machine whose time waits for us
 _LEAD_S = 0.02
 """How far ahead of the last report a stop begins in real time, s: what is under way then."""
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
-
-
-class Sink(Protocol):
-    """Who keeps what happens."""
-
-    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Keep the description of what follows."""
-
-    def block(self, block: RecordingBlock) -> None:
-        """Keep samples, and the events among them."""
-
-    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
-        """Keep that the executor went to a state."""
 
 
 class Executor:
@@ -78,6 +57,7 @@ class Executor:
         self, link: Connection, machine: Machine, desk: Desk, sink: Sink, *, speed: float
     ) -> None:
         self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
+        self.far_end = FarEnd(link, machine)
         self._real_time = speed == 1.0
         self._guards = Guards(machine)
         self.state = State.DISABLED
@@ -98,9 +78,6 @@ class Executor:
         self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
         self._rest: int | None = None  # the tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
-        self._clock = ""
-        self._channels: tuple[Channel, ...] = ()
-        self._nothing: dict[str, FloatArray] = {}
 
     # --- commands before a run -------------------------------------------------------------
 
@@ -114,23 +91,19 @@ class Executor:
         CommandError
             If it is another machine, or speaks another protocol.
         """
-        hello = self._expect("hello").head
-        self._channels = channels_told(hello, self._machine)
-        self._clock = self._channels[0].clock.name
-        self._nothing = {channel.name: np.empty(0) for channel in self._channels}
-        self._sink.begin(self._channels, bool(hello["simulated"]))
+        simulated = self.far_end.greet()
+        self._sink.begin(self.far_end.channels, simulated)
 
     def enable(self) -> None:
         """Switch the drives on."""
         self._go(Cause.ENABLE)
-        self._link.send(Message("enable"))
-        self._expect("enabled")
+        self.far_end.enable()
 
     def disable(self) -> None:
         """Switch the drives off, where nothing moves; home before the next run."""
         self._go(Cause.DISABLE)
         self._homed = False
-        self._link.send(Message("disable"))
+        self.far_end.disable()
 
     def reset(self) -> None:
         """Leave a fault: the drives are off then, nothing moves and nothing is homed.
@@ -146,17 +119,16 @@ class Executor:
             raise CommandError("the machine is still braking", remedy="Wait until it stands.")
         self._go(Cause.RESET)
         self._homed = False
-        self._link.send(Message("disable"))
+        self.far_end.disable()
 
     def close(self) -> None:
         """Leave the machine: it brakes by what it holds, if it moves."""
-        self._link.send(Message("leave"))
+        self.far_end.leave()
 
     def home(self) -> None:
         """Let the machine find where it is."""
         self._go(Cause.HOME)
-        self._link.send(Message("home"))
-        self._stands = np.array(self._expect("homed").head["position"], dtype=np.int64)
+        self._stands = self.far_end.home()
         self._homed = True
         self._go(Cause.HOMED)
 
@@ -182,7 +154,7 @@ class Executor:
             If the first rows break a limit; nothing has moved then.
         """
         next_state(self.state, Cause.START)  # refused before anything is sent
-        self._check_start(table)
+        refuse_start_elsewhere(self._machine, self._stands, table)
         ahead = Ahead(table, self._machine, pass_stops=pass_stops)
         self._hold_at_rest = hold_at_rest
         self._set_out(Cause.START, ahead, table.start_counts)
@@ -235,30 +207,6 @@ class Executor:
         self._link.send(first)
         self._owes_go = not self._real_time
 
-    def _expect(self, kind: str) -> Message:
-        message = self._link.receive(_ANSWER_S)
-        while message is not None and message.kind == "report":  # of the run before
-            message = self._link.receive(_ANSWER_S)
-        if message is None:
-            raise LinkFaultError(
-                f"the machine did not answer: {kind!r} was due",
-                remedy="Look whether it is switched on and connected.",
-            )
-        if message.kind != kind:
-            why = message.head.get("why", f"it answered {message.kind!r}")
-            raise LinkFaultError(f"the machine refused: {why}")
-        return message
-
-    def _check_start(self, table: TickTable) -> None:
-        scale, names = self._machine.counts_per_unit, self._machine.axis_names
-        for k, (stands, begins) in enumerate(zip(self._stands, table.start_counts, strict=True)):
-            if stands != begins:
-                raise CommandError(
-                    f"axis {names[k]} stands at {stands / scale[k]:.5g}, the run begins at "
-                    f"{begins / scale[k]:.5g}",
-                    remedy="Home the machine, or move it there.",
-                )
-
     @property
     def time_s(self) -> float:
         """Of the machine since the beginning of the run."""
@@ -273,7 +221,7 @@ class Executor:
             self._owes_go = False
             self._link.send(Message("go"))
         if not self._link.waiting:
-            silence_s = self._silence_s()
+            silence_s = 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
             waited = [self._desk.fileno(), self._link.fileno()]
             ready, _, _ = select.select(waited, [], [], silence_s)
             if self._desk.fileno() in ready:
@@ -292,9 +240,6 @@ class Executor:
             self._hear(message)
         elif self._link.lost:
             self._lost("the link is gone")
-
-    def _silence_s(self) -> float:
-        return 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
 
     def obey(self) -> None:
         """Do what was asked for at the desk; what is not possible now is told and left."""
@@ -347,7 +292,8 @@ class Executor:
             self._refused(message)
         elif message.kind == "report" and message.head["run"] == self._number:
             if self.state is not State.JOGGING:
-                self._keep(message)
+                settled = None if self._rest is None else self._rest + self._settle
+                self._sink.block(self.far_end.reported(message, settled))
             head = message.head
             self.tick = int(head["now"])
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
@@ -375,19 +321,6 @@ class Executor:
             self._lead, self._brake_again = max(2 * self._lead, 1), True
         elif self.state is not State.FAULT:
             self._fault(f"the machine refused a {what}: {why}")
-
-    def _keep(self, message: Message) -> None:
-        """Hand on samples and events, up to the end of settling."""
-        first = int(message.head["tick"])
-        last = None if self._rest is None else max(self._rest + self._settle - first, 0)
-        events = tuple(event_of(told) for told in message.head["events"])
-        samples = {
-            name: np.asarray(values[:last], dtype=np.float64)
-            for name, values in message.arrays.items()
-        }
-        self._sink.block(
-            RecordingBlock(first_tick={self._clock: first}, samples=samples, events=events)
-        )
 
     def _go_on(self, now: Mapping[str, float], *, standing: bool) -> None:
         """Do what is due after a report: extend the rows, stand at a halt, end."""
@@ -459,11 +392,7 @@ class Executor:
         self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
         self._go(Cause.FAULT, text)
         fault = Event(tick=self.tick, kind="fault", operation=-1, name=text)
-        self._sink.block(
-            RecordingBlock(
-                first_tick={self._clock: self.tick}, samples=self._nothing, events=(fault,)
-            )
-        )
+        self._sink.block(self.far_end.silent(self.tick, fault))
 
 
 def _met(halt: Event | None, now: Mapping[str, float]) -> bool:

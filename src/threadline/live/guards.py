@@ -1,4 +1,4 @@
-"""What is watched in every report of a machine that runs; the first that trips is a fault."""
+"""What is looked at before a run, and in every report of it: the first that trips is a fault."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import CommandError
 from threadline.machine import Machine
 from threadline.plant.closed_loop import answers_of
+from threadline.signals import TickTable
 
 FOLLOWING_M = 1e-3
 """Following error that is allowed beside twice the lag of the model, m; rotary axes at their
@@ -150,3 +152,21 @@ class Guards:
         before = axis.last.get(what, float(found[0]))
         axis.last[what] = float(found[-1])
         return np.concatenate([[before], found])
+
+
+def refuse_start_elsewhere(machine: Machine, stands: IntArray, table: TickTable) -> None:
+    """Refuse a run that does not begin where the machine stands.
+
+    Raises
+    ------
+    CommandError
+        Naming the first axis that stands elsewhere, and where both are.
+    """
+    scale, names = machine.counts_per_unit, machine.axis_names
+    for k, (here, begins) in enumerate(zip(stands, table.start_counts, strict=True)):
+        if here != begins:
+            raise CommandError(
+                f"axis {names[k]} stands at {here / scale[k]:.5g}, the run begins at "
+                f"{begins / scale[k]:.5g}",
+                remedy="Home the machine, or move it there.",
+            )

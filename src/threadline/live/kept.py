@@ -1,12 +1,26 @@
-"""What a run tells, kept in memory."""
+"""Who keeps what a run tells, and the one who keeps it in memory."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from threadline.live.states import Cause, State
 from threadline.plan import Plan
 from threadline.signals import Channel, Recording, RecordingBlock, Stream
+
+
+class Sink(Protocol):
+    """Who keeps what happens."""
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        """Keep the description of what follows."""
+
+    def block(self, block: RecordingBlock) -> None:
+        """Keep samples, and the events among them."""
+
+    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
+        """Keep that the executor went to a state."""
 
 
 class Kept:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from threadline.errors import OptionError, Place, PlanError, ProofError
 from threadline.live.desk import Desk
-from threadline.live.executor import Executor, Sink
+from threadline.live.executor import Executor
+from threadline.live.kept import Sink
 from threadline.live.states import State
 from threadline.live.wire import Connection
 from threadline.machine import Machine
