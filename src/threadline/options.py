@@ -245,6 +245,15 @@ def parse_tolerance_m(text: str) -> float:
     return value
 
 
+def tolerance_words(tolerance_m: float) -> str:
+    """Return a tolerance as it is typed, in mm, to four digits.
+
+    >>> tolerance_words(8.74999e-5)
+    '0.0875 mm'
+    """
+    return f"{tolerance_m * 1e3:.4g} mm"
+
+
 def parse_contour_m(text: str) -> float:
     """Return how far loops may leave the path, such as ``"0.3 mm"``, in m; infinite for ``none``.
 

@@ -132,6 +132,8 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
         told.at_work("simulating", 0.25, shown=False)
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 7200.0)
         assert telling.doing() == "simulating, 25 % done, about 6 h more"
+        told.at_work("simulating", 0.996, shown=False)
+        assert telling.doing() == "simulating, nearly done"
     assert not capsys.readouterr().err
 
 

@@ -16,6 +16,7 @@ from threadline.laws import law
 from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
 from threadline.pipeline import REPEATED, open_job, plan_job, prove
+from threadline.report.stitched import stitch_rows
 from threadline.shaping import FlexibleMode
 from threadline.shaping.law_residual import lasting_windows_s, residual_m, ringing
 from threadline.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
@@ -187,16 +188,37 @@ def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:
     assert slowed.plan.duration_s < slowed.plan.stitched.slowest_s
 
 
-def test_a_shaft_that_cannot_vary_keeps_its_speed(examples: Path, tmp_path: Path) -> None:
-    file = tmp_path / "rigid.toml"
-    file.write_text(
-        'base = "schiffli-frame"\nname = "rigid"\n[shaft]\nacceleration = "none"\n', "utf-8"
-    )
-    machine = load_machine(file)
-    plan = plan_job(open_job(examples / "rosette.dst", machine, Options()), machine, Options())
-    assert plan.stitched.constant
-    assert set(plan.stitched.turns.turn_s.tolist()) == {0.36}
-    assert plan.commands.counted_by == "time"
+def test_a_shaft_that_cannot_vary_takes_the_highest_speed_that_is_still_enough(
+    examples: Path,
+) -> None:
+    """In spec in twenty runs at that one speed, and out of it where each turn is 3 % shorter."""
+    machine = load_machine("schiffli-frame+one-speed")
+    spec = load_spec(None, machine)
+    proof = prove(examples / "rosette.dst", machine, spec, Options(), trials=REPEATED)
+    assert proof.verdict.passed
+    stitched = proof.plan.stitched
+    assert stitched.constant and proof.plan.commands.counted_by == "time"
+    turn_s = stitched.turns.turn_s[0]
+    assert set(stitched.turns.turn_s.tolist()) == {turn_s}
+    assert 0.4 < turn_s < stitched.slowest_s / len(stitched.turns) * 1.1
+    faster = np.full(len(stitched.turns), turn_s / 1.03)
+    assert stitched.pace.most_swings_m(stitched.turns.moves, faster).max() > 1e-4
+    said = dict(stitch_rows(proof.plan))["Speed"]
+    assert said.startswith("one for the whole design, which the spindle cannot vary")
+
+
+def test_what_is_said_beside_a_plan_is_true_of_a_plan_of_one_speed(examples: Path) -> None:
+    """The slowest stitch alone is no bound of one speed: 16.5 mm, still in every longer window."""
+    job = read_job(examples / "rosette.dst", MACHINE)
+    given = replace(Options(), feed=parse_feed("150 stitch/min"))
+    rows = dict(stitch_rows(plan_job(job, MACHINE, given)))
+    assert rows["Speed"] == "one for the whole design, as was given"
+    pace = Pace(MACHINE, SINE, 1e-4)
+    slowest = float(rows["Slowest stitch"].split(" stitches a minute")[0].split()[-1])
+    longest = lasting_windows_s(SINE, FlexibleMode(12.0, 0.02), np.array([0.0165]), 1e-4)[0]
+    assert slowest == pytest.approx(60.0 * pace.share / longest, rel=2e-3)
+    assert "every window" in rows["Slowest stitch"] and "no plan" in rows["Each stitch alone"]
+    assert "At one speed" not in rows
 
 
 @pytest.mark.parametrize("feed", ["200 stitch/min", "9 stitch/min"])

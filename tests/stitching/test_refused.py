@@ -57,13 +57,49 @@ def test_a_speed_that_is_none(feed: str, capsys: pytest.CaptureFixture[str]) -> 
     assert feed.split(maxsplit=1)[0] in refused(capsys, *asked)
 
 
-@pytest.mark.parametrize("records", [bytes(40), b"\x14\x00" * 20])
-def test_a_design_that_stands_still_on_an_axis_is_sewn(
-    records: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("records", "count"), [(bytes(40), 20), (b"\x14\x00", 1)])
+def test_a_design_that_leads_nowhere_is_refused(
+    records: bytes, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Twenty stitches in one place, and twenty along X."""
+    """Twenty stitches in one place, and one stitch alone: nothing moves that could be judged."""
     file = tmp_path / "still.exp"
     file.write_bytes(records)
+    said = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
+    assert f"the needle enters {count} times, all in one place" in said
+
+
+@pytest.mark.parametrize("suffix", ["jef", "pes", "vp3", "xxx"])
+def test_a_damaged_design_names_the_byte_and_no_error_of_its_reader(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its reader raises TypeError, IndexError and others where bytes are lacking."""
+    file = tmp_path / f"cut.{suffix}"
+    file.write_bytes(b"#PES0001\x00" if suffix == "pes" else b"\x80" * 9)
+    said = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
+    assert "byte 9" in said and "Error" not in said
+
+
+def test_a_card_is_not_named_as_another_format(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody could read it again: the ending names the format."""
+    asked = ["compile", str(ROSETTE), "-m", "schiffli-frame", "--target", "t15", "-o"]
+    said = refused(capsys, *asked, str(tmp_path / "card.dst"))
+    assert "card.t15" in said and "ends in .dst" in said
+    assert not list(tmp_path.iterdir())
+    for name, warned in (("card", 1), ("card.T15", 0)):
+        with pytest.raises(SystemExit) as left:
+            main([*asked, str(tmp_path / name)])
+        err = capsys.readouterr().err
+        assert (left.value.code, err.count("known by the ending .t15")) == (0, warned)
+
+
+def test_a_design_that_stands_still_on_an_axis_is_sewn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twenty stitches along X."""
+    file = tmp_path / "still.exp"
+    file.write_bytes(b"\x14\x00" * 20)
     with pytest.raises(SystemExit) as left:
         main(["prove", str(file), "-m", "schiffli-frame", "--nominal"])
     assert left.value.code == 0, capsys.readouterr().err

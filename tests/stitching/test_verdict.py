@@ -59,10 +59,31 @@ def test_the_stitch_that_is_off_is_named() -> None:
     verdict = judge([changed(push)], plan, SPEC)
     found = verdict.result("stitch_residual", "Y")
     assert found.status is Status.FAILED
-    assert found.note.startswith("block 1, stitch 100; 1 of 185 stitches beyond 0.1 mm; alone it")
+    assert found.note.startswith(
+        "block 1, stitch 100; 1 of 185 stitches beyond 0.1 mm on an axis; alone it"
+    )
     assert found.job_line == plan.stitched.turns.line[turn]
     assert 3e-4 - 1e-4 < found.measured < 3e-4 + 1e-4
     assert verdict.result("stitch_residual", "X").status is Status.PASSED
+
+
+def test_a_stitch_is_out_where_either_axis_is() -> None:
+    """Two stitches are off in X, two in Y, one of them in both: three are out."""
+    plan = proof().plan
+    turns = np.flatnonzero(plan.stitched.turns.moves.needle)
+    off = {"X.load": (20, 40), "Y.load": (40, 60)}
+
+    def push(samples, block):
+        times = (block.first_tick["servo"] + np.arange(len(samples["needle"]))) * 1e-3
+        for name, stitches in off.items():
+            for stitch in stitches:
+                when = plan.stitched.turns.begin[turns[stitch]] / 16e6
+                samples[name][(times > when + 0.3) & (times < when + 0.31)] += 4e-4
+        return samples
+
+    verdict = judge([changed(push)], plan, SPEC)
+    for axis in "XY":
+        assert "3 of 185 stitches" in verdict.result("stitch_residual", axis).note
 
 
 def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:

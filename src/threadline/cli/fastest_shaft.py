@@ -16,7 +16,7 @@ from threadline.errors import OptionError
 from threadline.jobs import Job
 from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine
-from threadline.options import Options, parse_feed
+from threadline.options import Options, parse_feed, tolerance_words
 from threadline.pipeline import Trials
 from threadline.report.mismatch import write_mismatch
 from threadline.search.mismatch import SHAFT, shaft_over_tolerances
@@ -104,7 +104,9 @@ def _command(found: FastestShaft, job: Path, asked: dict[str, str | Path | None]
     if found.duration_s is None:
         return None
     if found.schedule is not None and found.schedule.plan.duration_s == found.duration_s:
-        return command_line("prove", job, {**asked, "--tolerance": f"{found.tolerance_m!r} m"})
+        return command_line(
+            "prove", job, {**asked, "--tolerance": tolerance_words(found.tolerance_m)}
+        )
     return command_line("prove", job, {**asked, "--feed": f"{found.constant.best!r} stitch/s"})
 
 

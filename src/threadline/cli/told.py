@@ -21,6 +21,7 @@ from threadline.foreign_messages import grouped
 STDOUT = "standard output"
 """What an error calls it where a file would have its name."""
 _STDERR = 2  # its file descriptor
+_NEARLY = 99  # percent: what is left then is no measure of the time
 _EVERY_S = 50.0  # a minute without a word is too long
 
 
@@ -52,9 +53,12 @@ class Telling:
         """Return what the command is doing, and how long it will be if it goes on like this."""
         if not self.stage or not self.fraction:
             return self.stage
+        percent = int(100.0 * self.fraction + 1e-9)
+        if percent >= _NEARLY:
+            return f"{self.stage}, nearly done"
         passed_s = time.monotonic() - self.since_s
         left_s = passed_s * (1.0 - self.fraction) / self.fraction
-        return f"{self.stage}, {100.0 * self.fraction:.2g} % done, about {_lasting(left_s)} more"
+        return f"{self.stage}, {percent} % done, about {_lasting(left_s)} more"
 
 
 _TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)

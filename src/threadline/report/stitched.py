@@ -42,8 +42,8 @@ _CAPTIONS = {
     "darker it is; crosses mark stitches out of spec, dotted lines travel with the needle up.",
     "moves": "How many moves there are of each length, the longer of both axes; how long the "
     "frame swings decides how slowly the longest are made.",
-    "pace": "Speed of the shaft at each stitch, and the time until then, beside the one speed "
-    "that the slowest stitch alone would need.",
+    "pace": "Speed of the shaft at each stitch, and the time until then; dashed, the speed "
+    "from which on down the slowest stitch alone would be still enough.",
 }
 _DRAWN = ("stitch_residual",)
 STITCHES = "report-stitches.csv"
@@ -141,21 +141,35 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         ],
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
     ]
-    if not stitched.constant:
-        rows.append(
-            [
-                "At one speed",
-                f"{stitched.slowest_s:.4g} s, as slowly as the slowest stitch needs",
-            ]
+    slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
+    return [
+        *rows,
+        ["Speed", _speed_words(plan)],
+        [
+            "Slowest stitch",
+            f"alone it is still enough in every window at {slowest:.4g} stitches a minute and "
+            f"below; all at that speed would take {stitched.slowest_s:.4g} s",
+        ],
+        [
+            "Each stitch alone",
+            f"{stitched.alone_s:.4g} s, were each as fast as that allows on a spindle without "
+            "inertia, and did earlier ones leave nothing swinging; no plan",
+        ],
+    ]
+
+
+def _speed_words(plan: Plan) -> str:
+    """Say how the speed of the shaft was chosen."""
+    if plan.stitched.given:
+        return "one for the whole design, as was given"
+    if plan.stitched.constant:
+        return (
+            "one for the whole design, which the spindle cannot vary: the highest at which the "
+            f"forecast keeps {plan.stitched.pace.tolerance_m * 1e3:.4g} mm at every stitch"
         )
-        rows.append(
-            [
-                "Without inertia",
-                f"{stitched.alone_s:.4g} s, each stitch alone, on a spindle of any acceleration: "
-                "what earlier stitches leave swinging is not in it",
-            ]
-        )
-    return rows
+    if np.ptp(plan.stitched.turns.turn_s) > 0.0:
+        return "of each stitch, within the acceleration of the spindle"
+    return "one for the whole design: sooner than a speed for each stitch"
 
 
 def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:

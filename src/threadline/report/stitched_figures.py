@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _THIN, _THICK = 0.35, 2.4
 _LEVELS = 5
 _MINUTE = 60.0
+_SLOWEST = "all as slow as the slowest stitch alone"
 
 
 def design_figure(proof: Proof, recording: Recording) -> Figure:
@@ -121,11 +122,11 @@ def pace_figure(plan: Plan) -> Figure:
     number = np.arange(1, len(stitched.turns) + 1)
     speed.plot(number, _MINUTE / stitched.turns.turn_s, drawstyle="steps-mid", **ACTUAL)
     slowest_s = stitched.slowest_s / len(number)
-    speed.axhline(_MINUTE / slowest_s, label="one speed for all", **PLANNED)
+    speed.axhline(_MINUTE / slowest_s, label=_SLOWEST, **PLANNED)
     speed.set_ylabel("stitches a minute")
     speed.set_ylim(bottom=0.0)
     time.plot(number, np.cumsum(stitched.turns.turn_s), label="as planned", **ACTUAL)
-    time.plot(number, slowest_s * number, label="one speed for all", **PLANNED)
+    time.plot(number, slowest_s * number, label=_SLOWEST, **PLANNED)
     time.set_ylabel("s")
     time.set_xlabel("turn of the shaft")
     figure.legend(*time.get_legend_handles_labels(), loc="outside lower center", ncols=2)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,6 +25,8 @@ EDGE_RELATIVE = 2e-3
 NEAR_POINTS = 16
 _INSIDE = 16
 """Feeds that are tried inside an interval before it is believed."""
+_UNDER_WAY = 0.98
+"""Of a search that is not over, whatever was expected of it."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 RANGE = "range"
 """What limits a search that ended before anything failed."""
@@ -116,13 +119,15 @@ def find_fastest(
             remedy="Give a --low below --high; each has a value of its own where it is not given.",
         )
     seen: dict[float, Verdict] = {}
-    expected = points + 2.0 * np.log2(np.log(high / low) / points / edge_relative + 1.0)
+    an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
+    inside = _INSIDE if near else 0
+    expected = points + 6.0 * near + 2.0 * an_edge + inside  # as if there were one interval
 
     def verdict_at(feed: float) -> Verdict:
         if feed not in seen:
             seen[feed] = judged(feed)
             if progress is not None:
-                progress("searching", min(len(seen) / float(expected), 1.0))
+                progress("searching", min(len(seen) / expected, _UNDER_WAY))
         return seen[feed]
 
     feeds = _spaced(low, high, points)
@@ -130,6 +135,8 @@ def find_fastest(
     if near:
         feeds = _finer(feeds, passes, near)
         passes = [verdict_at(feed).passed for feed in feeds]
+    edges = sum(before != after for before, after in pairwise(passes))
+    expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
     step = (high / low) ** (1.0 / (points - 1))
     steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0}
     intervals: list[Interval] = []

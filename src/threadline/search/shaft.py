@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.options import Options
+from threadline.options import Options, parse_tolerance_m, tolerance_words
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, check_machine, plan_job, try_plan
 from threadline.search.fastest import Fastest, find_fastest
 from threadline.verdict import Spec, Verdict
@@ -98,7 +98,7 @@ def fastest_shaft(
     schedule = None
     assert machine.shaft is not None
     if machine.shaft.acceleration is not None:
-        schedule = _schedule(job, machine, spec, options, actual, trials)
+        schedule = _schedule(job, machine, spec, options, actual, trials, progress)
     times = [constant_s, None if schedule is None else schedule.plan.duration_s]
     best = min((t for t in times if t is not None), default=None)
     by_schedule = schedule is not None and best == schedule.plan.duration_s
@@ -170,14 +170,22 @@ def _schedule(
     options: Options,
     actual: Machine | None,
     trials: Trials,
+    progress: Progress | None,
 ) -> Proof | None:
     """Return the fastest schedule in spec, by the tolerance that it is planned with."""
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     limit = min(limits, default=options.tolerance_m)
+    tried = 0
 
     def proof_at(share: float) -> Proof:
-        chosen = replace(options, tolerance_m=float(f"{share * limit:.4g}"))
-        return try_plan(plan_job(job, machine, chosen), spec, trials, actual)
+        nonlocal tried
+        # What was found is typed back in millimetres, and is to mean the same.
+        chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
+        proof = try_plan(plan_job(job, machine, chosen), spec, trials, actual)
+        tried += 1
+        if progress is not None:
+            progress("searching schedules", tried / (_HALVINGS + 2.0))
+        return proof
 
     low, high = _RANGE
     best = proof_at(low)

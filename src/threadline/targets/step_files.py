@@ -16,13 +16,14 @@ import numpy as np
 
 from threadline import __version__
 from threadline.arrays import FloatArray
-from threadline.errors import PlanError
-from threadline.jobs.embroidery.records import UNIT_M
-from threadline.jobs.embroidery.t15 import MOST, t15_bytes
+from threadline.errors import OptionError, PlanError
+from threadline.jobs.embroidery.records import SUFFIXES, UNIT_M
+from threadline.jobs.embroidery.t15 import MOST, SUFFIX, t15_bytes
 from threadline.signals import StepPlay
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.step_tables import shortest_s, steps_residual_m
 from threadline.targets.stitched import Stitched
+from threadline.writing import is_stdout
 
 FORMAT = "threadline step tables 1"
 _CUTS = ("colour", "trim")
@@ -110,6 +111,8 @@ def write_t15(stitched: Stitched, path: Path) -> Written:
     ------
     PlanError
         If the design is in units that a card does not have.
+    OptionError
+        If the name ends as that of another format of designs.
     """
     unit_m = stitched.pace.tables.unit.si
     if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > MOST:
@@ -119,11 +122,21 @@ def write_t15(stitched: Stitched, path: Path) -> Written:
             place=stitched.machine.place,
             remedy="Take a machine with such units.",
         )
+    ending = path.suffix.lower()
+    if ending in SUFFIXES and ending != SUFFIX:
+        raise OptionError(
+            f"a Saurer T15 card, and the name of {str(path)!r} ends in {path.suffix}: whoever "
+            "reads it would take it for another format",
+            remedy=f"Name it {str(path.with_suffix(SUFFIX))!r}.",
+        )
     turns = stitched.turns
     changes = {e.tick for e in stitched.turns.events if e.kind == "tool" and e.name in _CUTS}
     with atomic_file(path) as file:
         file.write(t15_bytes(turns.moves.units, turns.moves.needle, changes | {len(turns)}))
-    return written(path)
+    if ending == SUFFIX or is_stdout(path):
+        return written(path)
+    said = f"{path}: a Saurer T15 card is known by the ending {SUFFIX}, which this name has not"
+    return replace(written(path), warnings=(said,))
 
 
 def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:

@@ -8,10 +8,12 @@ differences of the rounded times. The last step is due at the end of the window,
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import lru_cache
 from math import pi, sqrt
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import PlanError
 from threadline.laws import Law
 from threadline.shaping import FlexibleMode
@@ -60,12 +62,10 @@ def step_tables(
             f"step tables: {total} steps in all, limit {_MOST_STEPS}",
             remedy="Take a coarser step or a shorter longest move.",
         )
-    counts = steps_per_unit * np.arange(1, longest_units + 1)
-    ends = np.cumsum(counts)
-    begins = ends - counts
-    rises = (np.arange(1, total + 1) - np.repeat(begins, counts)) / np.repeat(counts, counts)
+    ends = np.cumsum(steps_per_unit * np.arange(1, longest_units + 1))
+    begins = np.concatenate(([0], ends[:-1]))
     ratio = window_s / timer_s
-    ticks = np.rint(law.inverse(rises) * float(ratio)).astype(np.int64)
+    ticks = np.rint(_due(law, steps_per_unit, longest_units) * float(ratio)).astype(np.int64)
     last = ratio.numerator // ratio.denominator
     ticks = np.minimum(ticks, last)
     tables = []
@@ -80,6 +80,19 @@ def step_tables(
             )
         tables.append(StepTable(units=units, intervals=intervals))
     return tuple(tables)
+
+
+@lru_cache(maxsize=4)
+def _due(law: Law, steps_per_unit: int, longest_units: int) -> FloatArray:
+    """Return when each step of every table is due, of a window of 1; it may only be read.
+
+    A search plays one law in many windows: cutting it is most of what a plan takes.
+    """
+    counts = steps_per_unit * np.arange(1, longest_units + 1)
+    steps = np.concatenate([np.arange(1, count + 1) / count for count in counts.tolist()])
+    due = law.inverse(steps)
+    due.setflags(write=False)
+    return due
 
 
 def shortest_s(table: StepTable, timer_s: Fraction) -> float:

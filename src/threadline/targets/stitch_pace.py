@@ -194,6 +194,22 @@ class Pace:
         even = self._even_turn_s(moves, float(turns.mean()))
         return turns if even is None else np.full(len(turns), even)
 
+    def constant_turn_s(self, moves: Moves) -> float:
+        """Return the shortest turn, the same for all, with each needle entering within tolerance.
+
+        By the forecast, on any day; the slowest turn of the shaft where none will do.
+        """
+        longest = self.shaft.slowest_turn.si
+        turn = min(float(self.needed_turns_s(moves).max()), longest)
+        while turn < longest * _BELOW:
+            if self.most_swings_m(moves, np.full(len(moves.needle), turn)).max() <= (
+                self.tolerance_m
+            ):
+                break
+            turn = min(turn * _SLOWER, longest)
+        even = self._even_turn_s(moves, turn)
+        return turn if even is None else even
+
     def _even_turn_s(self, moves: Moves, below_s: float) -> float | None:
         """Return the shortest turn, the same for all and below ``below_s``, that will do; or None.
 

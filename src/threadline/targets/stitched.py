@@ -77,8 +77,8 @@ class Stitched:
         Every turn, as it was planned.
     tolerance_m
         How much swing was planned to be left when a needle enters.
-    constant
-        Whether the shaft keeps one speed.
+    constant, given
+        Whether the shaft is told one speed, and whether that was asked for.
     alone_s
         Time of a schedule that forgets what earlier stitches left swinging, on a spindle without
         inertia.
@@ -93,6 +93,7 @@ class Stitched:
     turns: Turns
     pace: Pace
     constant: bool
+    given: bool
     alone_s: float
     slowest_s: float
 
@@ -194,7 +195,7 @@ def stitch(
         How much swing may be left when a needle enters.
     turn_s
         Time of every turn; None slows each stitch as it needs, or, where the spindle cannot change
-        its speed, keeps the highest speed.
+        its speed, turns at the highest speed at which every needle enters within the tolerance.
 
     Raises
     ------
@@ -209,7 +210,9 @@ def stitch(
     rows = _rows(job, pace)
     moves: Moves = rows["moves"]
     constant = turn_s is not None or shaft.acceleration is None
-    given = float(shaft.turn_s) if turn_s is None else turn_s
+    given = turn_s
+    if given is None:
+        given = pace.constant_turn_s(moves) if constant else float(shaft.turn_s)
     if not float(shaft.turn_s) * (1.0 - 1e-9) <= given <= shaft.slowest_turn.si * (1.0 + 1e-9):
         raise PlanError(
             f"{60.0 / given:.6g} stitches a minute: the shaft of {machine.name} makes "
@@ -254,6 +257,7 @@ def stitch(
         turns=turns,
         pace=pace,
         constant=constant,
+        given=turn_s is not None,
         alone_s=float(needed.sum()),
         slowest_s=float(needed[sewn].max()) * count,
     )

@@ -119,15 +119,16 @@ def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Findi
     """Per axis: the largest distance of the frame from its place while the needle is in, m."""
     sewn, pace = run.sewn, run.stitched.pace
     alone_s = pace.needed_turns_s(run.stitched.turns.moves)[run.turns]
+    # A stitch is out where either axis is: it is one needle that enters.
+    out = _out(np.asarray((sewn.residual_m > pace.tolerance_m).any(axis=1)), "stitches")
     found = []
     for k, axis in enumerate(run.plan.axes):
         residual = sewn.residual_m[:, k]
         worst = _worst(run, residual, sewn.time_s[:, k], axis)
-        over = residual > pace.tolerance_m
-        if over.any():
+        if (residual > pace.tolerance_m).any():
             # Those of the planner's tolerance: a limit is none of a measure's business.
             note = (
-                f"{_out(over, 'stitches')} beyond {pace.tolerance_m * 1e3:.4g} mm; alone it can "
+                f"{out} beyond {pace.tolerance_m * 1e3:.4g} mm on an axis; alone it can "
                 f"at {_speed(float(alone_s[int(np.nanargmax(residual))]))}"
             )
             worst = replace(worst, note=f"{worst.note}; {note}")

@@ -82,6 +82,13 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
             place=Place(str(path)),
             remedy="Is it the right file?",
         )
+    if not found.led:
+        raise JobError(
+            f"no stitch leads anywhere: the needle enters {found.stitches} times, all in one "
+            "place, and the frame has nothing to do",
+            place=Place(str(path)),
+            remedy="Is it the right file? A design has two places at least.",
+        )
     return Job(
         name=path.stem,
         file=str(path),
@@ -107,6 +114,7 @@ class _Merged:
     stitches: int = 0
     block: int = 1
     still: int = 0
+    led: bool = False
     jumped: bool = False
     targets: array[float] = field(default_factory=lambda: array("d"))
     rows: array[int] = field(default_factory=lambda: array("q"))
@@ -144,6 +152,7 @@ class _Merged:
             self._travel(line, to)
         elif way == 0.0 and self.stitches:
             self.still += 1
+        self.led = self.led or (way > 0.0 and self.stitches > 0)
         self.stitches += 1
         self._move(line, self.stitches, to)
 

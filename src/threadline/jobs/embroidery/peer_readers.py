@@ -34,6 +34,10 @@ class CutOffError(Exception):
     """The records end without the mark of their end."""
 
 
+class SenselessError(Exception):
+    """What stands at a byte makes no sense to the reader."""
+
+
 class _Stream(io.BytesIO):
     """Remembers whether somebody wanted more than there is."""
 
@@ -70,11 +74,21 @@ def read_with_peer(content: bytes, suffix: str) -> tuple[list[list[float]], int]
     ------
     CutOffError
         If the records end without their mark.
-    Exception
-        Whatever its arithmetic meets in a damaged file.
+    SenselessError
+        If its arithmetic meets what no such file has.
     """
     stream = _Stream(content)
     pattern = _Watched(stream, suffix)
-    importlib.import_module(f"pystitch.{READERS[suffix]}").read(stream, pattern)
+    try:
+        importlib.import_module(f"pystitch.{READERS[suffix]}").read(stream, pattern)
+    except CutOffError:
+        raise
+    except Exception as error:
+        # It raises whatever it meets: TypeError where bytes are lacking, IndexError in a palette.
+        at, size = stream.tell(), len(content)
+        why = f"it ends at byte {size}, in the middle of what is read there"
+        if at < size or not stream.short:
+            why = f"what stands before byte {at} of {size} makes no sense there"
+        raise SenselessError(why) from error
     stitches: list[list[float]] = pattern.stitches
     return stitches, stream.tell()

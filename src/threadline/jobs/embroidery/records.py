@@ -103,15 +103,14 @@ def read_records(path: Path) -> Records:
 
 def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
     """Return x, y and code of every record, as pystitch reads them."""
-    from threadline.jobs.embroidery.peer_readers import CutOffError, read_with_peer
+    from threadline.jobs.embroidery.peer_readers import CutOffError, SenselessError, read_with_peer
 
     try:
         stitches, read = read_with_peer(content, suffix)
     except CutOffError as error:
         raise _not_of_its_format(suffix, str(error), place) from error
-    except Exception as error:
-        # It raises whatever its arithmetic meets in a damaged file.
-        raise _not_of_its_format(suffix, f"{type(error).__name__} in its reader", place) from error
+    except SenselessError as error:
+        raise _not_of_its_format(suffix, str(error), place) from error
     if suffix == ".exp" and (read < len(content) or len(content) % 2):
         # It has no mark of its end: what its reader left is lost.
         why = f"byte {read - 2} of {len(content)} is no record"
