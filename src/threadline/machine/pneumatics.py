@@ -7,6 +7,7 @@ Flows of one direction work in parallel and add; every subset of them is a level
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Annotated, Literal
 
@@ -28,17 +29,23 @@ Fraction = Annotated[Quantity, Units(("",), positive=True)]
 class Output:
     """A digital output of the PLC.
 
-    ``ramp`` is how long a soft-start valve takes to put the circuit under pressure.
+    ``ramp`` is how long a soft-start valve takes to put the circuit under pressure. ``needs`` is
+    the interlock of a tool or a vacuum: end switches that are on wherever it may be.
     """
 
     kind: Literal["direction", "flow", "soft-start", "vacuum", "tool"]
     address: OutputAddress
     ramp: PositiveTime | None = None
+    needs: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _ramp(self) -> Output:
+    def _of_its_kind(self) -> Output:
         if (self.kind == "soft-start") != (self.ramp is not None):
             raise ValueError("ramp is what a soft-start valve has, and no other output")
+        if self.needs and self.kind not in {"tool", "vacuum"}:
+            raise ValueError(
+                f"needs is what a tool, a vacuum or a cylinder has, and no {self.kind} output"
+            )
         return self
 
 
@@ -110,7 +117,8 @@ class Cylinder:
     between a valve's command and the first air; ``lag`` is the time constant with which the speed
     follows. The air is a spring with a damper between the flow and the piston; ``air_ramp`` is
     the distance over which the damping builds up after each standstill. ``friction`` acts in the
-    cylinder. ``frame`` is where vibration is felt.
+    cylinder. ``frame`` is where vibration is felt. ``needs`` is its interlock: end switches of
+    other cylinders that are on whenever it moves.
     """
 
     pushes: str
@@ -128,6 +136,7 @@ class Cylinder:
     cushion: Cushion | None = None
     friction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
     stiction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+    needs: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _stiction(self) -> Cylinder:
@@ -154,3 +163,32 @@ class Plc:
     watchdog: PositiveTime
     dwell: PositiveTime
     never_over: bool
+
+
+def check_interlocks(
+    cylinders: Mapping[str, Cylinder],
+    outputs: Mapping[str, Output],
+    contacts: Mapping[str, Contact],
+) -> None:
+    """Check that every interlock names end switches, and that of a cylinder those of others.
+
+    Raises
+    ------
+    ValueError
+        If one does not.
+    """
+    told = [(f"cylinders.{name}", name, one.needs) for name, one in cylinders.items()]
+    told += [(f"outputs.{name}", "", one.needs) for name, one in outputs.items()]
+    for where, own, needs in told:
+        for name in needs:
+            if name not in contacts or contacts[name].cylinder is None:
+                known = [n for n, c in contacts.items() if c.cylinder not in {None, own}]
+                raise ValueError(
+                    f"{where}.needs names {name!r}, which is no end switch; "
+                    f"there are: {', '.join(known)}"
+                )
+            if contacts[name].cylinder == own:
+                raise ValueError(
+                    f"{where}.needs names {name!r}, an end switch of {own} itself, which goes off "
+                    "as it moves"
+                )

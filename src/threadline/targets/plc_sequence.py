@@ -281,21 +281,27 @@ def _jogs(scheduled: Scheduled, cycle: tuple[NamedPlace, ...], names: Names) -> 
             ends = tuple(
                 (n, False) for n, c in switches_of(machine, axis).items() if c.beyond == to
             )
-            others = _stand(machine, cycle, axis, way.valve)
+            others = (*_stand(machine, cycle, axis, way.valve), *_told(cylinder.needs))
             yield Jog(
                 name=names.give(f"jog_{axis}_{sense}".lower()),
                 note=f"{axis} {'forward' if sense == 'out' else 'back'}, slowly",
                 on=(way.valve, *slowest(way)[1]),
-                needs=(*ends, *others),
+                needs=tuple(dict.fromkeys((*ends, *others))),
             )
     for name, output in machine.outputs.items():
         if output.kind in {"tool", "vacuum"}:
+            stand = _stand(machine, cycle, "", name) if output.kind == "tool" else ()
             yield Jog(
                 name=names.give(f"jog_{name}".lower()),
                 note=f"{name}",
                 on=(name,),
-                needs=_stand(machine, cycle, "", name) if output.kind == "tool" else (),
+                needs=tuple(dict.fromkeys((*stand, *_told(output.needs)))),
             )
+
+
+def _told(needs: tuple[str, ...]) -> tuple[tuple[str, bool], ...]:
+    """Return an interlock of the machine file as what contacts must read."""
+    return tuple((name, True) for name in needs)
 
 
 def _stand(

@@ -19,6 +19,7 @@ from threadline.jobs.moves import REST, STEP_EVENT
 from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source, ToolEvent, WaitInput
 from threadline.machine import Machine
 from threadline.signals import Clock, Event, SwitchSchedule
+from threadline.targets.schedule_checks import check_air, check_interlocks, check_wait
 from threadline.targets.schedule_moves import (
     AxisShaping,
     Levels,
@@ -170,6 +171,7 @@ class _Builder:
     warnings: list[str] = field(default_factory=list)
     state: dict[str, int] = field(default_factory=dict)
     position: dict[str, float] = field(default_factory=dict)
+    on_its_way: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.state = dict.fromkeys(self.machine.outputs, 0)
@@ -194,15 +196,18 @@ class _Builder:
                 self.events.append(
                     Event(tick=self.tick, kind="tool", operation=index, name=self.step)
                 )
-            case SetOutput(name=name, value=value):
+            case SetOutput(name=name, value=value, source=source):
                 self.state[name] = int(value)
+                self._check_interlocks([], self.position, source)
                 self._set(self.tick, {name: int(value)}, index)
                 ramp = self.machine.outputs[name].ramp
                 self.tick += self._ticks(ramp.si) if ramp is not None and value else 1
             case Dwell(duration_s=duration):
                 self.tick += self._ticks(duration)
             case WaitInput(name=name, value=value, timeout_s=timeout, source=source):
-                self._check_wait(name, bool(value), source)
+                check_wait(self.machine, self.position, name, bool(value), source)
+                if self.machine.contacts[name].cylinder is not None:
+                    self.on_its_way.discard(str(self.machine.contacts[name].cylinder))
                 self.events.append(
                     Event(tick=self.tick, kind="wait", operation=index, name=name, value=value)
                 )
@@ -222,8 +227,8 @@ class _Builder:
         source: Source,
         how: Mapping[str, float | str],
     ) -> None:
-        self._check_air(source)
-        ends = [self.tick + 1]
+        check_air(self.machine, self.state, source)
+        ends, before, moving = [self.tick + 1], dict(self.position), list[str]()
         if not any(
             abs(to - self.position[axis]) > _SAME_M
             for axis, to in zip(self.job.axes, target, strict=True)
@@ -237,36 +242,17 @@ class _Builder:
             distance = to - self.position[axis]
             self.position[axis] = to
             if abs(distance) > _SAME_M:
+                moving.append(axis)
                 ends.append(self._stroke(index, axis, distance, source, how))
+        self._check_interlocks(moving, before, source)
+        self.on_its_way |= {a for a in moving if self._calm_s(a) > float(how.get(REST, math.inf))}
         self.tick = max(ends)
 
-    def _check_air(self, source: Source) -> None:
-        closed = [
-            name
-            for name, output in self.machine.outputs.items()
-            if output.kind == "soft-start" and not self.state[name]
-        ]
-        if closed:
-            raise PlanError(
-                f"the soft-start valve {closed[0]!r} is closed when a cylinder is to move",
-                place=source.place,
-                remedy=f'Begin with [[operation]] valve = "{closed[0]}".',
-            )
-
-    def _check_wait(self, name: str, value: bool, source: Source) -> None:
-        contact = self.machine.contacts[name]
-        if contact.cylinder is None or contact.at is None:
-            return
-        at_m, place_m = contact.at.si, self.position[contact.cylinder]
-        on = place_m <= at_m if contact.beyond == "below" else place_m >= at_m
-        if on != value:
-            raise PlanError(
-                f"the input {name!r} would never {'come' if value else 'go'}: "
-                f"{contact.cylinder} stands at {place_m * 1e3:g} mm then, and {name} is on "
-                f"{contact.beyond} {at_m * 1e3:g} mm",
-                place=source.place,
-                remedy="Wait for another input, or move there first.",
-            )
+    def _check_interlocks(
+        self, moving: list[str], before: Mapping[str, float], source: Source
+    ) -> None:
+        on = [name for name, value in self.state.items() if value]
+        check_interlocks(self.machine, moving, on, before, self.position, self.on_its_way, source)
 
     def _stroke(
         self,
@@ -305,8 +291,11 @@ class _Builder:
                 f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
                 f"set the flow to {self._whole(levels):.6g} m/s to meet it"
             )
-        calm_s = cylinder.delay.si + REST_LAGS * cylinder.lag.si
-        return last + self._ticks(float(how.get(REST, calm_s)))
+        return last + self._ticks(float(how.get(REST, self._calm_s(axis))))
+
+    def _calm_s(self, axis: str) -> float:
+        cylinder = self.machine.cylinders[axis]
+        return cylinder.delay.si + REST_LAGS * cylinder.lag.si
 
     def _whole(self, levels: Levels) -> float:
         """Return the speed at which the same scans cover the distance that was asked for."""

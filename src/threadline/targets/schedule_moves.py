@@ -139,7 +139,7 @@ def written_levels(
         If they cannot be read, are no whole scans, or cover another distance by a scan or more.
     """
     example = 'Write it like levels = "1 for 180 ms, 0 for 60 ms, 1 for 290 ms".'
-    ticks, levels, now = [], [], 0
+    ticks, levels, now = list[int](), list[float](), 0
     for part in text.split(","):
         match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s+for\s+(.+?)\s*", part)
         if match is None:
@@ -157,9 +157,22 @@ def written_levels(
                 place=place,
                 remedy="The valves switch on the scan of the PLC.",
             )
+        level = float(match[1])
+        if level == (levels[-1] if levels else 0.0):
+            raise PlanError(
+                f"levels are out of order: {part.strip()[:40]!r} is the level that was there",
+                place=place,
+                remedy="Begin above 0, change with each one, and leave out the last 0.",
+            )
         ticks.append(now)
-        levels.append(float(match[1]))
+        levels.append(level)
         now += scans
+    if levels[-1] == 0.0:
+        raise PlanError(
+            "levels are out of order: they end with 0, which every move ends with by itself",
+            place=place,
+            remedy="Leave out the last 0.",
+        )
     commanded_m = float(np.dot(np.diff([*ticks, now]), levels)) * tick_s * speed_m_s
     if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
         raise PlanError(
