@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
+from threadline.face import compile as compile_job
 from threadline.machine import load_machine
+from threadline.pipeline import target_names
 from threadline.signals import ChannelKind
 from threadline.signals.files import read_recording
 
@@ -539,3 +541,10 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
         code, out, _ = run(capsys, command, "--help")
         assert code == 0
         assert f"Example: threadline {command}" in " ".join(out.split())
+
+
+def test_help_and_face_name_every_target(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of every kind of machine: a target that nobody is told of is used by nobody."""
+    _, out, _ = run(capsys, "compile", "--help")
+    for told in (out, str(compile_job.__doc__)):
+        assert set(target_names()) <= set(re.findall(r"\w+", told))
