@@ -1,4 +1,4 @@
-"""Convolution of shapers: one train that does what several do one after the other."""
+"""Convolution of shapers: one train with the effect of several, applied one after the other."""
 
 from __future__ import annotations
 

@@ -144,10 +144,10 @@ def realise(
 ) -> Realised:
     """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
 
-    Never worse over the bands, and within the tolerance over no narrower one, than the times
-    rounded to the nearest ticks. With ``max_impulses``, positive trains lose their smallest
-    impulse, others the closest pair of opposite ones, one at a time. Impulses that round to the
-    same tick are one.
+    The result is never worse over the bands than the times rounded to the nearest ticks, nor does
+    it keep the tolerance over a narrower band. With ``max_impulses``, positive trains lose their
+    smallest impulse, others the closest pair of opposite ones, one at a time. Impulses that round
+    to the same tick are one.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def _priced(
 
 
 def _fewer(shaper: Shaper, limits: ControllerLimits, gap: int) -> list[IntArray]:
-    """Return the ticks of every choice of as many impulses as there may be; none if all may."""
+    """Return the ticks of every choice of ``max_impulses`` impulses; empty if all may stay."""
     most, n = limits.max_impulses, len(shaper.times_s)
     if most is None or most >= n or math.comb(n - 1, most - 1) > _CHOICES:
         return []

@@ -19,8 +19,8 @@ def law_named(text: str) -> Law:
 
     ``"modified-sine"`` and what else ``threadline.laws.law`` knows;
     ``"modified-sine*zv:12Hz:0.02 in 160 ms"`` is a law convolved with a shaper so that both
-    together take the window. In another window it is the same shape, and silences the mode times
-    the windows' ratio.
+    together take the window. Played in another window it keeps its shape, and silences
+    the frequency scaled by the ratio of the windows.
 
     Raises
     ------

@@ -40,14 +40,14 @@ class Ringing:
     Parameters
     ----------
     law
-        Its name.
+        The law.
     residual_m
         Amplitude when the move ends.
     worst_m, worst_window_s
         The largest over this and every longer window, and the window that has it.
     window_s
-        The shortest window from which on every one keeps the residual and the acceleration that
-        were asked for; None where nothing was asked for.
+        The shortest window from which on every window keeps the residual and the acceleration that
+        were asked for; None where no residual was.
     """
 
     law: Law
@@ -95,17 +95,18 @@ def lasting_windows_s(
 ) -> FloatArray:
     """Return (n,) shortest windows from which on every longer one keeps the residual.
 
-    All from one scan of windows, 512 in a period of the mode; the amplitude goes with the length.
-    Where no window up to ``longest_s`` does, it is that.
+    One scan of windows, 512 in a period of the mode, serves all moves: the amplitude is
+    proportional to the length. Where no window up to ``longest_s`` keeps the residual, it is
+    ``longest_s``.
 
     Parameters
     ----------
     moves_m
-        (n,) lengths, 0 or more; where nothing is to be kept the window is 0.
+        (n,) lengths, 0 or more; a move so short that every window keeps the residual has 0.
     residual
         Amplitude, m.
     longest_s
-        Windows beyond it are no matter.
+        Longer windows are not scanned, s.
     """
     longest = float(moves_m.max(initial=0.0))
     if longest == 0.0:
@@ -156,7 +157,7 @@ def ringing(
         raise OptionError(
             f"the time of {window_s:g} s is {window_s / period:.3g} periods of the mode, it must "
             f"be from 0.001 to {_MOST_PERIODS:g}",
-            remedy="A mode so much slower or faster than the move is no matter of its law.",
+            remedy="A mode so much slower or faster than the move rings alike by any law.",
         )
     near = np.linspace(window_s, window_s + 3.0 * period, 3 * _PER_PERIOD + 1)
     found = residual_m(law, mode, move_m, near)

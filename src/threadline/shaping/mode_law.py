@@ -85,7 +85,7 @@ class Demand:
                 f"law for a mode: within {self.acceleration_m_s2:g} m/s^2 a rigid machine takes "
                 f"{self.rigid_s:.3g} s, {periods:.3g} periods of the mode; it must be from "
                 f"{_PERIODS[0]:g} to {_PERIODS[1]:g}",
-                remedy="A mode so much slower or faster than the move is no matter of its law.",
+                remedy="A mode so much slower or faster than the move rings alike by any law.",
             )
         if not 0.0 <= self.band < 1.0:
             raise OptionError(f"law for a mode: the band must be in [0, 1), got {self.band:g}")
@@ -222,7 +222,7 @@ def _band(demand: Demand, count: int) -> FloatArray:
 
 
 class _Spline:
-    """The program for splines of one degree: what does not hang on the window is kept."""
+    """The program for splines of one degree; what does not depend on the window is kept."""
 
     def __init__(self, demand: Demand, count: int, degree: int) -> None:
         self.demand, self.count, self.degree = demand, count, degree

@@ -22,7 +22,7 @@ ZeroOf: TypeAlias = tuple[float, complex, int]
 
 
 def pole(damping_ratio: float) -> complex:
-    """2 pi (zeta + j sqrt(1 - zeta^2))."""
+    """Return 2 pi (zeta + j sqrt(1 - zeta^2)): -1 times a pole of a mode of 1 Hz."""
     return 2.0 * math.pi * complex(damping_ratio, math.sqrt(1.0 - damping_ratio**2))
 
 

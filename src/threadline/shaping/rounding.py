@@ -24,7 +24,7 @@ from threadline.shaping.types import FlexibleMode
 _SHIFTS = np.array([-2, -1, 1, 2])
 _ROUNDS = 60
 _MEAN_WEIGHTS = (0.2, 1.0)
-"""Of the mean square beside the worst V; each leads the search to trains of its own."""
+"""Weights of the root mean square beside the worst V: each leads the search to other trains."""
 _EITHER_SIDE = 11  # impulses: 2**10 choices of the tick to the left or right of each
 _STARTS = 8
 _PAIRS_OF = 40  # impulses: beyond it one impulse at a time is moved, not two
@@ -106,7 +106,7 @@ def seconds(ticks: IntArray, tick_s: float) -> FloatArray:
 
 
 def cost(vibration: FloatArray, mean_weight: float = _MEAN_WEIGHTS[0]) -> FloatArray:
-    """Return what the search makes small of V over the bands, (..., frequencies): a number each."""
+    """Return the worst V over (..., frequencies) plus a share of its root mean square."""
     mean_square = np.mean(vibration**2, axis=-1)
     found: FloatArray = vibration.max(axis=-1) + mean_weight * np.sqrt(mean_square)
     return found

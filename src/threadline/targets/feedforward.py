@@ -49,7 +49,7 @@ def followed_by_loads(
     job
         Where an output, a wait or a dwell comes between two moves, the loads come to rest.
     width_s
-        Of the moving averages, the same for all axes.
+        Width of the moving averages, s, the same for all axes.
     model
         The numbers that the inverses believe in; the machine's own when None.
 

@@ -45,6 +45,8 @@ class Board:
 
     Parameters
     ----------
+    begin, end
+        First and last lines of a program.
     longest
         Characters of a line, its end not counted.
     bytes_s

@@ -1,4 +1,4 @@
-"""What follows a timed motion, and the commands that make it do so: a plan's third choice."""
+"""The third choice of a plan: whether motors or loads follow the timed motion; their commands."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from threadline.trajectory import Trajectory
 class Following(StrEnum):
     """What is to be where the trajectory says."""
 
-    MOTOR = "motor"  # it is told the trajectory itself; the load comes after it as it may
-    LOAD = "load"  # the motor is told what makes the load follow, by the inverse of its axis
+    MOTOR = "motor"  # the trajectory is its reference; the load follows as belt and frame let it
+    LOAD = "load"  # the reference of the motor is what the inverse of the axis asks for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -30,7 +30,7 @@ FAULTS = {
     "f_early": "an end switch came too early",
     "f_stayed": "an end switch did not go off",
 }
-"""What the program tells of a stop, by the name of its constant; numbered in this order."""
+"""Reasons for a stop, by the name of their constant; the constants are numbered in this order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,9 +44,9 @@ class NamedPlace:
     name, due
         Constants: its number, and the time at which it is left or its input is late.
     note
-        What its time is of.
+        What happens until its time has come, for people.
     watch
-        Of every cylinder with end switches; none on the way home.
+        What the end switches of each cylinder must say; empty on the way home.
     """
 
     place: NetPlace
@@ -117,7 +117,8 @@ class Sequence:
     contacts
         Constant that names each contact.
     before_vacuum
-        Of an input that is waited for with a vacuum on: the places just before it was switched on.
+        For every input that is waited for while a vacuum is on: the places just before the vacuum
+        is switched on, in which the input must be off.
     idle
         Constant of the place in which every output is off.
     air
@@ -221,7 +222,7 @@ def _named(
 
 
 def _what(place: NetPlace, scheduled: Scheduled) -> str:
-    """Return what the time of a place is of."""
+    """Return what happens until the time of a place has come, for people."""
     if place.wait is not None:
         return f"{place.wait[0]} must be {'on' if place.wait[1] else 'off'} by then"
     if place.step == HOMING:

@@ -31,7 +31,7 @@ from threadline.targets.schedule_moves import (
 from threadline.targets.schedule_options import shaping_of
 
 ON_OFF = "on-off"
-"""Stands where other plans have an interpolation."""
+"""What plans of on/off machines give as their interpolation."""
 _SAME_M = 1e-9
 REST_LAGS = 4.0
 """So many lags after the last switching a cylinder has come to rest within 2 %."""

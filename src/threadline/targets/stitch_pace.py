@@ -1,9 +1,9 @@
 """How fast a shaft may turn at each stitch, and the speeds that a spindle can follow.
 
-A turn needs time for its move: within the limits of the axes and of the steps, and so that little
-of the frame's swing is left when the needle enters. And it needs time to load the next tables. The
-speed is even in the window of the move and changes evenly over the rest of the turn, so that the
-law stays the law.
+A turn needs time for its move, which must keep the limits of the axes and the rate of steps, and
+leave little of the frame's swing when the needle enters. It also needs time to load the next
+tables. The speed of the shaft is constant in the window of a move, so that the move is its motion
+law, and changes evenly over the rest of the turn.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from threadline.shaping.law_residual import lasting_windows_s, swing
 from threadline.shaping.response import ComplexArray
 
 Modes = dict[str, tuple[FlexibleMode, ...]]
-"""Of each axis, the slowest first."""
+"""Modes of each axis, the slowest first."""
 _ROUNDS = 200
 _SLOWER = 1.03  # by so much at a time
 _MODES = 4  # of an axis: faster ones hardly swing
@@ -71,11 +71,12 @@ class Pace:
         self.share = float(self.shaft.window_share)
         self.modes = _modes_of(machine)
         self.days = tuple(_modes_of(vary(machine, damping=factor)) for factor in DAMPING_OF_DAYS)
-        """What the modes may be on another day."""
+        """The modes with the damping that they may have on other days."""
         counts = np.arange(self.tables.longest_units + 1, dtype=np.float64)
         lengths: FloatArray = self.tables.unit.si * counts
         steps = np.array([axis.counts.si for axis in machine.axes.values()])
         velocity = np.minimum(machine.velocity_limit, self.tables.step_rate.si / steps)
+        # (lengths, A) shortest windows within the limits of the axes and of the steps, s.
         self.rigid_s = np.stack(
             [
                 np.maximum(
@@ -94,7 +95,7 @@ class Pace:
         self.still_s = np.stack(
             [np.max([np.zeros(len(lengths)), *rows], axis=0) for rows in still], axis=1
         )
-        """(lengths, A) windows that limits ask for, and that leave little enough swing."""
+        """(lengths, A) shortest windows that leave little enough swing, s."""
 
     def rigid_windows_s(self, moves: Moves) -> FloatArray:
         """Return (n,) shortest windows within the limits of the axes and of the steps."""
@@ -120,7 +121,7 @@ class Pace:
         return np.maximum(rest, float(self.shaft.turn_s))
 
     def most_swings_m(self, moves: Moves, turns_s: FloatArray) -> FloatArray:
-        """Return (n,) the same as ``swings_m`` on the day on which it is largest."""
+        """Return (n,) the largest ``swings_m`` over the dampings of the modes on different days."""
         found = self.swings_m(moves, turns_s)
         for modes in self.days:
             found = np.maximum(found, self.swings_m(moves, turns_s, modes))
@@ -131,7 +132,7 @@ class Pace:
     ) -> FloatArray:
         """Return (n,) the largest amplitude of an axis when the needle enters; 0 where it is up.
 
-        Turn by turn what earlier moves left goes on, and what this move leaves is added.
+        Turn by turn the swing that earlier moves left decays, and that of this move is added.
 
         Parameters
         ----------
@@ -183,7 +184,7 @@ class Pace:
         """
         longest = self.shaft.slowest_turn.si
         wanted = np.minimum(self.needed_turns_s(moves), longest)
-        turns = wanted if self.shaft.acceleration is None else self.followed(wanted)
+        turns = self.followed(wanted)
         for _ in range(_ROUNDS):
             over = self.most_swings_m(moves, turns) > self.tolerance_m
             over &= turns < longest * _BELOW
@@ -213,9 +214,9 @@ class Pace:
     def _even_turn_s(self, moves: Moves, below_s: float) -> float | None:
         """Return the shortest turn, the same for all and below ``below_s``, that will do; or None.
 
-        A law made for a mode is still after one window and not after every longer one: slowed, it
-        is worse. What is taken leaves each move alone within tolerance on modes ``_ASIDE`` as well,
-        so that no swing is counted on to meet another.
+        A law made for a mode leaves no swing after one window, but may after longer ones. The turn
+        that is taken also keeps each move alone within tolerance with its modes off by ``_ASIDE``:
+        it does not rely on the swings of two moves cancelling each other.
         """
         sewn = moves.units[moves.needle == 1]
         ways_m = np.abs(sewn).max(axis=0, initial=0) * self.tables.unit.si

@@ -75,15 +75,15 @@ class Stitched:
         What the controller is given.
     turns
         Every turn, as it was planned.
-    tolerance_m
-        How much swing was planned to be left when a needle enters.
+    pace
+        The time that each turn needs, with the tolerance of the swing that it was planned for.
     constant, given
         Whether the shaft is told one speed, and whether that was asked for.
     alone_s
-        Time of a schedule that forgets what earlier stitches left swinging, on a spindle without
-        inertia.
+        Time of a schedule in which each stitch is planned as if the frame were at rest before it,
+        on a spindle without inertia: a lower bound, s.
     slowest_s
-        Time at the constant speed that the slowest stitch needs, likewise.
+        Time at the constant speed that the slowest stitch needs by itself, s.
     """
 
     job: Job
@@ -104,7 +104,7 @@ class Stitched:
 
     @property
     def duration_s(self) -> float:
-        """Of the whole, s."""
+        """Duration of the commands, s."""
         return self.commands.duration_ticks * float(self.commands.clock.period_s)
 
     @property
@@ -118,7 +118,7 @@ class Stitched:
         return ()
 
     def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return what stands where other plans have an interpolation: the law."""
+        """Return the motion law, which takes the place of an interpolation."""
         return f"law:{self.law.name}"
 
     def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
@@ -290,7 +290,7 @@ def tables_of(machine: Machine, law: Law, window_s: Fraction) -> tuple[StepTable
 
 
 def _rows(job: Job, pace: Pace) -> dict[str, Any]:
-    """Return the columns of the turns: long travels in several turns, and a stop behind them."""
+    """Return the columns of the turns; a travel too long for one turn is divided into several."""
     unit, longest = pace.tables.unit.si, pace.tables.longest_units
     at: IntArray = np.zeros((1, len(job.axes)), dtype=np.int64)
     units: list[IntArray] = []

@@ -14,7 +14,7 @@ _LONGEST = "PT := T#24h"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """What things are called in the program, and its two times.
+    """The names that the program uses, and two of its times.
 
     Parameters
     ----------
@@ -25,7 +25,8 @@ class Words:
     start, acknowledge, home
         Inputs whose rising edges count.
     fresh
-        Variable that says of an input and its value that it was otherwise since it last counted.
+        By input and value: the variable that says that the input had its other value since it last
+        counted.
     watchdog_ms
         A scan that comes later than this after the one before is a fault.
     early_ms
@@ -147,9 +148,9 @@ def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
 
 
 def _fresh(words: Words, sequence: Sequence) -> Iterator[str]:
-    """Yield what tells that an input was otherwise before it counts.
+    """Yield the lines that note that an input had its other value before it counts.
 
-    One that a vacuum is to bring must have been so when the vacuum was switched on.
+    An input that a vacuum switches must have had it when the vacuum was switched on.
     """
     for (name, value), fresh in words.fresh.items():
         word = words.inputs[name]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray
 
 _NODES = 200
-"""Of the tree of an integer program, at most: the same on every machine, however loaded."""
+"""Most nodes of an integer program's tree: unlike a time limit, the same on every computer."""
 _SHORT, _OVER = 0.2, 0.02
 """A command may fall so many scans short of the distance, and go so many beyond it.
 
@@ -42,9 +42,9 @@ class FlowMove:
     dwell_scans
         Fewest scans between two switchings of one of them.
     turns
-        By what the ringing of each frequency of a band is multiplied in one scan, (K,).
+        (K,) factor on the complex ringing in one scan, for each frequency of a band.
     most
-        How much of each may ring behind the command, in steps of level 1, (K,).
+        (K,) how much may ring after the command at each of them, in units of a step of level 1.
     """
 
     on_scans: float
@@ -81,10 +81,10 @@ class FlowCommand:
 
 
 def least_scans(move: FlowMove, most_scans: int) -> int | None:
-    """Return the fewest scans of any command with levels in [0, 1], however many of them.
+    """Return the fewest scans of any command with levels free in [0, 1].
 
-    A lower bound for all valves: within the polygon that encloses what may ring, at the
-    frequencies that the program sees. None where not even ``most_scans`` suffice.
+    It is a lower bound for all valves: the circle of what may ring is replaced by a polygon around
+    it, and the band by some of its frequencies. None where not even ``most_scans`` suffice.
     """
     from scipy.optimize import linprog
 
@@ -108,7 +108,7 @@ def least_scans(move: FlowMove, most_scans: int) -> int | None:
 
 
 def flow_command(move: FlowMove, scans: int) -> FlowCommand | None:
-    """Return a command of ``scans`` scans that rings at most as much as it may.
+    """Return a command of ``scans`` scans that rings no more than ``move.most``.
 
     None if none was found among symmetric ones; that is no proof that there is none.
     """

@@ -31,7 +31,7 @@ _TERMS = 20
 
 
 def conditions(move: RestToRest) -> tuple[float, list[AtRest]]:
-    """About how long the fastest move takes that leaves no mode ringing, s, and its conditions."""
+    """Return about how long the fastest move with every mode at rest takes, s, and conditions."""
     rigid = move.rigid_duration_s
     poles = [pole(m.damping_ratio) * m.frequency_hz for m in move.modes]
     reach = move.distance_m / move.acceleration_m_s2
@@ -49,7 +49,7 @@ class AtRest:
     Parameters
     ----------
     pole_1_s
-        Pole of the mode, 1/s, with positive imaginary part.
+        ``s`` above, 1/s: a pole of the mode times -1, since decay is counted back from the end.
     scale_s
         About how long the move takes, s. It makes integrals of the densities dimensionless.
     slow

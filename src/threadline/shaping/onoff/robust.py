@@ -34,7 +34,8 @@ _ACCURACY = 1e-4
 _SWEEP = 201
 _ROUNDING = 1e-9
 _APART = 80.0
-"""160 intervals of half a period of the slowest mode: four in a period of one 80 times as fast."""
+"""Largest ratio of two frequencies. The grid grows by half a period of the slowest mode and has
+160 intervals: four in a period of a mode that is 80 times as fast."""
 
 
 class _Band:
@@ -265,7 +266,7 @@ def compare_shapers(
 def beside(
     move: RestToRest, shapers: list[Shaper], *, relative: PerMode, optimal_s: float, robust_s: float
 ) -> list[ShapedMove]:
-    """The same beside optima that are known."""
+    """Return every shaped move beside optima whose durations, s, are known."""
     unshaped = worst_ringing(
         shaped_command(move, Shaper(amplitudes=np.ones(1), times_s=np.zeros(1))),
         move.modes,
