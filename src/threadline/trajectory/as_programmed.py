@@ -1,4 +1,4 @@
-"""Chords at exactly the programmed times: what a smoothing in time makes passable afterwards.
+"""Chords at exactly the programmed times, to be smoothed in time afterwards.
 
 Velocity steps at every vertex, as in the linear interpolation of the 1994 controller, but no
 travel time is rounded to ticks: a needle of constant speed stays one. Rapid moves, which have no

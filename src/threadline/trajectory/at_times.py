@@ -9,7 +9,7 @@ from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 
 class TrajectoryReader:
-    """Gives derivatives of a trajectory; times may only rise by what ``drop`` lets go of.
+    """Reads position and derivatives of a trajectory at times that ``drop`` has not let go of.
 
     The trajectory is held at its first and last position before and after.
     """

@@ -61,7 +61,7 @@ def held_trajectory(
         Where something other than a move or an empty dwell comes between two moves, the motion
         rests for ``width_s`` more, so that it is really at rest when that happens.
     before_s, after_s
-        How long it stands before it begins, and after its end.
+        How long the motion stands before it begins, and after its end, s.
     """
     return Trajectory(
         axes=trajectory.axes,

@@ -1,4 +1,4 @@
-"""What a job asks for at least, found before any of it is planned."""
+"""The least number of ticks that a job takes, found before any of it is planned."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def plan_trajectory(
         trajectory is historical until it is smoothed. ``LAW`` makes every chord a move from rest
         to rest; it is historical where its jerk is infinite and an axis limits it.
     law
-        What ``LAW`` follows.
+        The motion law for the pace ``LAW``.
     contour_m
         How far the loads may be from a path that is timed as the fastest, while their loops
         follow it; infinite where that is no limit.

@@ -33,11 +33,11 @@ class Allowance:
     smoothing, radius
         As for the path.
     slack_m
-        For what happens within the average.
+        Deviation that the average over time may cause, m.
     reach_s
         How long before and after a curve its speed must be kept.
     top_m_s
-        No speed is higher.
+        Highest speed at the tool that the velocity limits allow, m/s.
     """
 
     smoothing: Smoothing
@@ -259,7 +259,7 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
 
 @njit(cache=True)
 def _note(zones, reach):  # type: ignore[no-untyped-def]
-    """Take a zone into a list of some, of which those of nearly the same length are one."""
+    """Note a zone of length ``reach``; zones of nearly the same length are noted as one."""
     for k in range(len(zones)):
         if zones[k] == 0.0:
             zones[k] = reach

@@ -31,8 +31,8 @@ def retime(
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
 
     The path runs along the straight lines between the points and rounds the corners; it is never
-    farther than the tolerance from those lines, and they from it. No limit is left at any
-    instant. Of one unit of length and the second, any unit will do.
+    farther than the tolerance from those lines, and they from it. No limit is exceeded
+    at any instant. Lengths may be in any unit, the same in all arguments; times are in seconds.
 
     Parameters
     ----------

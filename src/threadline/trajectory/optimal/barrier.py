@@ -59,7 +59,7 @@ def duration(b, length):
 
 @njit(cache=True)
 def room_of(row, y, tangent):
-    """Return what is left of 1 by a row of a drive."""
+    """Return 1 less the share of its limit that a row of a drive uses."""
     used = 0.5 / tangent * row[6]
     for a in range(3):
         used += (row[a] + 0.5 * tangent * row[3 + a]) * y[a]
@@ -190,7 +190,7 @@ def _solve(matrix, g):
 
 @njit(cache=True)
 def _far(y, dy, acc, jerk, points, count, top, drive, tangent):
-    """Return how far the y of one element may go along dy until a slack is used up."""
+    """Return how far along dy the y of one element may go before it reaches a limit."""
     best = 1e300
     for a in range(3):
         if dy[a] < 0.0:
@@ -246,7 +246,7 @@ def advance(b, step, length, rows, tangent):
 
 @njit(cache=True)
 def follow(b, length, rows, tangent):
-    """Move each tangent towards the present y, as far as the slacks that hang on it allow."""
+    """Move each tangent towards the present y, as far as the slacks that depend on it allow."""
     _, jerk, points, count, _, drive, begin = rows
     y = np.zeros(3)
     for i in range(len(length)):

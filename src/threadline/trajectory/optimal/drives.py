@@ -37,8 +37,9 @@ def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False
     Parameters
     ----------
     of_loads
-        Whether loads follow the motion. Volts are held for a tick, in which a motor gains back
-        EMF: its current is the largest where the tick begins. What motors follow, loops smooth.
+        Whether loads follow the motion, by feed-forward. The voltage is then held over each tick,
+        while the back EMF rises: the current is largest at the beginning of the tick. Where
+        motors follow the motion, the loops smooth this peak.
 
     Raises
     ------
@@ -53,9 +54,10 @@ def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False
 
 
 def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
-    """Return the (3, axes, 2) shares of volts at the controller, volts and current that are needed.
+    """Return (3, axes, 2) the shares of its limits that an axis needs for 1 m/s and for 1 m/s^2.
 
-    For 1 m/s and for 1 m/s^2 of each axis, of what friction and reserve leave; see ``limits_of``.
+    The limits are those of the controller's output, of the winding's voltage and of its current,
+    less what friction takes and the reserve keeps; ``of_loads`` is as for ``limits_of``.
 
     Raises
     ------

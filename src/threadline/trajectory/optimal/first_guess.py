@@ -89,7 +89,7 @@ def feasible(length, rows, most):
     Parameters
     ----------
     most
-        (n,) as of ``even``.
+        (n,) largest even x of each element, by ``even``.
     """
     acc, count = rows[0], rows[3]
     n = len(length)

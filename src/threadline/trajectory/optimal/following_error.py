@@ -38,7 +38,7 @@ class Past:
     Parameters
     ----------
     memory_s
-        For how long.
+        How long the loops remember, s.
     """
 
     def __init__(self, memory_s: float) -> None:
@@ -87,18 +87,19 @@ class Follower:
 
     @property
     def memory_s(self) -> float:
-        """After it nothing is left of a motion."""
+        """Time after which the loops have forgotten a motion, s."""
         return max((a.memory_s for a in self.answers if a is not None), default=0.0)
 
     @property
     def tick_s(self) -> float:
-        """From place to place at which the loads are looked at."""
+        """Time between two instants at which the loads are held against the path, s."""
         return max(min((a.period_s for a in self.answers if a is not None), default=0.0), 1e-3)
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
-        """Return the (axes,) shares of velocity and of acceleration by which a load is off, s, s^2.
+        """Return the (axes,) errors of a load per velocity, s, and per acceleration, s^2.
 
-        Against the motion as late as the mean lag, which is the same for all axes and no error.
+        They are errors against the motion delayed by the mean lag: a delay that all axes have in
+        common takes no load off the path.
         """
         lag = self.lag_s
         first, second = np.full(len(self.answers), lag), np.full(len(self.answers), 0.5 * lag**2)
@@ -216,7 +217,7 @@ class Strays:
 
     @property
     def share(self) -> FloatArray:
-        """(f,) of the tolerance."""
+        """(f,) distances from the way as shares of the tolerance."""
         return np.asarray(np.linalg.norm(self.error_m, axis=1) / self.follower.tolerance_m)
 
     def worst(self, places_s: FloatArray) -> FloatArray:

@@ -23,8 +23,8 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     """Return the motion as polynomials of fifth degree in time, from ``begin_s`` on.
 
     Each has the position, velocity and acceleration of the motion at both ends; where one of them
-    would leave a limit in between, it is cut in two. What still would after some cuts slows the
-    whole motion down: the motion runs from rest to rest, so that it may be stretched evenly.
+    would exceed a limit in between, it is cut in two. If some still do after a few cuts the whole
+    motion is slowed evenly, as a motion from rest to rest may be.
     """
     elements, y = solution.elements, solution.y
     c, power, operation = elements.c, _powers(y), elements.operation
@@ -110,7 +110,7 @@ def _hermite(c: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _beyond(
     coefficients: FloatArray, duration_s: FloatArray, limits: Limits
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return which polynomials may leave a limit, by their Bernstein coefficients."""
+    """Return which polynomials may exceed a limit, by their Bernstein coefficients."""
     out = np.zeros(len(duration_s), dtype=bool)
     for _, share in _shares(coefficients, duration_s, limits):
         out |= share > _WITHIN
@@ -118,7 +118,7 @@ def _beyond(
 
 
 def _stretch(coefficients: FloatArray, duration_s: FloatArray, limits: Limits) -> float:
-    """Return by how much the time is to be stretched so that no limit is left."""
+    """Return the factor by which the time must be stretched so that no limit is exceeded."""
     return max(
         1.0,
         *(

@@ -203,7 +203,7 @@ def demand_rows(c, demand, limit_a, top):
     demand
         (m, axes, 2) share of what a drive has to give that 1 m/s, and 1 m/s^2, of an axis needs.
     limit_a
-        (axes,) with which a demand without velocity is within its limit.
+        (axes,) limits of acceleration, within which a demand without velocity is below 1.
     top
         (n,) largest y.
     """

@@ -148,10 +148,10 @@ class Problem:
         self._descend(gap)
 
     def regard(self, elements: Elements) -> None:
-        """Take other guards on the same elements.
+        """Take other guards on the same elements, and begin from the present motion made slower.
 
-        All limits but the tangents' are in proportion to x, and these become wider as it falls:
-        what is left of the motion as it was, made slower evenly, is within the new ones.
+        What a motion uses of the limits of velocity and acceleration is proportional to x, and the
+        limits that are tangents become wider as x falls: slowed evenly, the motion is within all.
         """
         self.elements = elements
         self.weight = np.inf
@@ -230,7 +230,7 @@ class Problem:
         )
 
     def _idle(self) -> IntArray:
-        """Return the same, because no limit is reached at some place in it."""
+        """Return how many parts to cut each element into: those that reach no limit somewhere."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
         lost_s = time_s * (1.0 - self._shares().max(axis=2).min(axis=1))
         return np.where(lost_s > _LOSS * self.limits.ramp_s, 2, 1)
