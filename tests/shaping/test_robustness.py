@@ -98,6 +98,8 @@ def test_unit_magnitude_shapers_excite_higher_modes_three_to_seven_times() -> No
         assert 2.9 < found.peak <= 7.0, kind
         assert "amplifies" in found.warnings[0]
         assert 1.5 * 3.04 <= found.peak_hz <= 30.5
+    # Undamped, |cos| of a ZV is 1 at 2, 4, ... times its frequency: the lowest is told.
+    assert check_higher_modes(design("zv", FlexibleMode(3.04)), FlexibleMode(3.04)).peak_hz < 6.1
     positive = check_higher_modes(design("zvd", MODE), MODE, [FlexibleMode(9.0)])
     assert positive.warnings == ()
     # UM-ZV at three times its frequency: all three impulses add up.

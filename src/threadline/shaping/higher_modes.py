@@ -15,6 +15,8 @@ from threadline.shaping.types import FlexibleMode, Shaper
 from threadline.shaping.vibration import residual_vibration, vibration_of
 
 _STRETCH = 65536  # frequencies that are looked at together
+# An undamped train's V repeats: of peaks alike but for rounding the lowest is told, everywhere.
+_ALIKE = 1.0 + 1e-9
 SEARCHED_RATIO = (1.5, 10.0)
 """Range of f / f_mode that is searched."""
 
@@ -28,7 +30,7 @@ class HigherModes:
     peak
         Largest V over 1.5 to 10 times the shaped frequency, at the mode's damping.
     peak_hz
-        Where.
+        Where; the lowest of peaks alike.
     excited
         The machine's known modes that the shaper amplifies, each with its V.
     warnings
@@ -63,9 +65,9 @@ def check_higher_modes(
         at = np.arange(first, min(first + _STRETCH, count))
         f = mode.frequency_hz * (low + ripple * at)
         v = residual_vibration(shaper, f, mode.damping_ratio)
-        top = int(np.argmax(v))
-        if v[top] > peak:
-            peak, peak_hz = float(v[top]), float(f[top])
+        most = float(v.max())
+        if most > peak * _ALIKE:
+            peak, peak_hz = most, float(f[int(np.argmax(v * _ALIKE >= most))])
     judged = ((m, vibration_of(shaper, m)) for m in known if m.frequency_hz > mode.frequency_hz)
     excited = tuple((m, gain) for m, gain in judged if gain > 1.0 + 1e-9)
     warnings = [

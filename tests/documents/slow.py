@@ -1,0 +1,95 @@
+"""The other commands of the documents, each with what keeps it from the list of quick ones.
+
+Times are of the processor, about.
+"""
+
+from __future__ import annotations
+
+OF_TESTS = "the suite runs these tests"
+NO_FIGURES = "shows how to ask; no figure stands for it"
+THEIRS = "a design that is not part of this repository"
+BENCH = "ratios of one run of one machine; benchmarks/results.json has them"
+
+SLOW: dict[str, dict[str, str]] = {
+    "results.md": {
+        "threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear": (
+            "beside the others; tests/search/test_fastest.py"
+        ),
+        "threadline fastest examples/cone-dome-cylinder.prg -m lathe-winder": "51 s",
+        "make demo": "the command beside it is quick",
+        "make bench": BENCH,
+        "make fuzz": "hours",
+        "python -m tools.duration_against_contour": "an hour",
+        "python tools/big_program.py 5000000 BIG.prg": "writes 197 MB",
+        "/usr/bin/time -v threadline prove BIG.prg -m lathe-winder --interpolation NAME --json": (
+            "253 s"
+        ),
+        "python tools/memory_bounds.py": "half an hour",
+    },
+    "results-stitcher.md": {
+        "pytest tests/twin/test_stitcher.py tests/twin/test_hybrid.py": OF_TESTS,
+        "python -m tools.long_seam 1e6 FOLDER": "writes the job of the next",
+        "threadline prove FOLDER/long.seam.toml -m stitcher --interpolation linear": "93 s",
+        "python -m tools.stitcher_overshoots FILE.png": "tests/plant_analysis/test_overshoots.py",
+        "threadline analyse NAME --experiments": "tests/plant_analysis/test_experiments.py",
+        "threadline analyse NAME --json": "each NAME is run as one of the quick ones",
+        "threadline analyse stitcher --axis X --report DIR": "a root locus, drawn",
+        'threadline design examples/stitcher-steep.seam.toml -m stitcher --needle "75 stitch/s" '
+        '--feed-forward --smoothing "30 ms, 33 ms, 36 ms"': "minutes",
+        "threadline design examples/stitcher-test-path.seam.toml -m stitcher --over-tolerances "
+        "-o found.toml --report DIR": "103 s",
+        "threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml "
+        "--report DIR": "54 s",
+        "threadline fastest SEAM -m stitcher": "34 s",
+        "threadline fastest SEAM -m stitcher --feed-forward": "minutes",
+        'threadline fastest SEAM -m stitcher --feed-forward --low "20 stitch/s" --mismatch '
+        "--report DIR": "nine searches",
+        "threadline prove SEAM -m found.toml": "of what design found",
+        "threadline prove examples/stitcher-steep.seam.toml -m stitcher --feed-forward "
+        '--smoothing "42 ms"': "its file is changed by hand for each needle speed",
+    },
+    "results-shaping.md": {
+        "make bench": BENCH,
+        "pytest tests/shaping/test_bands.py": OF_TESTS,
+        "pytest tests/shaping/test_direct_unit.py": OF_TESTS,
+        "python tools/shaper_results.py SECTION": "each section but `front` is quick",
+        "python tools/shaper_results.py front": "integer programs, minutes",
+        'threadline shaper --mode 3.04Hz --kind zv --move "200 mm" --acceleration "1 m/s^2" '
+        '--tick "10 ms"': "a minute",
+        "threadline shaper": NO_FIGURES,
+        "threadline analyse MACHINE": NO_FIGURES,
+        'threadline prove JOB -m MACHINE --shaper "zv:12.463Hz:0.0574"': NO_FIGURES,
+        "threadline shaper --mode 3.04Hz --mode 9.1Hz --damping 0.009 --kind um-direct": NO_FIGURES,
+        'threadline shaper --mode 3.04Hz --damping 0.17 --kind um-ei --tick "1 ms"': (
+            "the section `rounding`, which is quick, has its figures"
+        ),
+    },
+    "results-onoff.md": {
+        "pytest tests/onoff tests/plc": OF_TESTS,
+        "python -m tests.plc.scan_table": "minutes",
+        "python -m tests.plc.stuck": "tests/plc/test_stuck.py",
+        "python tools/onoff_results.py cycle": "a minute",
+        "threadline compile examples/letter-cycle.toml -m letter-placer --target st --shaper zv "
+        '--mode "3.04 Hz" --damping 0.17 -o cycle.st': "tests/plc run what it writes",
+        'threadline fastest examples/letter-cycle.toml -m MACHINE --robust "20 %" -o robust.toml': (
+            "half a minute"
+        ),
+        "threadline prove examples/letter-cycle.toml -m letter-placer+whole-scans+own-damping "
+        "--shaper zv --report FOLDER": NO_FIGURES,
+    },
+    "results-embroidery.md": {
+        'threadline prove DESIGN -m schiffli-frame --tolerance "0.05 mm"': THEIRS,
+        "threadline compare tree.dst -m schiffli-frame": THEIRS,
+        "threadline fastest tree.dst -m schiffli-frame --nominal": THEIRS,
+        "OPENBLAS_NUM_THREADS=1 threadline prove CARD -m schiffli-frame": "random cards, minutes",
+        "python tools/fuzz.py --reader design-hus --cases 100000": "minutes",
+        "python tools/schiffli_claim.py": "tests/stitching/test_claim.py",
+    },
+    "yield.md": {
+        'threadline yield examples/x-180.prg -m lathe-winder --variants 2000 --at-least "99 %"': (
+            "40 s"
+        ),
+        "threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear --yield "
+        '"95 %"': "a minute",
+    },
+}
