@@ -18,8 +18,8 @@ $(STAMP): requirements/dev.txt pyproject.toml
 demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
 	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --interpolation optimal --report reports/demo
 
-test: $(STAMP)  ## Run the tests
-	$(BIN)/python -m pytest
+test: $(STAMP)  ## Run the tests, on every core
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 test-cores: $(STAMP)  ## The suite and the numerics as other processors round; half an hour
 	$(BIN)/python -m tools.core_types --whole

@@ -38,6 +38,9 @@ CORE_TYPES = ("SkylakeX", "Haswell", "Sandybridge")
 NEEDS = {"SkylakeX": "avx512f", "Haswell": "fma", "Sandybridge": "avx", "Prescott": "pni"}
 """Flag of /proc/cpuinfo without which the kernel of a core type stops at an illegal instruction."""
 
+SPREAD = ("-n", "auto", "--dist", "worksteal")
+"""Over every core, as ``make test`` does."""
+
 
 def flags_of(cpuinfo: str) -> frozenset[str]:
     """Return the flags of the first processor in the text of /proc/cpuinfo."""
@@ -78,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"== {core}: {' '.join(folders) or 'the whole suite'}", flush=True)
         began = time.monotonic()
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-q", *folders, *chosen.rest],
+            [sys.executable, "-m", "pytest", "-q", *SPREAD, *folders, *chosen.rest],
             cwd=ROOT, env=os.environ | {"OPENBLAS_CORETYPE": core}, check=False,
         )  # fmt: skip
         print(f"== {core}: {time.monotonic() - began:.0f} s", flush=True)
