@@ -163,7 +163,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
 
 
 class _Moving:
-    """A piece on the way."""
+    """One connected piece while it is run: its state between blocks."""
 
     def __init__(self, machine: Machine, advance: Advance, phases: FloatArray) -> None:
         self.machine, self.advance = machine, advance
@@ -178,9 +178,12 @@ class _Moving:
         self.before = np.zeros((int(advance.averaged.max()), len(advance.sources)))
 
     def run(self, travelled: IntArray) -> tuple[FloatArray, FloatArray, tuple[int, str]]:
-        """Return (n, n_states + 2 s) of every tick, (n, s) shares of the torque, and how far.
+        """Return states and torques at n ticks, and how many of the ticks are valid.
 
-        How far is the number of ticks that are known, and what happens at the one after them.
+        States are (n, n_states + 2 s): those of the piece, then position and speed of its s
+        drives. Torques are (n, s), as shares of what each drive has at its speed. A piece is
+        linear until a belt falls slack: the last pair is the number of ticks before that, and
+        the reason, empty where all are valid.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A machine on the way: rows in, samples out, its state kept between; stops and waits are honoured.
+"""A simulated machine that takes its commands piece by piece, and halts at stops and waits.
 
 A simulated machine that is driven live is a session; ``simulate`` is a loop over one.
 """
@@ -60,14 +60,14 @@ class Session:
         Numbers of the runs where several go side by side, all under the same rows; the machine's
         own when None.
     kinds
-        Of the channels to record.
+        Kinds of the channels to record.
     engine
-        Of this machine and these values at this start, where there is one already.
+        The engine of this machine, values and start, where there is one already; it saves time.
 
     Attributes
     ----------
     channels
-        What the blocks hold.
+        The channels of the blocks that are returned.
 
     Raises
     ------

@@ -25,8 +25,10 @@ def joined(parts: Sequence[Part], axes: int, runs: int, readings: Sequence[Readi
 
     Parameters
     ----------
-    axes, runs, readings
-        Of every part.
+    axes, runs
+        How many axes and runs every part has.
+    readings
+        What every part holds.
     """
     nothing = np.zeros((0, axes), dtype=np.int64)
     unread = np.zeros((0, runs))

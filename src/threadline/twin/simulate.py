@@ -122,13 +122,15 @@ def simulate_runs(
     Parameters
     ----------
     values
-        Numbers of the runs; all of one dead time, see ``Values.by_delay``.
+        Numbers of the runs. All runs have the same dead times; ``Values.by_delay`` groups others.
     encoder_phase
         (runs, axes) of each run, or (axes,); 0.5 when None.
     kinds
-        Of the channels to record.
+        Kinds of the channels to record.
     least_rates
-        See ``fastest_rates``: with them a run has the same bits in whatever company.
+        For each connected piece, 1/s: time steps are at least as fine as for that rate. With those
+        of ``fastest_rates`` over all runs, the result of a run does not depend, to the bit, on
+        which others are simulated beside it.
 
     Raises
     ------
@@ -248,13 +250,13 @@ def _blocks(
 
 
 def _pause(session: Session, ticks: int, most: int) -> Iterator[RecordingBlock]:
-    """Let the plant go on while no rows are taken up, ``most`` ticks in one block."""
+    """Let the plant go on for ``ticks`` without new rows; blocks of at most ``most`` ticks."""
     for at in range(0, ticks, most):
         yield session.advance(ticks=min(most, ticks - at))
 
 
 def _parts(session: Session, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
-    """Yield blocks of the commands, halted where they halt."""
+    """Yield the blocks of a run of the commands, which halts at stops and waits until answered."""
     answers = None if options.answers is None else iter(options.answers)
     for block in _pieces(commands, options.most_rows):
         parts = [session.advance(block)]

@@ -1,4 +1,4 @@
-"""Step tables on their machine: a frame that is driven by steps, each placed exactly in time.
+"""Plays step tables on a simulated frame: each step acts exactly at the instant it is given.
 
 Servos follow the steps with their lag; the frame hangs on them by a linear network
 (:mod:`threadline.twin.stitching_machine`).
@@ -42,8 +42,8 @@ def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
     Raises
     ------
     MachineError
-        If an axis has no servo that is told steps, a part is not linear, or sample and timer have
-        no common count.
+        If an axis is not moved by a pulse servo, a part is not linear, or a sample is not a whole
+        number of periods of the timer.
     RecordingError
         If the commands are not for this machine.
     """

@@ -1,4 +1,4 @@
-"""A machine whose axes are told steps, as one linear network: its matrices from step to step.
+"""A machine whose drives follow steps as one linear system: its matrices from sample to sample.
 
 Between two samples the state goes on by one matrix exponential; a step that comes tau before the
 sample adds ``integral_0^tau exp(A s) ds B``, whose power series in tau needs no more than sums of
@@ -26,28 +26,32 @@ _MOST_PARTS = 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Driven:
-    """A machine whose axes are told steps; its state is that of all pieces, servos behind each.
+    """A machine whose drives follow steps, as one linear system that is advanced by intervals.
+
+    The m states are those of each connected piece, followed by position and speed of its servos;
+    A is the number of axes.
 
     Parameters
     ----------
     step
-        (m, m) of the state over an interval.
+        (m, m) transition matrix of the state over an interval.
     held
-        (m, A) what the steps that were there before it add.
+        (m, A) what each step that was given before an interval adds to the state over it.
     series
-        (terms, m, A) by powers of the part of an interval that is left when a step comes.
+        (terms, m, A) what a step within an interval adds to the state at its end: coefficients of
+        the powers of the part of the interval that is left when the step comes.
     loads
         (A, m) position of each axis, in its own units.
     forces
-        (A, m) force that its drive gives, N, but for what it is told.
+        (A, m) force of each drive, N or N m, that follows from the state.
     told
-        (A,) N per m (rad) that it is told.
+        (A,) force of each drive per commanded m or rad.
     limit
-        (A,) N that it has.
+        (A,) force that each drive has, N or N m.
     scale
-        (A,) of the steps of an axis: m (rad) of its drive.
+        (A,) m or rad of each drive per step.
     parts
-        Intervals in a sample.
+        Number of intervals from sample to sample.
     """
 
     step: FloatArray
@@ -62,12 +66,12 @@ class Driven:
 
 
 def driven_of(machine: Machine) -> Driven:
-    """Return the machine, ready to be driven.
+    """Return the linear system of ``machine``, by which step tables are played.
 
     Raises
     ------
     MachineError
-        If an axis has no servo that is told steps, or a part is not linear.
+        If an axis is not moved by a pulse servo, or a part is not linear.
     """
     for name, axis in machine.axes.items():
         if not isinstance(machine.position_sources.get(axis.drive), PulseServo):
@@ -122,7 +126,7 @@ def driven_of(machine: Machine) -> Driven:
 
 
 def _parts(rates: FloatArray, sample_s: float, machine: Machine) -> int:
-    """Return into how many intervals a sample is cut, so that the series ends."""
+    """Return how many intervals to cut a sample into, so that the series is exact."""
     fastest = float(np.abs(np.linalg.eigvals(rates)).max())
     parts = ceil(fastest * sample_s / _NORM)
     if parts > _MOST_PARTS:

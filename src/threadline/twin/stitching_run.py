@@ -1,4 +1,4 @@
-"""The steps of a block of turns, from sample to sample: compiled."""
+"""Plays the steps of a block of turns on a linear system, from sample to sample: compiled."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from threadline.twin.stitching_machine import Driven
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Library:
-    """Tables in a row.
+    """All step tables of a program, one behind the other.
 
     Parameters
     ----------
     times
-        Counts from the start of the window to each step, table behind table.
+        Timer counts from the start of the window to each step, table behind table.
     begins
-        (k + 1,) where each table begins, and the end.
+        (k + 1,) index at which each of the k tables begins in ``times``, and the length of that.
     """
 
     times: IntArray
@@ -39,14 +39,14 @@ class Library:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Played:
-    """Where a run stands, from block to block: state (m,) and steps given (A,); both change."""
+    """State (m,) of a run and steps (A,) given so far; ``play`` changes both in place."""
 
     state: FloatArray
     steps: FloatArray
 
     @classmethod
     def at_rest(cls, states: int, axes: int) -> Played:
-        """Return the beginning."""
+        """Return the state of a run before its first step."""
         return cls(state=np.zeros(states), steps=np.zeros(axes))
 
 
@@ -58,13 +58,13 @@ def play(
     commands: StepPlay,
     samples: tuple[int, int, int],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (n, m) states and (n, A) steps given at each of the samples; ``played`` goes on.
+    """Return (n, m) states and (n, A) steps given, at n samples; advance ``played``.
 
     Parameters
     ----------
     samples
-        Number of the first, how many, and ticks between two. Sample k is taken before what is due
-        at its instant.
+        Index of the first sample, number of samples, and ticks from one to the next. A sample is
+        taken before the steps that are due at its instant.
     """
     first, count, every = samples
     scale = np.ones(len(block))
@@ -87,7 +87,7 @@ def _forward(
     from_tick: float, every: float, state: FloatArray, given: FloatArray,
     states: FloatArray, steps: FloatArray,
 ) -> None:  # fmt: skip
-    """Go through the samples; each axis has a place in the turns and in its table."""
+    """Go through the samples; each axis is at step ``at`` of the table of its ``turn``."""
     terms, size, axes = series.shape
     turn = np.zeros(axes, dtype=np.int64)
     at = np.zeros(axes, dtype=np.int64)

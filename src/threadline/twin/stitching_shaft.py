@@ -14,8 +14,8 @@ from threadline.signals import StepPlay, StitchBlock
 class Needles:
     """The needles of a machine that plays ``commands``.
 
-    The shaft is even in the window of the move, and changes its speed evenly over the rest of the
-    turn: from that of its own window to that of the next.
+    The shaft has a constant speed in the window of the move. Over the rest of the turn the speed
+    changes evenly to that of the next window.
     """
 
     def __init__(self, machine: Machine, commands: StepPlay) -> None:
@@ -26,7 +26,7 @@ class Needles:
         self._leaves = machine.shaft.needle_leaves.si / (2.0 * pi)
 
     def down(self, block: StitchBlock, after: StitchBlock | None, ticks: IntArray) -> FloatArray:
-        """Return (n,) 1 where the needle is in the cloth at (n,) rising ticks of some turns."""
+        """Return (n,) 1 where the needle is in the cloth, at (n,) rising ticks within ``block``."""
         following = self._end if after is None else int(after.begin[0])
         speed = self._window / block.window
         last = speed[-1] if after is None else self._window / float(after.window[0])

@@ -1,4 +1,4 @@
-"""A switch schedule on its machine: what the PLC switches and what the cylinders make of it."""
+"""Simulates a switch schedule: what the PLC switches, and how the cylinders move."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ class SwitchOptions:
         When a beam of the light grid is broken: the next scan switches everything off. None for
         never.
     inputs
-        Contacts that no cylinder closes, and what they read; the others are true until they are
-        waited for, and then what is waited for.
+        What contacts read that no cylinder closes, by name. A contact without an entry is true,
+        and takes the value that a wait expects when it is waited for.
     """
 
     after_s: float = 1.0
@@ -110,7 +110,7 @@ def simulate_switchings(
     OptionError
         If a path does not exist, or lengths differ.
     MachineError, RecordingError
-        As for one.
+        As ``simulate_switching``.
     """
     if commands.machine_sha256 != machine.sha256:
         raise RecordingError(
@@ -163,7 +163,7 @@ def _level(cylinder: Cylinder, flows: Mapping[str, float], on: Mapping[str, int]
 def _orders(
     commands: SwitchSchedule, machine: Machine, options: SwitchOptions, values: Values
 ) -> Orders:
-    """Return what the PLC does with one variant."""
+    """Return what the PLC does, and the numbers of one variant, as arrays for the compiled code."""
 
     def number(path: str, own: float) -> float:
         return float(values.replaced[path][0]) if path in values.replaced else own
@@ -252,7 +252,7 @@ def _read(
     first = 0
     while progress.plc[PHASE] in {RUNNING, CALMING}:
         count, ended = run(orders, progress, bank, motion, out, rows, over)
-        _came(commands, progress.plc)
+        _refuse_stall(commands, progress.plc)
         measured = dict(zip((c.name for c in channels), out[:count].T.copy(), strict=False))
         on = states[rows[:count, 0] + 1].T.copy()
         yield RecordingBlock(
@@ -276,7 +276,7 @@ def _read(
         first += count
 
 
-def _came(commands: SwitchSchedule, plc: IntArray) -> None:
+def _refuse_stall(commands: SwitchSchedule, plc: IntArray) -> None:
     if plc[PHASE] != STALLED:
         return
     wait = [event for event in commands.events if event.kind == "wait"][plc[WAIT]]
@@ -292,7 +292,7 @@ def ringing_m(
 ) -> float:
     """Return the amplitude with which the frame of ``axis`` rings at ``from_s``, m.
 
-    A decaying sine of the given pole and a constant are fitted to ``periods`` of it.
+    A decaying sine of the given pole and a constant are fitted to ``periods`` of its periods.
 
     Parameters
     ----------

@@ -30,7 +30,8 @@ PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
 _TERMS, _ROUNDING = 24, 1e-17
 _ADHESION_N = 1.0
-"""N. A piston leaves its stop only when more than this pulls at it: at less it would flutter."""
+"""N. A piston leaves its stop only when a larger force pulls at it; at a smaller one it would
+leave and meet the stop again at every step."""
 _TAYLOR = 8
 _STROKE, _RATE, _FRAME, _STOP, _STICK, ROWS = 0, 1, 2, 3, 4, 5
 _LENGTH, _RAMP, _CUSHION, _FRICTION, _BREAK, _SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7
@@ -44,13 +45,14 @@ class Bank(NamedTuple):
     Parameters
     ----------
     step
-        (C, K, HALVINGS + 1, N, N) what a step halved so often does to the state.
+        (C, K, HALVINGS + 1, N, N) transition matrices of a step, halved 0 to HALVINGS times, for
+        each of the K states of motion that ``_key`` numbers.
     rate
         (C, K, N, N) the generators of these, 1/s.
     rows
         (C, ROWS, N) stroke, its rate, the frame, and the forces that hold a standing piston.
     numbers
-        (C, NUMBERS).
+        (C, NUMBERS) lengths, forces and speeds of each; columns as in ``_LENGTH`` and the next.
     masses
         (C, 2) indices of the velocities of piston and housing.
     """
@@ -63,16 +65,17 @@ class Bank(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Where the cylinders are; everything that changes.
+    """State of the cylinders; all that changes while they move.
 
     Parameters
     ----------
     state
-        (C, N).
+        (C, N) state of the linear equations.
     mode
-        (C,).
+        (C,) SLIDES, STICKS, AT_START or AT_END.
     sense, start
-        (C,) in which sense it slides against friction, and where it last stood, m.
+        (C,) sense of motion, 1 or -1, that friction opposes; and stroke at which each last stood,
+        m.
     """
 
     state: FloatArray
@@ -83,7 +86,10 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cylinders:
-    """The cylinders of a machine in every variant; see ``Bank``, with the variants first."""
+    """The cylinders of a machine in every variant.
+
+    The arrays are those of ``Bank``, all but ``masses`` with the variants as their first axis.
+    """
 
     step: FloatArray
     rate: FloatArray
@@ -147,9 +153,9 @@ def cylinders_of(
 def _short_step(turned: FloatArray) -> FloatArray:
     """Return the exponential of (V, K, n, n) generators by their series.
 
-    A step halved so often turns even the stiffest beam by a thousandth, so that a few products of
-    small matrices do it; a general exponential takes a thousand times as long where cores are busy.
-    What does not end soon has a mode that is fast against the step: the general one does it.
+    In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so that
+    a few terms are enough, much faster than a general exponential. Where the series has not
+    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used.
     """
     total = np.broadcast_to(np.eye(turned.shape[-1]), turned.shape).copy()
     term = total
@@ -241,7 +247,7 @@ def _frame_of(c: int, bank: Bank, motion: Motion) -> float:
 
 
 def _key(c: int, bank: Bank, motion: Motion) -> int:
-    """Return which table is in force, and remember where the piston last stood."""
+    """Return which of the K tables holds now, and note where the piston last stood."""
     x, numbers = motion.state[c], bank.numbers[c]
     rate, place = dot(bank.rows[c, _RATE], x), dot(bank.rows[c, _STROKE], x)
     if abs(rate) < _STANDSTILL_M_S or motion.mode[c] != SLIDES:
@@ -305,7 +311,7 @@ def _change(c: int, bank: Bank, motion: Motion) -> None:
 
 
 def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
-    """Go on by a step that was halved so often."""
+    """Advance a cylinder by a step that was halved ``halved`` times."""
     if motion.mode[c] != SLIDES and released(c, bank, motion) != 0.0:
         # A standing piston breaks away at the beginning of a step, to within one step.
         change(c, bank, motion)
@@ -332,7 +338,7 @@ def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
 
 
 def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Motion) -> None:
-    """Go on by a share of a step, in (0, 1]."""
+    """Advance a cylinder by a share of a step, in (0, 1]."""
     parts = int(share * PARTS)
     for halvings in range(HALVINGS + 1):
         if parts & (1 << (HALVINGS - halvings)):

@@ -1,7 +1,7 @@
-"""The PLC and its cylinders, scan by scan: compiled, and driven by instants instead of a grid.
+"""Runs the PLC and its cylinders scan by scan: compiled; commands arrive at exact instants.
 
-Time is an integer count of a unit in which scan and sample are whole, and of another for each
-cylinder in which its dead time is whole, too: any dead time arrives exactly where it should.
+Time is counted in integers: for the machine in a unit of which scan and sample are whole
+multiples, for each cylinder in a finer one of which its dead time is a whole multiple, too.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from threadline.twin.switching_cylinder import (
 RUNNING, CALMING, DONE, STALLED = 0, 1, 2, 3
 TICK, SCAN, STALL, ROW, WAIT, PHASE, LEFT, SAMPLE, LATER, PLC_STATE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 PER_CYLINDER = 4
-"""Columns of a sample for each cylinder: its stroke, what was asked for, level and frame."""
+"""Columns of a sample for each cylinder: stroke, stroke that the valves ask for, level, frame."""
 _MOST_UNIT = 1 << 50
 NEVER = 1e300
 
@@ -42,20 +42,22 @@ class Orders(NamedTuple):
     Parameters
     ----------
     ticks, level
-        (R,) and (R + 1, C): from which scan on, and the level of each cylinder; the first row of
-        ``level`` is that with everything off.
+        (R,) scan from which each row holds; (R + 1, C) level of each cylinder, first with all
+        outputs off, then in each row.
     wait_tick, wait_contact, wait_value, wait_given
-        (W,) each; the last says whether what is waited for was set from outside.
+        (W,) scan, contact and expected value of each wait, and whether the caller has set that
+        contact.
     contact_cylinder, contact_at, contact_above
-        (M,) each; a cylinder of -1 is a contact that no cylinder closes, of -2 the light grid.
+        (M,) which cylinder closes each contact, the stroke at which it does, m, and whether above
+        or below that. Cylinder -1: a contact that no cylinder closes; -2: the light grid.
     duration, most_stalled, after
-        In scans.
+        In scans: length of the schedule, longest wait, and how long to go on behind the end.
     break_s, period_s, step_s
-        When the light grid is broken; a scan, and a sample.
+        Instant at which the light grid is broken, period of a scan, and of a sample, s.
     scan, sample
-        In units of the machine.
+        Their periods in units of the machine.
     late, share
-        (C,) in units of each cylinder: its dead time, and how many of them the machine's unit has.
+        (C,) dead time of each cylinder in its own units, and its units in one of the machine.
     """
 
     ticks: IntArray
@@ -80,20 +82,20 @@ class Orders(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """What changes of the PLC.
+    """State of the PLC.
 
     Parameters
     ----------
     plc
-        (PLC_STATE,) integers.
+        (PLC_STATE,) integers: ``TICK``, ``SCAN`` and the next say which is what.
     free
-        (M,) what contacts read that no cylinder closes.
+        (M,) values of the contacts that no cylinder closes.
     asked
-        (C,) where the valves have asked each cylinder to be, m.
+        (C,) stroke of each cylinder if it followed its valves at once, m.
     arrival, coming
-        (C, R + 3) instants and levels that are under way to each cylinder.
+        (C, R + 3) instants at which levels arrive at each cylinder, and these levels.
     queue
-        (C, 2) how many have been sent, and how many have arrived.
+        (C, 2) how many levels have been sent, and how many have arrived.
     """
 
     plc: IntArray
@@ -106,7 +108,7 @@ class Progress(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Instants of a machine as integers."""
+    """Periods and dead times of a machine as integers; see ``Orders``."""
 
     scan: int
     sample: int
@@ -122,7 +124,7 @@ def units_of(
     Parameters
     ----------
     delays_s
-        Dead times of cylinders that are other than those of the machine.
+        Dead times, s, of cylinders in which a variant differs from the machine.
 
     Raises
     ------
@@ -182,7 +184,7 @@ def _contact(
 
 
 def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> int:
-    """Do what the PLC does at the beginning of a scan; return the wait that is over, or -1."""
+    """Do what the PLC does at the beginning of a scan; return the wait that has ended, or -1."""
     plc = progress.plc
     if plc[PHASE] == CALMING:
         plc[ROW] = -1
@@ -263,9 +265,10 @@ def _run(
     out
         (samples, columns), with room for the samples of one scan at least.
     rows
-        (samples, 2) which row of the schedule is on, and which was the last; -1 before the first.
+        (samples, 2) row of the schedule whose outputs are on, -1 for all off; and the latest row
+        that was reached, -1 before the first.
     over
-        (waits, 2) which wait was over, and at which sample.
+        (waits, 2) index of each wait that ended, and the sample at which it did.
     """
     plc = progress.plc
     most = orders.scan // orders.sample + 2

@@ -1,4 +1,4 @@
-"""When what happens: several integer clocks and dead times on one exact grid.
+"""Puts the clocks and dead times of a machine on one exact grid of integers.
 
 Everything that repeats does so within the hyperperiod, the least common multiple of all periods.
 Its instants are exact fractions; dead times that are no multiple of a tick split a step exactly
@@ -19,7 +19,8 @@ from threadline.plant.coupled import Group
 from threadline.signals import common_period_s
 
 TICK, CONTROL, ARRIVE = 0, 1, 2
-"""What an action does: next reference row and sample; a controller acts; its command arrives."""
+"""What an action does: TICK takes the next row and a sample, CONTROL lets a controller act,
+ARRIVE makes its delayed command take effect."""
 
 _MAX_ACTIONS = 200_000
 _MAX_LENGTHS = 256
@@ -36,13 +37,13 @@ class Schedule(Locked):
     first_action
         (steps + 1,) int: step i has the actions ``first_action[i]`` up to ``first_action[i+1]``.
     actions
-        (actions, 2) int: what, and which controller of the group.
+        (actions, 2) int: TICK, CONTROL or ARRIVE; and the index of the controller in the group.
     length
         (steps,) int: index into ``lengths`` of the advance after the actions.
     lengths
         (k,) int: distinct advances in grid periods.
     in_flight
-        (controllers,) int: whole commands under way in each dead time.
+        (controllers,) int: how many commands of each are under way at once, dead time by period.
     delayed
         Whether any command takes effect later than the instant at which it is given.
     """

@@ -230,7 +230,7 @@ class Problem:
         )
 
     def _idle(self) -> IntArray:
-        """Return how many parts to cut each element into: those that reach no limit somewhere."""
+        """Return 2 for each element that reaches no limit somewhere, to be cut in two, else 1."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
         lost_s = time_s * (1.0 - self._shares().max(axis=2).min(axis=1))
         return np.where(lost_s > _LOSS * self.limits.ramp_s, 2, 1)

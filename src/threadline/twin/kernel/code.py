@@ -272,7 +272,7 @@ class Code:
         return Value(self, room)
 
     def variable(self, kind: Any, value: Number) -> Variable:
-        """Return something that may be set anew."""
+        """Return a variable of the function that is written, with a value to begin with."""
         made = Variable(self, Value(self, self.head.alloca(kind)), kind)
         made.set(value)
         return made
@@ -330,7 +330,7 @@ class Code:
 
 
 class Variable:
-    """What may be set anew while the code runs."""
+    """A variable in the code that is written."""
 
     __slots__ = ("code", "kind", "where")
 

@@ -163,7 +163,7 @@ class Engine:
 
 
 class Run:
-    """A machine, or its variants, on the way: rows in, samples out, its state kept between.
+    """A run of a machine, or of its variants: it takes rows, gives samples, and keeps the state.
 
     A context manager: its threads end with it. Made by ``Engine.start``.
     """
@@ -250,7 +250,7 @@ class Run:
             job.result()
 
     def sample_bytes(self, wanted: Collection[Reading]) -> int:
-        """Return how much memory one sample of what is wanted takes on the way."""
+        """Return how many bytes one sample of the readings ``wanted`` takes while it is made."""
         return max(
             (
                 8 * state.shape.sample.columns * len(state.clock) * state.shape.lanes

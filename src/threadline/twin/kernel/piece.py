@@ -132,8 +132,8 @@ def prepared(
     Parameters
     ----------
     least_rate
-        1/s: time steps are at least as fine as for that rate. Variants in whatever company have
-        the same bits as long as none of them is faster.
+        1/s: time steps are at least as fine as for that rate. As long as no variant is faster,
+        the result of one does not depend on which others are simulated with it.
 
     Raises
     ------

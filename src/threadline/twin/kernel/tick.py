@@ -10,7 +10,7 @@ from threadline.twin.kernel.lanes import Lanes
 from threadline.twin.kernel.names import Action, Do, Field, Row
 
 _ENCODER = {"nearest": "floor", "floor": "floor", "truncate": "trunc"}
-"""What rounds a position of which the phase has been added, see ``state``."""
+"""The function that rounds a position to counts, after its phase was added, by kind of encoder."""
 _DAC = {"nearest": "rint", "floor": "floor", "truncate": "trunc"}
 
 
