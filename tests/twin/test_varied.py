@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from threadline.machine import load_machine
+from threadline.machine.numbers import with_numbers
 from threadline.machine.variants import drawn, numbers_at, variant, variant_of
 from threadline.plant.linear_model import linear_model
+from threadline.plant.network import piecewise_linear
 from threadline.plant.values import Values
 from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin.batch import simulate_batch
+from threadline.twin.kernel.piece import prepared
 from threadline.twin.simulate import simulate
 
 
@@ -55,6 +58,19 @@ def test_drawn_variants_equal_their_own_machines(name: str) -> None:
             np.testing.assert_allclose(
                 batch.samples[channel][:, k], one.samples(channel)[1], rtol=1e-11, atol=1e-14
             )
+
+
+def test_machines_of_many_dead_times_share_a_few_kernels() -> None:
+    """A dead time cuts the 17 ms in which 1 ms and 136 us meet into 26 to 34 different lengths."""
+    machine = load_machine("stitcher")
+    shapes: list[set[object]] = [set(), set()]
+    for delay_s in np.random.default_rng(7).uniform(2.7e-3, 3.3e-3, 30):
+        late = with_numbers(machine, {"drives.x.delay": delay_s, "drives.y.delay": delay_s})
+        pieces = piecewise_linear(late, Values.of(late), np.zeros(2))
+        for known, piece in zip(shapes, pieces, strict=True):
+            ready = prepared(late, piece, Values.of(late))
+            known.add(ready.shape(1, 1, peak=True, quantised=True))
+    assert max(len(known) for known in shapes) <= 4
 
 
 def test_a_later_command_moves_later() -> None:

@@ -30,6 +30,9 @@ _MOST_RATE = float(1 << 20)
 _MOST_PIECES = 1 << 12
 _MOST_MODES = 1 << 20
 _MOST_KINDS = 12
+# Another dead time cuts time into a few lengths more or less: kernels are written for these numbers
+# of lengths, so that machines that differ in their dead times share a few of them.
+_LENGTHS_AT_ONCE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +46,7 @@ class Steps:
     kind, length
         (steps,) which of the kinds, and which of the lengths its advance has.
     lengths_s
-        Distinct advances.
+        Distinct advances; beyond eight the last again, up to a multiple of eight.
     cells
         (lengths,) pieces of each in which the state is a short Taylor series.
     """
@@ -178,6 +181,8 @@ def prepared(
 def _steps(schedule: Schedule, rate: float) -> Steps:
     """Cut every advance into equal pieces of at most one period of the fastest rate."""
     whole = [float(schedule.grid_s * int(x)) for x in schedule.lengths]
+    if len(whole) > _LENGTHS_AT_ONCE:
+        whole += whole[-1:] * (-len(whole) % _LENGTHS_AT_ONCE)
     pieces = [max(1, ceil(rate * s / _WATCH_PER_RATE)) for s in whole]
     lengths_s = tuple(s / p for s, p in zip(whole, pieces, strict=True))
     cells = [float(max(1, ceil(rate * s / _CELL_PER_RATE))) for s in lengths_s]
