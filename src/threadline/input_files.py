@@ -70,6 +70,11 @@ def input_behind(path: Path) -> str | None:
     return noted.get((status.st_dev, status.st_ino))
 
 
+def inputs_read() -> tuple[Path, ...]:
+    """Return the files that were read since inputs are noted, first the one that came first."""
+    return tuple(Path(name) for name in (_INPUTS.get() or {}).values())
+
+
 def open_binary(path: Path) -> BinaryIO:
     """Open ``path`` for reading bytes.
 

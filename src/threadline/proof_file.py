@@ -88,6 +88,12 @@ class ProofFile:
         """How far the verdict reaches: ``"nominal"``, ``"repeated"``, ``"over tolerances"``."""
         return str(self.content["level"])
 
+    @property
+    def spec_path(self) -> Path | None:
+        """The file of the specification; None where it is the machine's own."""
+        file = self.content["spec"]["file"]
+        return None if file is None else self.path.parent / file
+
     def sha256(self, what: str) -> str:
         """Return the hash of one of its parts; empty where there is no such part."""
         part = self.content[what]
@@ -144,11 +150,34 @@ def write_proof(proof: Proof, path: str | Path) -> Written:
         If it cannot be written.
     """
     path = Path(path)
-    content = proof_content(proof, path.parent)
-    with atomic_file(path) as file:
-        text = json.dumps(content, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
-        file.write(f"{text}\n".encode())
-    return written(path)
+    return _write(proof_content(proof, path.parent), path)
+
+
+def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
+    """Write a proof to another folder, where its names lead to the same files, and return that.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    path = Path(path)
+    here, there = known.path.parent, path.parent
+    content = {key: value for key, value in known.content.items() if key != "sha256"}
+    for what in ("job", "spec"):
+        if (file := content[what]["file"]) is not None:
+            content[what] = {**content[what], "file": _from(here, file, there)}
+    for what in ("machine", "actual"):
+        if (told := content[what]) is None:
+            continue
+        name, overlays = split_reference(str(told["reference"]))
+        if name.endswith(".toml"):
+            name = _from(here, name, there)
+        par = None if told["par"] is None else _from(here, told["par"], there)
+        content[what] = {**told, "reference": "+".join([name, *overlays]), "par": par}
+    content = {**content, "sha256": _canonical_sha256(content)}
+    _write(content, path)
+    return ProofFile(path=path, content=content)
 
 
 def read_proof(path: str | Path) -> ProofFile:
@@ -239,9 +268,8 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
     content = known.content
     machine = _load(content["machine"], folder)
     actual = None if content["actual"] is None else _load(content["actual"], folder)
-    file = content["spec"]["file"]
     options = options_from(content["options"]["given"])
-    spec = load_spec(None if file is None else folder / file, machine)
+    spec = load_spec(known.spec_path, machine)
     job = open_job(folder / content["job"]["file"], machine, options)
     early = _early(known, job.sha256, machine, actual)
     if early:
@@ -303,6 +331,18 @@ def _load(told: Mapping[str, Any], folder: Path) -> Machine:
         name = os.path.normpath(folder / name)
     machine = load_machine("+".join([name, *overlays]))
     return machine if told["par"] is None else read_parameters(folder / told["par"], machine)
+
+
+def _from(here: Path, file: str, there: Path) -> str:
+    """Return a path that counts from ``here`` as one that counts from ``there``."""
+    return _beside(os.path.normpath(here / file), there)
+
+
+def _write(content: Mapping[str, Any], path: Path) -> Written:
+    with atomic_file(path) as file:
+        text = json.dumps(content, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+        file.write(f"{text}\n".encode())
+    return written(path)
 
 
 def _beside(file: str, folder: Path) -> str:

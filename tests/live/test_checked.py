@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from threadline import machine as machine_package
 from threadline import proof_file
 from threadline.cli import run_
 from threadline.cli.main import main
@@ -24,6 +25,7 @@ from threadline.signals import Stream, TickBlock, tick_table
 from threadline.signals.files import read_recording
 from threadline.verdict import load_spec
 
+LIBRARY = Path(machine_package.__file__).parent / "library"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -187,6 +189,40 @@ def test_the_command_runs_what_it_proves(
         assert np.array_equal(first.samples(channel.name), second.samples(channel.name))
     assert second.origin["link"] == "sim"
     assert second.simulated
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[object, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    captured = capsys.readouterr()
+    return ended.value.code or 0, captured.out, captured.err
+
+
+def test_a_run_is_judged_again_by_what_it_was_proved_by(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A turning point missed by 3 mm: by the machine's own specification it is out."""
+    spec, store = tmp_path / "coarse.toml", tmp_path / "runs"
+    spec.write_text(
+        'name = "coarse"\nlag = "100 ms"\n'
+        '[[criteria]]\nname = "turning_point_error"\nlimit = "6 mm"\nrequired = true\n',
+        encoding="utf-8",
+    )
+    how = (EXAMPLES / "x-180.prg", "-m", "lathe-winder", "--interpolation", "linear")
+    fast = (*how, "--feed", "60 count/tick", "--nominal", "--speed", "0", "--store", store)
+    code, out, err = told(capsys, "run", *fast, "-s", spec)
+    assert (code, "IN SPEC" in out) == (0, True), (out, err)
+    again = ("report", "last", "--store", store)
+    code, out, _ = told(capsys, *again)
+    assert (code, "IN SPEC" in out) == (0, True), out
+    assert told(capsys, *again, "-s", LIBRARY / "lathe-winder.spec.toml")[0] == 1
+    (folder,) = (path for path in store.iterdir() if path.is_dir())
+    assert (folder / "inputs" / "coarse.toml").read_bytes() == spec.read_bytes()
+    assert (folder / "inputs" / "x-180.prg").is_file()
+    assert told(capsys, "verify", folder / "proof.json")[0] == 0
+    spec.write_text(spec.read_text(encoding="utf-8").replace("6 mm", "2 mm"), encoding="utf-8")
+    code, out, err = told(capsys, *again)
+    assert (code, out, "'coarse', is another one now" in err) == (2, "", True)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from threadline.live.executor import Executor
 from threadline.live.wire import Connection
 from threadline.options import Options
 from threadline.pipeline import Proof, open_job, plan_job, prove_plan
-from threadline.proof_file import ProofFile, read_proof, write_proof
+from threadline.proof_file import ProofFile, read_proof, verify_proof, write_proof
 from threadline.signals import Ended
 from threadline.signals.files import read_recording
 from threadline.store.index import RUNNING
@@ -72,7 +72,9 @@ def test_a_run_has_all_that_it_was_made_from(
     proof: Proof, known: ProofFile, tmp_path: Path
 ) -> None:
     store = RunStore(tmp_path / "runs")
-    run = store.begin(proof.plan, known, {"link": "sim", "override": "a test"}, 0.0)
+    job = EXAMPLES / "x-180.prg"
+    told = {"link": "sim", "override": "a test"}
+    run = store.begin(proof.plan, known, told, 0.0, [job, job])
     # Before anything moves.
     (record,) = store.index.runs()
     assert (record.ended, record.passed, record.override) == (RUNNING, None, "a test")
@@ -80,8 +82,10 @@ def test_a_run_has_all_that_it_was_made_from(
         proof.plan.job.sha256, proof.plan.machine.sha256, __version__,
     )  # fmt: skip
     assert record.commands_sha256 == proof.plan.commands.rows_sha256()
-    assert (run.path / "proof.json").read_bytes() == known.path.read_bytes()
-    assert (run.path / "x-180.prg").read_bytes() == (EXAMPLES / "x-180.prg").read_bytes()
+    assert verify_proof(run.path / "proof.json") == ()
+    kept = sorted((run.path / "inputs").iterdir())
+    assert [file.name for file in kept] == ["2-x-180.prg", "x-180.prg"]
+    assert all(file.read_bytes() == job.read_bytes() for file in kept)
     ours, theirs = socket.socketpair()
     pid = machine(theirs, ours, 0.0)
     theirs.close()

@@ -12,11 +12,13 @@ from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import show_proof
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import JsonOption, SpecOption, report_folder
+from threadline.errors import StoreError
 from threadline.pipeline import Proof
+from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files
 from threadline.report import write_report
 from threadline.signals.files import write_recording
-from threadline.store.run_store import TRACE, RunStore
+from threadline.store.run_store import INPUTS, PROOF, TRACE, RunStore
 from threadline.verdict import verdict_json
 from threadline.writing import together
 
@@ -42,7 +44,8 @@ def report(
 ) -> None:
     """Judge the recording of a run again, and write what there is to see of it.
 
-    The job and the machine must be what they were.
+    The job and the machine must be what they were, and so must the specification, unless -s gives
+    another one.
 
     Exit status: 0 in spec, 1 out of spec or not complete, 2 wrong input.
 
@@ -51,7 +54,14 @@ def report(
     folder = RunStore(store).find(run)
     pages = out or folder / "report"
     check_outputs(file=csv, folder=pages)
-    judged = judge_files([folder / TRACE], {}, spec)
+    known = read_proof(folder / PROOF)
+    judged = judge_files([folder / TRACE], {}, known.spec_path if spec is None else spec)
+    if spec is None and spec_sha256(judged.spec) != known.sha256("spec"):
+        raise StoreError(
+            f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, is "
+            "another one now",
+            remedy=f"Give it with -s; {folder / INPUTS} has a copy if it was a file.",
+        )
     recording = judged.recordings[0]
     proof = Proof(
         plan=judged.plan,

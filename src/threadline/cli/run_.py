@@ -46,6 +46,7 @@ from threadline.cli.told import note
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError
+from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
 from threadline.live.hold_deviation import hold_deviation_m, hold_limit_m
 from threadline.live.sim_faults import parse_fault
@@ -177,7 +178,8 @@ def run(
             where = "so h stands at the next rest" if leaves_m > limit_m else "within the limit"
             note(f"a hold may stand {1e3 * leaves_m:.2f} mm beside the path, {where}")
         told = {"link": link, **({"override": override} if override else {})}
-        kept = RunStore(store).begin(plan, known, told, speed)
+        inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
+        kept = RunStore(store).begin(plan, known, told, speed, inputs)
         with (
             closed(Desk()) as desk,
             at_the_keys(desk, plan.duration_s, progress) as watch,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -20,13 +20,13 @@ from threadline import __version__
 from threadline.errors import StoreError, ThreadlineError
 from threadline.foreign_messages import nearest
 from threadline.plan import Plan
-from threadline.proof_file import ProofFile
+from threadline.proof_file import ProofFile, copy_proof
 from threadline.signals import Channel, Recording, RecordingBlock, Stream
 from threadline.signals.files.recording_mcap import TraceWriter
 from threadline.store.index import RunIndex, RunRecord
 
-INDEX, PROOF, TRACE, EVENTS, VERDICT = (
-    "index.sqlite", "proof.json", "trace.mcap", "events.jsonl", "verdict.json",
+INDEX, PROOF, INPUTS, TRACE, EVENTS, VERDICT = (
+    "index.sqlite", "proof.json", "inputs", "trace.mcap", "events.jsonl", "verdict.json",
 )  # fmt: skip
 _NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -58,16 +58,27 @@ class RunStore:
             ) from error
         self.index = RunIndex(url or f"sqlite:///{folder / INDEX}")
 
-    def begin(self, plan: Plan, proof: ProofFile, told: Mapping[str, str], speed: float) -> OpenRun:
+    def begin(
+        self,
+        plan: Plan,
+        proof: ProofFile,
+        told: Mapping[str, str],
+        speed: float,
+        inputs: Iterable[Path] = (),
+    ) -> OpenRun:
         """Make the folder and the row of a run, before anything moves.
 
         Parameters
         ----------
+        proof
+            The names in its copy lead to the same files as before.
         told
             Entries of the recording's origin besides the options of the plan: ``link``, and
             ``override`` where the proof did not pass.
         speed
             Speed of the run as a multiple of real time.
+        inputs
+            Files that the run is made from, of which copies are kept.
         """
         now = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
@@ -77,10 +88,9 @@ class RunStore:
             with suppress(FileExistsError):
                 path.mkdir()
                 break
-        shutil.copyfile(proof.path, path / PROOF)
-        for file in (plan.job.file, plan.machine.file, plan.machine.parameters):
-            if file and Path(file).is_file():
-                shutil.copyfile(file, path / Path(file).name)
+        kept = copy_proof(proof, path / PROOF)
+        for file in inputs:
+            shutil.copyfile(file, _free(path / INPUTS, file.name))
         record = RunRecord(
             run=name,
             started=now.isoformat(timespec="seconds"),
@@ -94,7 +104,7 @@ class RunStore:
             job_sha256=plan.job.sha256,
             machine_sha256=plan.machine.sha256,
             commands_sha256=proof.sha256("commands"),
-            proof_sha256=str(proof.content["sha256"]),
+            proof_sha256=str(kept.content["sha256"]),
             threadline=__version__,
         )
         self.index.add(record)
@@ -117,6 +127,15 @@ class RunStore:
                 remedy=nearest(run, names) if names else "threadline run makes one.",
             )
         return self.folder / run
+
+
+def _free(folder: Path, name: str) -> Path:
+    """Return a path in ``folder`` that nothing has: ``name``, or with a number before it."""
+    folder.mkdir(exist_ok=True)
+    number = 1
+    while (path := folder / (name if number == 1 else f"{number}-{name}")).exists():
+        number += 1
+    return path
 
 
 class OpenRun:
