@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from threadline.control import design_lead, lead_deg, lead_from_response
 from threadline.errors import OptionError
 from threadline.machine import load_machine
+from threadline.machine.numbers import with_numbers
 from threadline.plant.loop import axis_loop
 from threadline.plant.margins import loop_margins
 from threadline.plant.values import Values
@@ -88,7 +89,7 @@ def test_designs_have_what_was_asked(crossover, margin, axis, name):
     except OptionError as error:
         assert "deg of lead" in str(error)
         return
-    loop = axis_loop(machine, axis, Values.of(machine, found.replaced(axis.lower())))
+    loop = axis_loop(with_numbers(machine, found.replaced(axis.lower())), axis)
     L = loop.response(np.array([2 * np.pi * crossover]))[0]
     assert abs(L) == pytest.approx(1.0, rel=1e-9)
     assert np.degrees(np.angle(-L)) == pytest.approx(margin, abs=1e-8)

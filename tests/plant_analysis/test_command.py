@@ -55,6 +55,21 @@ def test_lead_filters_are_designed_on_the_way(capsys):
     assert found["lead"]["pole"] == pytest.approx(0.004, rel=0.1)
 
 
+def test_experiments_are_made_with_the_filters_that_were_designed(capsys):
+    """With a crossover at 4 Hz the smallest step rises at least 3 times as slowly as at 13.5 Hz.
+
+    A first-order loop rises in 2.2 / (2 pi f): 88 ms and 26 ms. The printed filters of the machine,
+    which were tried before, cross at 13.5 Hz whatever was asked for.
+    """
+    rise_s = {}
+    for asked in ("13.5 Hz, 65.8 deg", "4 Hz, 80 deg"):
+        machine = ("stitcher-rigid", "--axis", "X")
+        _, out, _ = run(capsys, *machine, "--lead", asked, "--experiments", "--json")
+        smallest = json.loads(out)["axes"]["X"]["experiments"]["steps"][0]
+        rise_s[asked] = smallest["rise_s"]
+    assert rise_s["4 Hz, 80 deg"] > 3.0 * rise_s["13.5 Hz, 65.8 deg"]
+
+
 @pytest.fixture
 def measured_csv(tmp_path):
     """What the thesis' analyser would show of X: 1-200 Hz, with the exact dead time, and noise."""

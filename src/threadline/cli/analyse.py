@@ -15,10 +15,10 @@ from threadline.control import LeadDesign, design_lead
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.controllers import LeadFilter
+from threadline.machine.numbers import with_numbers
 from threadline.plant.loop import axis_loop
 from threadline.plant.measured import read_response
 from threadline.plant.suspicions import suspicions
-from threadline.plant.values import Values
 from threadline.plant.without_loop import Analysis, analyse_moving
 from threadline.report.analysis import analysis_tables, write_analysis
 from threadline.search.campaign import run_experiments
@@ -82,12 +82,13 @@ def analyse(
     measured = None if data is None else read_response(data)
     designs = {} if lead is None else _designs(chosen, names, lead)
     replaced = {k: v for design, name in designs.values() for k, v in design.replaced(name).items()}
-    values = Values.of(chosen, replaced)
-    analyses = {name: analyse_moving(chosen, name, values) for name in names}
+    if replaced:  # all that follows is of the machine with these filters
+        chosen = with_numbers(chosen, replaced)
+    analyses = {name: analyse_moving(chosen, name) for name in names}
     apart = (
         {}
         if measured is None
-        else {name: measured.against(axis_loop(chosen, name, values)) for name in names}
+        else {name: measured.against(axis_loop(chosen, name)) for name in names}
     )
     warnings = suspicions(chosen)
     tried = {name: run_experiments(chosen, name) for name in names} if experiments else {}

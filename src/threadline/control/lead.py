@@ -52,10 +52,10 @@ class LeadDesign:
             2.0 / self.period_s * (1 + self.pole) / (1 - self.pole),
         )
 
-    def replaced(self, controller: str) -> dict[str, FloatArray]:
-        """Return the numbers of the machine that this design replaces, for ``Values.of``."""
+    def replaced(self, controller: str) -> dict[str, float]:
+        """Return the numbers of ``controller`` by this design, for ``machine.with_numbers``."""
         return {
-            f"controllers.{controller}.{key}": np.array([value])
+            f"controllers.{controller}.{key}": value
             for key, value in (("gain", self.gain), ("zero", self.zero), ("pole", self.pole))
         }
 

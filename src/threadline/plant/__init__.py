@@ -1,1 +1,1 @@
-"""Machine -> equations of motion, and what they tell: modes, margins, responses."""
+"""Equations of motion of a machine, and what follows from them: modes, margins, responses."""

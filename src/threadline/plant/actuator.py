@@ -1,4 +1,4 @@
-"""A motor with its amplifier on its own: what was identified before the load was joined on."""
+"""A motor with its amplifier on its own, as identified before a load is connected."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ _SINGULAR = 1e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actuator:
-    """From the controller's volts to the motor's speed, with every link taken off.
+    """The response from the controller's voltage to the motor's speed, with every link removed.
 
     Parameters
     ----------
     dc_gain
-        Steady speed per volt, rad/s/V (m/s/V for a linear motor); None where it never settles.
+        Steady speed per volt, rad/s/V (m/s/V for a linear motor); None where the speed never
+        settles.
     loaded_dc_gain
-        The same with the axis' load moving along.
+        Steady speed per volt with the load of the axis moving along, in the same unit.
     poles
         (n,) rad/s, without the integrator from speed to position.
     natural_rad_s, damping
-        Of the pole pair; None where the poles are real.
+        Natural frequency and damping ratio of the complex pole pair; None where all poles are real.
     delay_s
-        Dead time before it acts.
+        Dead time between a voltage and its effect.
     """
 
     dc_gain: float | None

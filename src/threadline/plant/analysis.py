@@ -1,4 +1,4 @@
-"""Everything that ``threadline analyse`` says of an axis, in one place."""
+"""The analysis of an axis with a loop, as ``threadline analyse`` prints it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from threadline.plant.modes import Oscillation, free_modes, locked_modes
 from threadline.plant.nyquist import unstable_count
 from threadline.plant.routh import stable_gains
 from threadline.plant.step_responses import Step, step_response
-from threadline.plant.values import Values
 from threadline.plant.zeros import chain_of, zeros_of
 
 HERTZ = 1.0 / (2.0 * np.pi)
@@ -29,18 +28,23 @@ _LEAST_GAIN, _MOST_GAIN = 1e-100, 1e100  # V/count: their squares are still fini
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopFigures:
-    """What one model says of a loop.
+    """Figures of a loop by one of its two models.
 
     Parameters
     ----------
+    model
+        The model: ``"sampled"`` or ``"continuous"``.
     grid_rad_s, response
-        (k,) frequencies on which the loop is followed closely, and its response there.
+        (k,) frequencies, fine enough to follow the open-loop response, and the response there.
+    margins
+        Crossovers and margins of the open loop.
     poles
-        Closed-loop poles as s, rad/s, the rightmost first.
+        Closed-loop poles in the s plane, rad/s, the rightmost first.
     unstable
-        How many of them are unstable.
+        Number of closed-loop poles that are unstable.
     bandwidth_hz
-        Where the closed loop at the sensor has fallen by 3 dB; None where it never does.
+        Frequency at which the closed loop, seen at the sensor, has fallen by 3 dB; None where it
+        never does.
     """
 
     model: Model
@@ -83,17 +87,26 @@ class LoopFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisAnalysis:
-    """What is known of an axis.
+    """The analysis of one axis.
 
     Parameters
     ----------
+    axis, loop
+        Name of the axis, and its loop.
     sampled, continuous
-        The true sampled loop, and the continuous one with its exact dead time.
+        Figures of the true sampled loop, and of the continuous one with its exact dead time.
     routh_gains
-        Intervals of factors on the gain that keep the loop stable by Routh's array with Pade's
-        first-order dead time, the textbook's way; None where loops share bodies.
+        Intervals of factors on the gain that keep the loop stable, by the textbook's method:
+        Routh's array with Pade's first-order approximation of the dead time. None where loops share
+        bodies.
+    locked, free
+        Modes with the motors held still, and with the motors turning freely.
+    actuator
+        The motor on its own.
+    plant_poles, plant_zeros
+        Poles and zeros of the plant from this axis' voltage to its sensor, rad/s.
     steps
-        By output: measured and load.
+        Step responses by output, ``"measured"`` and ``"load"``; without those that have none.
     """
 
     axis: str
@@ -118,7 +131,7 @@ class AxisAnalysis:
         return _verdict(self.axis, self.sampled)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the analysis as JSON content; its own figures are those of the sampled loop."""
+        """Return the analysis as JSON content, with the figures of the sampled loop at its top."""
         motor = self.actuator
         return {
             **self.sampled.as_json(),
@@ -145,7 +158,7 @@ class AxisAnalysis:
         }
 
 
-def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> AxisAnalysis:
+def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
     """Return the analysis of one axis.
 
     Raises
@@ -155,7 +168,7 @@ def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> A
     MachineError
         If its loop cannot be analysed.
     """
-    loop = axis_loop(machine, axis, values)
+    loop = axis_loop(machine, axis)
     _check_gain(machine, loop)
     own = loop.own()
     steps = {name: step_response(loop, name) for name in ("measured", "load")}
@@ -165,8 +178,8 @@ def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> A
         sampled=loop_figures(loop, "sampled"),
         continuous=loop_figures(loop, "continuous"),
         routh_gains=_routh(loop) if len(loop.filters) == 1 else None,
-        locked=locked_modes(machine, axis, values),
-        free=free_modes(machine, axis, values),
+        locked=locked_modes(machine, axis),
+        free=free_modes(machine, axis),
         actuator=actuator_of(machine, axis),
         plant_poles=_sorted(own.poles()),
         plant_zeros=_sorted(zeros_of(own)),
@@ -175,7 +188,7 @@ def analyse_axis(machine: Machine, axis: str, values: Values | None = None) -> A
 
 
 def _check_gain(machine: Machine, loop: Loop) -> None:
-    """Refuse a loop that its controller leaves open, or whose response no number can hold."""
+    """Refuse a loop whose controller puts out nothing, or more than numbers can hold."""
     most = float(np.abs(loop.filters[loop.index].numerator).max())
     if _LEAST_GAIN <= most <= _MOST_GAIN:
         return
@@ -198,7 +211,13 @@ def analyse(machine: Machine) -> dict[str, AxisAnalysis]:
 
 
 def loop_figures(loop: Loop, model: Model) -> LoopFigures:
-    """Return what one model says of a loop."""
+    """Return the figures of a loop by one of its two models.
+
+    Raises
+    ------
+    MachineError
+        If a pole of the continuous loop lies on the imaginary axis.
+    """
     grid = loop_grid(loop, model)
     response = loop.responder(model)
     poles: ComplexArray
@@ -206,8 +225,7 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
         closed_loop = loop.closed()
         z = closed_loop.eigenvalues()
         unstable = len(off_the_circle(closed_loop.A))
-        # Motions of poles within a tenth of the origin are gone in a tick: as s they would say
-        # nothing.
+        # The motion of a pole within a tenth of the origin decays in a tick: its s says nothing.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
         try:
@@ -254,8 +272,8 @@ def _verdict(axis: str, figures: LoopFigures) -> str:
 def unstable_loops(machine: Machine) -> list[str]:
     """Return one sentence, with the margin, for every axis whose sampled loop is unstable.
 
-    Nothing but the sampled loop is looked at: with a clock a thousand times too slow the half tick
-    of dead time of the continuous one turns its response thousands of times.
+    The continuous loop is not computed: with a clock a thousand times too slow, its half tick of
+    dead time turns the response thousands of times.
     """
     found = []
     for axis, loop in axis_loops(machine).items():
@@ -266,7 +284,7 @@ def unstable_loops(machine: Machine) -> list[str]:
 
 
 def _routh(loop: Loop) -> tuple[tuple[float, float], ...]:
-    """Return the stable gains by Routh, dead time by Pade; s in units of 100 rad/s."""
+    """Return the stable gains by Routh's array with Pade's dead time; s is in 100 rad/s."""
     own, digital = loop.own(), loop.filters[loop.index]
     chain, zeros, poles = chain_of(own), zeros_of(own), own.poles()
     degree = len(poles) - len(zeros)

@@ -1,10 +1,10 @@
-"""Where rounding ends: margins for what hangs on an eigenvalue that lies on a boundary.
+"""Margins of rounding for decisions that depend on which side of a boundary an eigenvalue lies.
 
-An eigenvalue is known to a small multiple of the machine's rounding times the norm of its matrix;
-one of a pair that coincides, to the square root of that rounding. Which digits come out depends on
-the processor, so that no decision may hang on them: what is nearer to its boundary than the
-margins here counts as lying on it. Norms are of the balanced matrix, in which states of different
-units weigh alike.
+A simple eigenvalue is known to a small multiple of the machine's rounding times the norm of its
+matrix; one of a coinciding pair is known to the square root of that rounding. The digits beyond
+depend on the processor, so no decision may depend on them: an eigenvalue that is nearer to its
+boundary than the margins here counts as lying on it. Norms are those of the balanced matrix, in
+which states of different units have equal weight.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def size_of(matrix: FloatArray) -> float:
 
 
 def not_decaying(matrix: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of ``matrix`` that do not decay: those on the axis are among them.
+    """Return the eigenvalues of ``matrix`` that do not decay, those on the imaginary axis included.
 
     Parameters
     ----------
@@ -56,10 +56,10 @@ def not_decaying(matrix: FloatArray) -> ComplexArray:
 
 
 def swinging(matrix: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of ``matrix`` that swing, one of each pair, imaginary part positive.
+    """Return the complex eigenvalues of ``matrix``, of each pair the one in the upper half plane.
 
-    A critically damped pair comes out of rounding with an imaginary part of either kind; up to
-    ``DOUBLE`` times the norm it counts as real.
+    Rounding can give a critically damped pair a small imaginary part; up to ``DOUBLE`` times the
+    norm the pair counts as real.
     """
     if not matrix.size:
         return np.empty(0, dtype=np.complex128)
@@ -68,10 +68,10 @@ def swinging(matrix: FloatArray) -> ComplexArray:
 
 
 def off_the_circle(matrix: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of ``x[k+1] = matrix x[k]`` that grow, by more than rounding.
+    """Return the eigenvalues of ``x[k+1] = matrix x[k]`` outside the unit circle, beyond rounding.
 
-    Under a velocity loop nothing feeds the position back: its eigenvalue is 1, and no instability.
-    Such a one counts as on the circle up to 1e-9, and up to ``SIMPLE`` times the norm.
+    The position under a velocity loop has the eigenvalue 1, which is no instability. An eigenvalue
+    outside the circle by up to 1e-9, or by up to ``SIMPLE`` times the norm, counts as on it.
     """
     found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
     return found[np.abs(found) > 1.0 + max(_CIRCLE, SIMPLE * size_of(matrix))]

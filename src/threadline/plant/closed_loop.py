@@ -1,4 +1,4 @@
-"""What the load of an axis does for its references: the answer of the closed loop, tick by tick."""
+"""The impulse response of a closed loop, from the references of an axis to its load."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from threadline.machine import Machine
 from threadline.plant.loop import Loop, axis_loops
 from threadline.plant.values import Values
 
-_DECAY = 1e-5  # of the slowest pole: later nothing is left of a reference
+_DECAY = 1e-5  # share of the slowest pole's motion at which the response is cut off
 _MOST_TICKS = 50_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answer(Locked):
-    """The answer of one load to references of one axis.
+    """The response of the load of one axis to its references, as a finite impulse response.
 
     Parameters
     ----------
     axis
-        Its name.
+        Name of the axis.
     period_s
-        From tick to tick of its controller.
+        Tick of its controller.
     taps
-        (n,) load per reference of the same unit, n ticks before; their sum is 1.
+        (n,) response of the load, 0 to n - 1 ticks after a unit impulse of the reference; their sum
+        is 1.
     """
 
     axis: str
@@ -39,25 +40,27 @@ class Answer(Locked):
 
     @property
     def memory_s(self) -> float:
-        """After it nothing is left of a reference."""
+        """Time for which a reference acts on the load."""
         return len(self.taps) * self.period_s
 
     @cached_property
     def moments(self) -> tuple[float, float]:
         """First and half of the second moment of the taps, s and s^2.
 
-        A slow motion r arrives as ``r - first r' + second r''``; ``first`` is the lag.
+        A load whose reference r changes slowly is at ``r - first r' + second r''``; ``first`` is
+        the lag.
         """
         time_s = np.arange(len(self.taps)) * self.period_s
         return float(self.taps @ time_s), 0.5 * float(self.taps @ time_s**2)
 
     def load(self, reference: FloatArray) -> FloatArray:
-        """Return the (k,) load at the ticks of (k,) references; before them it stood at the first.
+        """Return the (k,) positions of the load at the ticks of (k,) references.
 
         Parameters
         ----------
         reference
-            m or rad, one at each tick of the controller.
+            (k,) m or rad, one at each tick of the controller; before them the load rests at the
+            first.
         """
         from scipy.signal import oaconvolve
 
@@ -67,14 +70,14 @@ class Answer(Locked):
 
 
 def answers_of(machine: Machine, values: Values | None = None) -> dict[str, Answer]:
-    """Return the answer of every axis of ``machine`` that has a loop.
+    """Return the response of every axis of ``machine`` that has a loop, by name.
 
-    Where axes share bodies, each is answered with the others held at rest.
+    Where axes share bodies, the references of the other axes are 0.
 
     Parameters
     ----------
     values
-        Replaced numbers; the first variant is taken.
+        Replaced numbers, of which the first variant is used.
     """
     loops = axis_loops(machine, values)
     return {axis: _answer(loop) for axis, loop in loops.items()}
@@ -87,5 +90,5 @@ def _answer(loop: Loop) -> Answer:
     reference = np.zeros((ticks, len(loop.filters)))
     reference[0, loop.index] = loop.counts_per_unit
     taps = closed.respond(reference)[:, closed.outputs.index(f"{loop.axis}.load")]
-    # What was cut off is a rounding: the load comes to where it is told.
+    # The load comes to its reference: what was cut off is made up for by the scale.
     return Answer(axis=loop.axis, period_s=closed.period_s, taps=taps / taps.sum())

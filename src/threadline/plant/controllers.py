@@ -1,8 +1,8 @@
 """Digital controllers as difference equations and as the continuous filters they stand for.
 
-The difference equation is ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''`` in DAC levels, primes
-counting ticks back. Its continuous form takes the sum over ticks for an integral and the
-difference per tick for a derivative; a lead filter goes through Tustin's rule, so that
+The difference equation is ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''`` in DAC levels, where each
+prime means one tick earlier. In its continuous form a sum over ticks is an integral and a
+difference per tick is a derivative. A lead filter is converted by Tustin's rule, so that
 ``K (z - A) / (z + B)`` has its zero at ``(2/T)(1 - A)/(1 + A)``, its pole at
 ``(2/T)(1 + B)/(1 - B)`` and the high-frequency gain ``K (1 + A)/(1 - B)``.
 """
@@ -28,18 +28,18 @@ from threadline.plant.values import Values
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DigitalFilter(Locked):
-    """A controller in volts per count, both forms.
+    """A controller with its DAC, as a difference equation and in continuous form.
 
     Parameters
     ----------
     numerator, denominator
-        (3,) ``b0 b1 b2`` and ``1 a1 a2`` of the difference equation; V/count and plain.
+        (3,) ``b0 b1 b2`` in V/count and ``1 a1 a2`` without unit, of the difference equation.
     continuous_numerator, continuous_denominator
         Polynomials in s, highest power first, of the continuous form in V/count.
     period_s
-        Of its clock.
+        Tick of the controller.
     volt_per_level
-        Of its DAC.
+        Voltage of one level of the DAC.
     """
 
     numerator: FloatArray
@@ -74,14 +74,14 @@ class DigitalFilter(Locked):
 def difference_equation(
     machine: Machine, name: str, values: Values
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (variants, 3) ``b0 b1 b2`` in dac/count and (variants, 2) ``a1 a2``.
+    """Return (variants, 3) ``b0 b1 b2`` in DAC levels per count and (variants, 2) ``a1 a2``.
 
     Parameters
     ----------
     name
-        Of the controller.
+        Name of the controller.
     values
-        Replaced numbers, one for each variant.
+        Replaced numbers, one of each for every variant.
     """
     controller, path = machine.controllers[name], f"controllers.{name}"
     numerator, denominator = np.zeros((values.count, 3)), np.zeros((values.count, 2))
@@ -115,7 +115,7 @@ def difference_equation(
 def digital_filter(machine: Machine, name: str, values: Values | None = None) -> DigitalFilter:
     """Return the controller ``name`` with the DAC behind it, in volts per count.
 
-    ``values`` may replace numbers; its first variant is taken.
+    ``values`` may replace numbers; its first variant is used.
     """
     used = Values.of(machine) if values is None else values
     controller = machine.controllers[name]

@@ -1,4 +1,4 @@
-"""Which parts of a machine belong together: those that act on, read or drive the same bodies."""
+"""Connected pieces of a machine: parts that act on, read or drive the same bodies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Group:
 
 
 def connected_groups(machine: Machine) -> tuple[Group, ...]:
-    """Return the connected pieces of the network; they can be simulated one after the other.
+    """Return the connected pieces of the network, whose motions do not affect each other.
 
     Bodies are connected by links, drives and sensors; drives and sensors by controllers; and a
     switch connects its axis with the drive that it cuts.

@@ -7,8 +7,8 @@ of the air between the flow and the piston::
     e' = v - s'
     F  = k e + c (v - s') - friction,   on the piston; -F on the housing
 
-so that a shaper acts on *speed*: the force follows from it. Bodies and links come from the same
-network as those of every other machine.
+so that a shaper acts on the flow *speed*, from which the force follows. Bodies and links are
+those of the network that every other machine has.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ class CylinderEquations:
     Parameters
     ----------
     axis
-        The cylinder.
+        Name of the cylinder.
     states
         (n,) names: those of the network, then ``"flow"`` (m/s) and ``"air"`` (m).
     matrix
-        (variants, n, n) of the network alone with flow and air: no air force, no damping of the
-        air.
+        (variants, n, n) rates of the states without the force of the air on the bodies.
     level
-        (variants, n) what a level of 1 adds to the derivative.
+        (variants, n) part of the rates that a level of 1 adds.
     force
-        (variants, n) what 1 N of the piston, with its reaction, adds to the derivative.
+        (variants, n) part of the rates that 1 N on the piston, with its reaction on the housing,
+        adds.
     stroke, stroke_rate
-        (n,) rows of ``s`` and ``s'``.
+        (n,) rows that give ``s`` and ``s'`` from the states.
     frame
-        (variants, n) row of the frame.
+        (variants, n) row that gives the position of the frame.
     piston, housing
         Indices of the velocities of the two bodies.
     piston_share
-        (variants,) the piston's share of the inertia of both.
+        (variants,) share of the piston in the inertia of both.
     piston_inertia
-        (variants,) kg.
+        (variants,) in kg.
     air_stiffness, air_damping
-        (variants,) N/m and N s/m.
+        (variants,) in N/m and N s/m.
     """
 
     axis: str
@@ -72,7 +72,7 @@ class CylinderEquations:
     air_damping: FloatArray
 
     def air_force(self, ramp: float = 1.0) -> FloatArray:
-        """Return the (variants, n) row of the force of the air, N, at a share of its damping."""
+        """Return the (variants, n) row of the air's force in N; ``ramp`` multiplies its damping."""
         damping = self.air_damping * ramp
         row = -damping[:, None] * self.stroke_rate
         row[:, self.states.index("air")] += self.air_stiffness
@@ -85,7 +85,7 @@ class CylinderEquations:
         Parameters
         ----------
         row
-            (variants, n, n) rates of all states while each is free.
+            (variants, n, n) rates of all states while the two move independently.
         """
         share = self.piston_share[:, None]
         return share * row[:, self.piston] + (1.0 - share) * row[:, self.housing]
@@ -102,17 +102,17 @@ class CylinderEquations:
         return rates
 
     def holding(self) -> FloatArray:
-        """Return the (variants, n) row of the force that holds the piston still, N, less the air's.
+        """Return the (variants, n) row of the force in N that keeps the piston in its housing.
 
-        It is the force that the piston's share of the common motion takes beyond what the network
-        gives.
+        It is the piston's inertia times the acceleration by which its motion in common with the
+        housing differs from its motion alone. The force of the air is not in it.
         """
         own = self.joined(self.matrix) - self.matrix[:, self.piston]
         return self.piston_inertia[:, None] * own
 
 
 def network_of(machine: Machine, axis: str, values: Values | None = None) -> PiecewiseLinear:
-    """Return the piece of the network that the cylinder ``axis`` acts on.
+    """Return the connected piece of the network on which the cylinder ``axis`` acts.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def cylinder_equations(
     Raises
     ------
     MachineError
-        If it has none.
+        If its piece of the network is not linear, or the cylinder joins two pieces.
     """
     used = Values.of(machine) if values is None else values
     cylinder, piece = machine.cylinders[axis], network_of(machine, axis, used)

@@ -1,10 +1,10 @@
-"""Poles of a loop with dead time, exactly: a spectral guess, then Newton on the true equation.
+"""Exact poles of a loop with dead time: a spectral guess, then Newton's method.
 
 Each delayed signal is carried by a transport equation on Chebyshev nodes (Breda, Maset and
 Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay differential
 equations", SIAM J. Sci. Comput. 27 (2005)); its eigenvalues converge faster than any power of the
-number of nodes. Newton's method on ``det(s I - A + B exp(-s tau) K(s) C) = 0`` then makes each of
-them right to rounding; one that Newton doesn't confirm is dropped.
+number of nodes. Newton's method on ``det(s I - A + B exp(-s tau) K(s) C) = 0`` then refines each of
+them to rounding; a guess from which it does not converge is dropped.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = Non
     gain
         Factor on this axis' controller; the other loops of the piece stay as they are.
     within_rad_s
-        Largest magnitude of interest; by default what the nodes resolve, ``16 / dead time``, or
-        everything where there is none.
+        Largest magnitude of the poles; by default what the nodes resolve, ``16 / dead time``, or
+        no limit where there is no dead time.
 
     Raises
     ------
     MachineError
-        If a controller differentiates a plant that answers at once.
+        If a controller differentiates the output of a plant whose input moves it at once (of
+        relative degree 1).
     """
     plant = loop.measured()
     gains = [1.0] * len(loop.filters)
@@ -101,7 +102,7 @@ def _generator(
     with_state = [i for i, p in enumerate(parts) if p.r]
     D = _chebyshev(_NODES)
     size = n + len(with_state) + _NODES * int(np.count_nonzero(delays))
-    rows = np.zeros((m, size))  # what each controller puts out, of the whole state
+    rows = np.zeros((m, size))  # output of each controller from the whole state
     for i, p in enumerate(parts):
         rows[i, :n] = -(p.q0 * C[i] + p.q1 * (C[i] @ A))
     generator = np.zeros((size, size))
@@ -147,7 +148,7 @@ def _newton(
     ``det M`` is multiplied by the controllers' own denominators, so that it has no poles.
     """
     eye = np.eye(len(A))
-    # Off the controllers' own poles, at which the equation isn't defined.
+    # Away from the controllers' own poles, at which the equation is not defined.
     s *= 1.0 + 1e-7
     start = s
     for _ in range(_NEWTON):
@@ -166,6 +167,6 @@ def _newton(
         change = 1.0 / step
         s = s - change
         if abs(change) <= 1e-12 * max(1.0, abs(s)):
-            # A guess that wandered off is no root of its own.
+            # A root far from its guess is found from another guess.
             return s if abs(s - start) < 0.3 * max(abs(start), 10.0) else None
     return None

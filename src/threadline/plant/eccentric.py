@@ -1,9 +1,9 @@
 """Play that varies with the angle of an eccentric gear, as a dead band with straight pieces.
 
-The full width is ``play + width cos(angle)``. A piecewise linear system can't have a cosine, so
-each turn is cut into 80 pieces, within 2e-4 of ``width`` of it. Within a piece the edge of the
-band is ``level + slope angle``; the contact's force acts along the stretch, as without
-eccentricity (the wedge's push on the gear itself, ``slope`` times as large, is left out).
+The full width is ``play + width cos(angle)``. A piecewise linear system has no cosine, so each turn
+is divided into 80 straight pieces, which differ from it by at most 2e-4 of ``width``. On a piece
+the edge of the band is ``level + slope angle``. The force of the contact acts along the stretch, as
+without eccentricity; its moment on the gear itself, ``slope`` times as large, is neglected.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ _MOST_PIECES = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Band:
-    """A dead band on one of whose pieces the machine starts; V variants.
+    """A dead band of straight pieces, for V variants.
 
     Parameters
     ----------
     angle, angle_rate
-        (V, N) rows: the gear's angle from where the machine starts, and its rate.
+        (V, N) rows that give the gear's angle, counted from the start of the machine, and its rate.
     width, phase
-        (V,) amplitude of the full width; the angle at the start, rad.
+        (V,) amplitude of the full width; angle of the gear at the start, rad.
     first, last
-        Numbers of the outermost pieces; piece j begins at j turns / 80.
+        Number of the first piece, and one more than that of the last; piece j begins at j / 80
+        turns.
     """
 
     angle: FloatArray
@@ -48,12 +49,21 @@ class Band:
 def pieces_needed(
     machine: Machine, link: str, eccentric: Eccentric, start: dict[str, float], phase: FloatArray
 ) -> tuple[int, int]:
-    """Return the outermost pieces for the whole travel and a turn beyond it on either side.
+    """Return ``first`` and ``last`` of a band for all travels and a turn beyond on either side.
+
+    Parameters
+    ----------
+    machine, link, eccentric
+        The machine, and the name of the link with its eccentricity.
+    start
+        Position of each axis at the start, m or rad.
+    phase
+        (V,) angle of the gear at the start, rad.
 
     Raises
     ------
     MachineError
-        If the gear turns with an endless axis, or too often.
+        If the gear turns with an endless axis, or makes more than 250 turns.
     """
     low = high = 0.0
     for name, axis in machine.axes.items():
@@ -92,22 +102,26 @@ def eccentric_play(
     play: FloatArray,
     band: Band,
 ) -> Element:
-    """Return a spring and damper behind a dead band whose width goes with a gear's angle.
+    """Return a spring and damper behind a dead band whose width varies with a gear's angle.
 
-    As ``elements.play`` on every piece: free, touching above and below and, where the contact
-    is damped, separating from either.
+    On every piece of the band it has the modes of ``elements.play``: free, touching above and below
+    and, where the contact is damped, separating above and below.
 
     Parameters
     ----------
+    name, direction
+        As in ``Element``.
     stretch, spring
-        (V, N): the stretch and the linear law without the band.
+        (V, N) rows of the stretch, and of the force of spring and damper without the band.
     stiffness, damping, play
-        (V,) of the spring, and the mean full width.
+        (V,) stiffness and damping of the spring, and the mean full width of the band.
+    band
+        How the width varies.
     """
     damped = bool((damping > 0).any())
     kinds = 5 if damped else 3
     begins = int(np.floor(float(band.phase.mean()) / (2.0 * np.pi) * PIECES_A_TURN))
-    # The simulation starts in mode 0: the numbers of the pieces are turned round to begin there.
+    # The simulation starts in mode 0, so pieces are numbered from the one that it starts on.
     order = [*range(begins, band.last), *range(band.first, begins)]
     number = {piece: at for at, piece in enumerate(order)}
     modes: list[Mode] = []
@@ -142,7 +156,8 @@ def eccentric_play(
 def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatArray]:
     """Return half the width on a piece as a (V, N) row, and its slope (V,) against the angle."""
     step = 2.0 * np.pi / PIECES_A_TURN
-    # Chords of a cosine lie inside it: raised so that they are as far outside at their ends.
+    # Chords lie inside a cosine; raised, they are as far outside it at their ends as inside it
+    # half way.
     raised = 2.0 / (1.0 + np.cos(0.5 * step))
     begin = np.full(len(play), raised * np.cos(piece * step))
     end = np.full(len(play), raised * np.cos((piece + 1) * step))

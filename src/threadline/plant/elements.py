@@ -1,10 +1,10 @@
-"""Elements whose force law changes: limits, belts, play, friction, as modes with linear guards.
+"""Elements with several force laws (limits, belts, play, friction), as modes with linear guards.
 
 An element adds ``direction * (law . z)`` to the derivative of the state, where
-``z = [states, held inputs, 1]`` and the law depends on the element's mode. A mode holds while
-every guard ``low <= row . z <= high`` does; a guard that is left names the next mode. A mode may
-also hold one state still (a sticking body, a clamped current); the guard of such a mode may
-watch the force that would move it.
+``z = [states, held inputs, 1]`` and the law depends on the element's mode. A mode lasts while
+every guard ``low <= row . z <= high`` is true; the guard that is first violated names the next
+mode. A mode may also hold one state constant (of a sticking body, of a limited current); the guard
+of such a mode may watch the force that would change that state.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ STAY = -1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Guard:
-    """``low <= row . z <= high``; leaving it below or above leads to another mode.
+    """The condition ``low <= row . z <= high``, and the modes that follow its violation.
 
     Parameters
     ----------
     row
-        (variants, N); None watches the net force on the state that the mode holds still.
+        (variants, N). With None, the guard watches the net force on the state that the mode holds
+        constant.
     low, high
-        (variants,) or plain numbers.
+        (variants,) or one number for all variants.
     low_to, high_to
-        Next mode of the element.
+        Mode that follows a value below ``low``, and one above ``high``.
     switch
-        Index of the limit switch that this guard is, -1 for none.
+        Index of the limit switch that this guard stands for, -1 for none.
     """
 
     row: FloatArray | None
@@ -47,22 +48,22 @@ class Guard:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mode:
-    """One law of an element and how long it holds.
+    """One law of an element, and the guards that end it.
 
     Parameters
     ----------
     name
-        For people.
+        Name of the mode, for people.
     law
         (variants, N): the element's force (or current) is ``law . z``.
     guards
-        What ends the mode.
+        Conditions while which the mode lasts.
     holds
-        Index of the state that stays still, -1 for none.
+        Index of the state that is held constant, -1 for none.
     held_at
-        (variants,) the value that this state takes on entry.
+        (variants,) value that the held state is given when the mode begins.
     net_scale
-        (variants,) turns the derivative of the held state into the force that guards watch.
+        (variants,) factor from the derivative of the held state to the force that guards watch.
     """
 
     name: str
@@ -80,13 +81,13 @@ class Element:
     Parameters
     ----------
     name
-        The part of the machine file that it comes from.
+        Path of its part in the machine file, such as ``"links.belt"``.
     direction
-        (variants, n): what a unit of it adds to the derivative of each state.
+        (variants, n): what a force (or current) of 1 adds to the derivative of each state.
     modes
-        Its laws; the simulation starts in the first.
+        Its laws; a simulation starts in the first.
     working_mode
-        The mode that a linear model takes; its constant part is left out there.
+        Mode in which the element is in a linear model.
     """
 
     name: str
@@ -98,7 +99,7 @@ class Element:
 def working_rates(base: FloatArray, elements: Sequence[Element]) -> FloatArray:
     """Return (variants, n, N) ``base`` with every element in its working mode.
 
-    Constant parts of the elements are left out: small motions about a working point.
+    Constant parts of their laws are left out, as for small motions about a working point.
     """
     rates = base.copy()
     for element in elements:
@@ -121,12 +122,14 @@ def friction(
 
     Parameters
     ----------
+    name, direction
+        As in ``Element``.
     velocity
         Index of the body's velocity in the state.
     inertia, sliding, breakaway
-        (variants,) kg or kg m^2; N or N m.
+        (variants,) inertia in kg or kg m^2; friction while sliding and at breakaway in N or N m.
     size
-        N.
+        Length N of ``z``.
     """
     none = np.zeros((len(inertia), size))
     forwards, backwards, speed = none.copy(), none.copy(), none.copy()
@@ -159,18 +162,21 @@ def belt(
 ) -> Element:
     """Return a preloaded belt of two runs, each of which pulls only while it is tight.
 
-    The force is ``max(0, P + a s) - max(0, P - (1 - a) s)`` with ``s`` the force of the linear
-    spring and damper: continuous, and with the stiffness of one run once the other is slack.
-    The stitcher thesis, appendix C, has ``k1`` (the short run) and ``k2`` (the long way round).
+    The force is ``max(0, P + a s) - max(0, P - (1 - a) s)``, where ``s`` is the force of the linear
+    spring and damper. It is continuous, and once one run is slack the stiffness is that of the
+    other. Appendix C of the stitcher thesis calls the stiffnesses of the runs ``k1`` (the short
+    one) and ``k2`` (the long one).
 
     Parameters
     ----------
+    name, direction
+        As in ``Element``.
     spring
         (variants, N): the linear law ``k stretch + c stretch'`` of both runs together.
     preload
-        (variants,) tension of each run at rest, N.
+        (variants,) tension P of each run at rest, N.
     first
-        (variants,) share ``a`` of the run that a positive stretch tightens.
+        (variants,) share ``a`` that the run which a positive stretch tightens has in the stiffness.
     """
     upper, lower = first[:, None] * spring, (1.0 - first)[:, None] * spring
     upper[:, -1] += preload
@@ -202,15 +208,19 @@ def play(
 ) -> Element:
     """Return a spring and damper behind a dead band; a contact pushes and never pulls.
 
-    A damped contact lets go while it is still compressed, as soon as its force falls to zero;
-    until the stretch is back inside the band the sides are ``separating``.
+    The force of a damped contact falls to 0 while the spring is still compressed. From then until
+    the stretch is back inside the band the mode is ``separating``.
 
     Parameters
     ----------
+    name, direction
+        As in ``Element``.
     stretch, spring
-        (variants, N): the stretch and the linear law without the band.
+        (variants, N): the stretch, and the force of spring and damper without the band.
     stiffness, width
-        (variants,) of the spring, and the full width of the band.
+        (variants,) stiffness of the spring, and full width of the band.
+    damped
+        Whether any variant has damping.
     """
     half = 0.5 * width
     none = np.zeros_like(stretch)
@@ -267,24 +277,26 @@ def motor(
     net_scale: FloatArray,
     switches: tuple[Guard, ...],
 ) -> Element:
-    """Return a motor's current: free, limited, and cut off by a switch for good.
+    """Return a motor's current: free, limited, or cut off for good by a limit switch.
 
     Parameters
     ----------
+    name, direction
+        As in ``Element``.
     free
         (variants, N): the current without limits.
     current_limit
-        (variants,) A, None for none.
+        (variants,) in A; None without a limit.
     voltage_modes
-        Of a current amplifier with a supply limit: the current at the upper and at the lower
-        limit of the supply, each with its sign (+1, -1); empty otherwise.
+        For a current amplifier with a limited supply: the currents at the upper and at the lower
+        limit of the supply, each with its sign (+1, -1). Empty for every other motor.
     state
-        Index of the current in the state, -1 when the motor has no inductance or its current
-        is limited behind the state, which then runs on.
+        Index of the current in the state. It is -1 where the motor has no inductance, or where the
+        limit acts on the amplifier's output while the state goes on without limit.
     net_scale
-        (variants,) turns the derivative of that state into volts.
+        (variants,) factor from the derivative of that state to volts.
     switches
-        Guards that cut the supply; their next modes are filled in here.
+        Guards of the limit switches that cut the supply; the modes that follow are set here.
     """
     none = np.zeros_like(free)
     limits = (1.0, -1.0) if current_limit is not None else ()
@@ -318,7 +330,7 @@ def motor(
             clipped[:, -1] = sign * current_limit
             towards = {"low": 0.0, "low_to": 0} if sign > 0 else {"high": 0.0, "high_to": 0}
             if state >= 0:
-                # The state is clamped: it leaves once its own volts drive it back inside.
+                # The current is held at its limit until its voltage drives it back inside.
                 guard = Guard(row=None, **towards)  # type: ignore[arg-type]
             else:
                 excess = free.copy()

@@ -1,4 +1,4 @@
-"""Equations -> linear model: every connected piece of the network in small motions."""
+"""The linear model of every connected piece of the network, for small motions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from threadline.plant.values import Values
 def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
     """Return the linear model of every connected piece, one for each group of the network.
 
-    Limits, friction and play are left out and a preloaded belt is tight, as in small motions
-    about a working point. Inputs are the drives, ``"drives.x"``, in volts of the controller;
+    Limits and friction are left out, play is closed and a preloaded belt is tight, as in small
+    motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
+    controller;
     outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"`` and
     ``"X.frame"`` in m or rad. The dead time of each drive is in ``delay_s``.
 
@@ -26,7 +27,7 @@ def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateS
         If a combination of parts has no equations here.
     """
     used = Values.of(machine) if values is None else values
-    # A piece whose drives are told positions has no input in volts: see ``prescribed``.
+    # A piece whose drives are given positions has no input in volts: see ``prescribed``.
     return tuple(
         _linear(machine, piece, used)
         for piece in piecewise_linear(machine, used)

@@ -1,4 +1,4 @@
-"""Root locus of a loop with its exact dead time, and the gains at which poles cross over."""
+"""Root locus of a loop with its exact dead time, and the gains at which poles cross the axis."""
 
 from __future__ import annotations
 
@@ -23,15 +23,19 @@ class RootLocus:
     Parameters
     ----------
     gains
-        (k,) factors on the controller as it is.
+        (k,) factors on the gain that the controller has.
     poles
-        For each gain its poles within ``within_rad_s``; a dead time has infinitely many.
+        For each gain, the poles of magnitude up to ``within_rad_s``; with dead time there are
+        infinitely many beyond.
     now
-        At gain 1.
+        Poles at gain 1.
     open_poles, open_zeros
-        Where the branches begin and end; the zeros include the controller's.
+        Poles at which the branches begin and zeros at which they end, those of the controller
+        included.
     critical
         Gain and frequency in rad/s of every crossing of the imaginary axis, rising in gain.
+    within_rad_s
+        Largest magnitude of the poles.
     """
 
     gains: FloatArray
@@ -51,10 +55,11 @@ def root_locus(
     Parameters
     ----------
     gains
-        (k,) factors on the controller; by default from 1/1000 to 100 and somewhat beyond the
-        first critical one.
+        (k,) factors on the controller's gain; by default from 1/1000 to three times the first
+        critical one (10 where there is none), and at least to 3.
     within_rad_s
-        What is of interest; by default twice the plant's largest pole or five crossovers.
+        Largest magnitude of the poles; by default twice the larger of the plant's largest pole and
+        five times the crossover.
     """
     margins = loop_margins(loop, "continuous")
     critical = sorted((c.gain_factor, c.omega_rad_s) for c in margins.phase_crossovers)

@@ -1,8 +1,9 @@
 """The control loop of an axis: its plant, its controllers, and their open-loop response.
 
-Where axes share a piece of the network, the loop of one is seen with those of the others closed.
-Two models: ``"sampled"`` is what the controller does, tick by tick; ``"continuous"`` is the filter
-it stands for with half a tick of dead time for its held output.
+Where axes share a piece of the network, the loop of one is opened while those of the others stay
+closed. There are two models of a loop. In ``"sampled"`` the controller acts tick by tick, as it
+does. In ``"continuous"`` it is the continuous form of its filter, with half a tick of dead time for
+its held output.
 """
 
 from __future__ import annotations
@@ -35,17 +36,18 @@ class Loop:
     Parameters
     ----------
     axis
-        Its name.
+        Name of the axis.
     plant
-        Volts of every controller of the piece to all of its outputs.
+        The connected piece, from the voltages of all its controllers to all its outputs.
     controllers, sensors, filters
-        Of the piece: names, the outputs in counts that they read, and what they do.
+        Names of the controllers of the piece, the outputs in counts that they read, and their
+        difference equations.
     index
-        Which of them is this axis'.
+        Index of this axis' controller among them.
     counts_per_unit
         Counts of the axis' sensor per m or rad.
     hold
-        Whether the continuous model has the half tick of the held output.
+        Whether the continuous model has half a tick of dead time for the held output.
     """
 
     axis: str
@@ -63,11 +65,11 @@ class Loop:
         return self.filters[self.index].period_s
 
     def measured(self) -> StateSpace:
-        """Return the plant from the controllers' volts to what they read, in counts."""
+        """Return the plant from all controllers' voltages to their sensors, in counts."""
         return self.plant.select(list(self.plant.inputs), list(self.sensors))
 
     def own(self) -> StateSpace:
-        """Return the plant of this axis alone: its volts to its counts."""
+        """Return the plant from this axis' voltage to its sensor, in counts, other loops open."""
         return self.plant.select([self.plant.inputs[self.index]], [self.sensors[self.index]])
 
     def delays_s(self) -> FloatArray:
@@ -76,17 +78,17 @@ class Loop:
         return np.asarray(self.plant.delay_s + np.array(held))
 
     def sampled_plant(self) -> SampledPlant:
-        """Return the plant as the controllers see it."""
+        """Return the plant of ``measured`` behind held outputs, from tick to tick."""
         return sample(self.measured(), self.period_s)
 
     def closed(self, gain: float = 1.0) -> ClosedLoop:
-        """Return all loops of the piece closed, this one with ``gain`` on its controller."""
+        """Return all loops of the piece closed, with a factor ``gain`` on this axis' controller."""
         gains = [1.0] * len(self.filters)
         gains[self.index] = gain
         return close_loop(self.plant, self.filters, self.sensors, self.controllers, tuple(gains))
 
     def plant_response(self, omega_rad_s: FloatArray, model: Model = "sampled") -> ComplexArray:
-        """Return the (k,) response from this axis' volts to its counts, other loops closed."""
+        """Return the (k,) response from this axis' voltage to its counts, other loops closed."""
         return self._seen(np.atleast_1d(np.asarray(omega_rad_s, dtype=np.float64)), model, None)
 
     def _seen(self, omega: FloatArray, model: Model, sampled: SampledPlant | None) -> ComplexArray:
@@ -108,8 +110,8 @@ class Loop:
     def responder(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
         """Return the open-loop response ``L = D G`` as a function of (k,) rad/s, dead time exact.
 
-        The sampled plant is made once, so that a search may call it often. No frequency may be
-        a pole on the axis (0 is one).
+        The sampled plant is computed once, for all calls of the function. None of its frequencies
+        may be a pole on the imaginary axis (0 is one).
         """
         sampled = self.sampled_plant() if model == "sampled" else None
 
@@ -139,9 +141,9 @@ def axis_loops(
     Parameters
     ----------
     values
-        Replaced numbers; the first variant is taken.
+        Replaced numbers, of which the first variant is used.
     hold
-        Whether the continuous model has the half tick of the held output.
+        Whether the continuous model has half a tick of dead time for the held output.
 
     Raises
     ------
@@ -184,7 +186,9 @@ def axis_loop(machine: Machine, axis: str, values: Values | None = None) -> Loop
     Raises
     ------
     OptionError
-        If there is no such axis.
+        If there is no such axis, or it has no loop.
+    MachineError
+        If controllers on different clocks share a piece of the network.
     """
     if axis not in machine.axes:
         raise OptionError(

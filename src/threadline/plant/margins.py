@@ -1,9 +1,9 @@
 """Crossovers and margins from the frequency response itself, found by search and refinement.
 
-Margins by polynomials need a rational dead time (Pade), and the sampled loop's polynomial has one
-power of z for every tick of it. Here the response is evaluated as it is: on a grid refined until
-neighbours differ by less than a tenth in phase and in log magnitude, then every crossing is
-closed in on.
+Margins by polynomials need a rational approximation of the dead time (Pade), and the polynomial of
+a sampled loop has one power of z for every tick of it. Here the exact response is evaluated on a
+grid that is refined until neighbours differ by less than 0.1 rad in phase and 0.2 in the logarithm
+of the magnitude; every crossing on it is then found by bisection.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _ROUNDS = 14
 _MOST_POINTS = 400_000
 _START_POINTS = 600
 _NEGLIGIBLE = 1e-3
-_HALVINGS = 48  # of an interval that the grid has left: to the last digits of a double
+_HALVINGS = 48  # of an interval of the grid: to the last digits of a double
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainCrossover:
-    """A frequency where the loop's gain is 1, and the phase left to -180 degrees there."""
+    """A frequency at which the loop's gain is 1, and the phase there less -180 degrees."""
 
     omega_rad_s: float
     phase_margin_deg: float
@@ -37,7 +37,7 @@ class GainCrossover:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseCrossover:
-    """A frequency where the loop's phase is -180 degrees, and the factor that makes its gain 1."""
+    """A frequency at which the loop's phase is -180 degrees, and the reciprocal of its gain."""
 
     omega_rad_s: float
     gain_factor: float
@@ -59,10 +59,10 @@ class Margins:
 
     @property
     def worst_phase(self) -> GainCrossover | None:
-        """The gain crossover nearest to -180 degrees; None when the gain is never 1.
+        """The gain crossover with the phase nearest to -180 degrees; None when the gain is never 1.
 
-        A stable loop that is conditionally so has negative margins too: so much lead, not lag,
-        would bring it to its limit.
+        A conditionally stable loop may have a negative margin there: that much phase lead, rather
+        than lag, would bring it to its limit.
         """
         return min(self.gain_crossovers, key=lambda c: abs(c.phase_margin_deg), default=None)
 
@@ -83,15 +83,15 @@ class Margins:
     def gain_margin(self, stable: bool) -> float | None:
         """Return the factor on the gain at which stability changes; None where it never does.
 
-        Above 1 for a stable loop (a conditionally stable one has ``lower_to`` besides), below 1
-        for an unstable one that a lower gain would make stable.
+        For a stable loop it is above 1 (a conditionally stable one has a limit below 1, too, which
+        is ``lower_to``). For an unstable loop that a lower gain would make stable it is below 1.
         """
         first, second = (self.raise_to, self.lower_to) if stable else (self.lower_to, self.raise_to)
         return first if first is not None or stable else second
 
     @property
     def delay_margin_s(self) -> float | None:
-        """Smallest further dead time that puts a stable loop on its limit."""
+        """Smallest additional dead time in s that brings a stable loop to its limit, or None."""
         return min(
             (np.radians(c.phase_margin_deg % 360.0) / c.omega_rad_s for c in self.gain_crossovers),
             default=None,
@@ -101,14 +101,14 @@ class Margins:
 def refined_grid(
     response: Response, low: float, high: float, also: Iterable[float] = ()
 ) -> FloatArray:
-    """Return frequencies from ``low`` to ``high`` on which ``response`` is followed closely.
+    """Return (n,) rad/s from ``low`` to ``high``, dense where ``response`` changes fast.
 
     Parameters
     ----------
     response
-        (k,) rad/s to (k,) complex.
+        Function from (k,) rad/s to (k,) complex values.
     also
-        Frequencies to begin with, such as those of resonances.
+        Frequencies that the grid is to have, such as those of resonances.
     """
     inside = [w for w in also if low < w < high]
     grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), inside]))
@@ -156,11 +156,12 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
 def _roots(
     function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Return a root of ``function`` between each (n,) ``low`` and ``high``, all halved together.
+    """Return a root of ``function`` between each pair of (n,) ``low`` and ``high``, by bisection.
 
-    A loop with dead time and a high gain crosses tens of thousands of times: one by one they
-    would take minutes. A pair without a change of sign has its root at one end, or so nearly that
-    rounding hid it: ``low`` where the function is 0 there, else ``high``.
+    All pairs are halved together: a loop with dead time and a high gain has tens of thousands of
+    crossings, which would take minutes one by one. A pair without a change of sign has its root at
+    one end, or so close to it that rounding hides it: ``low`` where the function is 0 there, else
+    ``high``.
     """
     if not len(low):
         return low
@@ -178,10 +179,11 @@ def _roots(
 
 
 def loop_grid(loop: Loop, model: Model = "sampled") -> FloatArray:
-    """Return the frequencies on which a loop is looked at.
+    """Return (n,) frequencies in rad/s on which a loop is analysed.
 
-    From far below its slowest resonance or crossover to the Nyquist frequency of its controller
-    (sampled), or to where its gain has fallen below one in a thousand (continuous).
+    They begin a thousand times below the slowest pole of the plant that is not 0 (or below
+    10 rad/s). They end at the Nyquist frequency of the controller (sampled), or where the gain has
+    fallen below one in a thousand (continuous).
     """
     response = loop.responder(model)
     poles = np.abs(loop.plant.poles())

@@ -1,4 +1,4 @@
-"""Measured frequency responses from CSV, to lay over the model's."""
+"""Measured frequency responses from CSV, and their distance from the model's."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _MAX_POINTS = 200_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredResponse:
-    """Motor speed per volt as an analyser gives it, its magnitude normalised to the first point.
+    """Motor speed per volt as a frequency response analyser measures it.
 
     Parameters
     ----------
     frequency_hz, magnitude_db, phase_deg
-        (k,), rising in frequency.
+        (k,), rising in frequency; the magnitude may have any reference.
     """
 
     frequency_hz: FloatArray
@@ -34,7 +34,10 @@ class MeasuredResponse:
     phase_deg: FloatArray
 
     def against(self, loop: Loop) -> tuple[float, float]:
-        """Return the root mean square distance from the model in dB and degrees."""
+        """Return the root mean square distances from the model in dB and in degrees.
+
+        Magnitudes are compared after both were normalised to the first point.
+        """
         magnitude, phase = speed_response(loop, 2 * np.pi * self.frequency_hz)
         level = magnitude - magnitude[0] + self.magnitude_db[0]
         turn = (phase - self.phase_deg + 180.0) % 360.0 - 180.0
@@ -45,9 +48,9 @@ class MeasuredResponse:
 
 
 def speed_response(loop: Loop, omega_rad_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (k,) dB relative to zero frequency and (k,) degrees of speed per volt.
+    """Return magnitude, in (k,) dB relative to zero frequency, and (k,) phase of speed per volt.
 
-    What an analyser shows that drives the amplifier and watches the motor: no sampling in it.
+    It is the continuous response of amplifier and plant, without the sampling of the controller.
     """
     own = loop.own()
 

@@ -1,4 +1,4 @@
-"""Natural frequencies of the network: with the motors locked, and with them free."""
+"""Natural frequencies of the network, with its motors locked and with its motors free."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from threadline.machine import Machine
 from threadline.plant.coupled import Group, connected_groups
 from threadline.plant.linear import StateSpace
 from threadline.plant.linear_model import linear_model
-from threadline.plant.values import Values
 
 _RIGID = 1e-7
 
@@ -23,35 +22,31 @@ class Oscillation:
     Parameters
     ----------
     frequency_hz
-        Undamped.
+        Undamped natural frequency.
     damping
-        Damping ratio of the pole pair that belongs to it; 1 or more where it doesn't swing.
+        Damping ratio of the pole pair of the mode; 1 where its poles are real.
     """
 
     frequency_hz: float
     damping: float
 
 
-def locked_modes(
-    machine: Machine, axis: str, values: Values | None = None
-) -> tuple[Oscillation, ...]:
+def locked_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     """Return the modes of an axis' piece of the network with its driven bodies held still."""
-    group, model = _piece(machine, axis, values)
+    group, model = _piece(machine, axis)
     held = {b for d in group.drives for b in machine.motors[d].acts_on}
     return _modes(model, [b for b in group.bodies if b not in held])
 
 
-def free_modes(
-    machine: Machine, axis: str, values: Values | None = None
-) -> tuple[Oscillation, ...]:
+def free_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     """Return the modes of an axis' piece with its motors turning freely, without current."""
-    group, model = _piece(machine, axis, values)
+    group, model = _piece(machine, axis)
     return _modes(model, list(group.bodies))
 
 
-def _piece(machine: Machine, axis: str, values: Values | None) -> tuple[Group, StateSpace]:
+def _piece(machine: Machine, axis: str) -> tuple[Group, StateSpace]:
     groups = [group for group in connected_groups(machine) if not group.sources]
-    for group, model in zip(groups, linear_model(machine, values), strict=True):
+    for group, model in zip(groups, linear_model(machine), strict=True):
         if axis in group.axes:
             return group, model
     raise KeyError(axis)
@@ -74,9 +69,9 @@ def _modes(model: StateSpace, bodies: list[str]) -> tuple[Oscillation, ...]:
 
 
 def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float) -> float:
-    """Return the damping ratio of the pole pair that grows out of an undamped mode.
+    """Return the damping ratio of the pole pair that belongs to an undamped mode.
 
-    The damping is brought in step by step, so that the pair is followed and not guessed.
+    The damping is raised from 0 in 64 steps, and the pair is followed from one to the next.
     """
     n = len(place)
     whole = np.zeros((2 * n, 2 * n))

@@ -1,4 +1,4 @@
-"""Machine -> equations: every connected piece of the network as a piecewise linear system.
+"""The equations of every connected piece of the network, as a piecewise linear system.
 
 With coordinates q of the bodies, ``M q'' + C q' + K q = forces``: M is diagonal; a link with
 stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C; a motor acts with
@@ -30,22 +30,23 @@ class PiecewiseLinear:
     Parameters
     ----------
     group
-        Its parts; the inputs are its drives, in order, in volts behind a voltage amplifier and
-        in amperes behind a current amplifier (gain and fixed limits already applied).
+        Parts of the piece. Its inputs are the drives, in order: in volts behind a voltage
+        amplifier, in amperes behind a current amplifier, gain and fixed limits already applied.
     states
         (n,) names: ``"x"`` is a coordinate, ``"x'"`` its rate, ``"x.i"`` a motor's current.
     base
-        (variants, n, N).
+        (variants, n, N) linear part of the rates.
     elements
-        What is not linear; each drive is one of them, under ``"drives.NAME"``.
+        Parts that are not linear; each drive is one of them, called ``"drives.NAME"``.
     sensor_rows
-        (variants, sensors, N), counts from the start.
+        (variants, sensors, N) rows that give the readings in counts, from the start position.
     load_rows, frame_rows
-        (variants, axes, N), axis units from the start.
+        (variants, axes, N) rows that give load and frame in m or rad, from the start position.
     has_frame
         (axes,) whether the axis has a frame.
     input_gain, input_limit
-        (variants, drives) from volts of the controller to the input, and its fixed limit.
+        (variants, drives) gain from the controller's voltage to the input, and the fixed limit of
+        the input.
     """
 
     group: Group
@@ -75,8 +76,8 @@ def piecewise_linear(
     values
         Replaced numbers; the machine's own when None.
     start_si
-        (axes,) position of each axis at the start, m or rad: limit switches stand at absolute
-        positions. Zero when None.
+        (axes,) position of each axis at the start, m or rad, from which the distances to limit
+        switches follow. Zero when None.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def piecewise_linear(
 
 
 class _Builder:
-    """Fills the arrays of one group; lives only as long as ``build`` runs."""
+    """Fills the arrays of one group."""
 
     def __init__(self, machine: Machine, values: Values, group: Group, start: FloatArray) -> None:
         self.machine, self.values, self.group = machine, values, group

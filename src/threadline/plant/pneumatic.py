@@ -1,4 +1,4 @@
-"""What rings under a cylinder: the modes of its frame, and what a step of its valves leaves."""
+"""The ringing of a frame under a cylinder: its modes, and its motion after a step of the valves."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from threadline.plant.cylinders import cylinder_equations, network_of
 
 
 def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
-    """Return undamped frequency, Hz, and damping ratio of the slowest mode under the cylinder.
+    """Return undamped frequency in Hz and damping ratio of the slowest mode of the network.
 
-    Its piston slides freely, as while it moves.
+    The piston slides freely in it, as while it moves, and the air exerts no force.
 
     Raises
     ------
     MachineError
-        If nothing rings.
+        If the network has no mode that rings.
     """
     piece = network_of(machine, axis)
     ringing = swinging(piece.base[0][:, : len(piece.states)])
@@ -33,15 +33,15 @@ def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class StepRinging:
-    """What a step of one level leaves ringing in the frame.
+    """The ringing of the frame after a step of the valves by one level.
 
     Parameters
     ----------
     pole
-        1/s, of the frame's slowest mode, imaginary part positive.
+        Pole of the frame's slowest mode in 1/s, imaginary part positive.
     amplitude_m
-        Complex amplitude of the frame at the step, per level: behind it the frame moves as
-        ``Re(amplitude exp(pole t))`` about its rest.
+        Complex amplitude of the frame for a step of 1: from the step on, the mode moves the frame
+        by ``Re(amplitude exp(pole t))`` about its rest.
     """
 
     pole: complex
@@ -49,21 +49,22 @@ class StepRinging:
 
 
 def step_ringing(machine: Machine, axis: str) -> StepRinging:
-    """Return what one step of the level leaves, by the eigenvectors of the sliding cylinder.
+    """Return the ringing after a step of the level, by the eigenvectors of the sliding cylinder.
 
-    Delay is left out: it shifts every step alike.
+    The delay of the valves, by which every step is shifted alike, is left out.
 
     Raises
     ------
     MachineError
-        If nothing rings, or so slowly beside all else that it cannot be told.
+        If the network has no mode that rings, or one so slow beside other rates that rounding
+        hides it.
     """
     plant = cylinder_equations(machine, axis)
     matrix = plant.sliding()[0]
     poles, modes = np.linalg.eig(matrix)
     wanted = 2.0 * math.pi * frame_mode(machine, axis)[0]
-    # A state that no other feeds, as the lag of a valve, has its pole for itself: however fast it
-    # is, the others are known as well as without it.
+    # The pole of a state that depends on no other, such as the lag of a valve, does not limit how
+    # well the other poles are known, however fast it is.
     fed = (matrix - np.diag(np.diag(matrix))).any(axis=1)
     ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(fed, fed)]))
     if not len(ringing):
@@ -73,7 +74,7 @@ def step_ringing(machine: Machine, axis: str) -> StepRinging:
             place=machine.place,
             remedy="Look for a mistyped number.",
         )
-    # The air spring shifts the mode a little; the nearest pole is it.
+    # The air spring shifts the mode a little: the nearest pole is that of the mode.
     index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - wanted))])
     # x = sum over modes; a step's share is (left vector . b) / pole. The zero poles of a free
     # stroke make the matrix defective, which leaves this simple pole's own vectors exact.
@@ -86,14 +87,15 @@ def step_ringing(machine: Machine, axis: str) -> StepRinging:
 
 
 def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
-    """Return undamped frequency, Hz, and damping ratio of the mode that the valves excite.
+    """Return undamped frequency in Hz and damping ratio of the mode that the valves excite.
 
-    The air carries the piston's mass along: the frame rings slower than under a free piston.
+    The air couples the piston's mass to the frame, which therefore rings slower than under a free
+    piston (``frame_mode``).
 
     Raises
     ------
     MachineError
-        If nothing rings.
+        If the network has no mode that rings.
     """
     pole = step_ringing(machine, axis).pole
     return abs(pole) / (2.0 * math.pi), -pole.real / abs(pole)

@@ -1,9 +1,9 @@
 """Equations of a network whose motors' positions are prescribed: steppers, pulse-controlled servos.
 
-Of the network ``z' = F z`` the coordinates that are prescribed are taken out of the state: what is
-left obeys ``x' = A x + B p + C p'`` exactly, and the row of a prescribed velocity says what the
-network would do to that body, so that the torque that holds it to its course is
-``J (p'' - row . z)`` and its friction.
+Positions p and velocities p' of the driven bodies are taken out of the state of the network
+``z' = F z``. The other states x obey ``x' = A x + B p + C p'`` exactly. The row of F for a
+prescribed velocity gives the acceleration by which the network would move that body, so the torque
+that keeps it on its course is ``J (p'' - row . z)`` plus its friction.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Tight:
     Parameters
     ----------
     name
-        Its place in the file.
+        Path of the link in the machine file.
     row
-        (n + 2 s,) its force over ``[x, p, p']``.
+        (n + 2 s,) row that gives its force from ``[x, p, p']``.
     low, high
-        Forces at which a run falls slack.
+        Forces at which one of its runs falls slack.
     """
 
     name: str
@@ -42,26 +42,26 @@ class Tight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prescribed:
-    """One connected piece of a machine, its s drives prescribed; n states are left.
+    """One connected piece of a machine whose s drives have prescribed positions p; n states x.
 
     Parameters
     ----------
     axes, drives
-        Of the piece; each axis is told to one of the drives.
+        Names of the axes and of the drives of the piece.
     states
         (n,) names.
     rates
-        (n, n + 2 s) of the states over ``[x, p, p']``, with p the drives' positions.
+        (n, n + 2 s) rates of the states from ``[x, p, p']``.
     loads, frames
-        (axes, n + 2 s), axis units from the start.
+        (axes, n + 2 s) rows that give load and frame in m or rad, from the start position.
     has_frame
         (axes,) whether the axis has a frame.
     pulls
-        (s, n + 2 s) force of the network on each drive's body, N m (N).
+        (s, n + 2 s) rows that give the force of the network on each drive's body, N m (N).
     inertia, friction
-        (s,) of these bodies.
+        (s,) inertia and friction of the drives' bodies.
     belts
-        Linear while they are tight.
+        Preloaded belts, whose equations are linear while they are tight.
     """
 
     axes: tuple[str, ...]
@@ -78,7 +78,7 @@ class Prescribed:
 
     @property
     def matrix(self) -> FloatArray:
-        """(n, n) of the load with the motors locked."""
+        """(n, n) rates of the states with the motors locked."""
         return self.rates[:, : len(self.states)]
 
 
@@ -88,8 +88,8 @@ def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescrib
     Raises
     ------
     MachineError
-        If such a piece has a motor with a loop too, or a part that is not linear: friction of
-        another body than the drive's, play.
+        If such a piece also has a motor with a loop, or a part that is not linear: play, or
+        friction of another body than the drive's.
     """
     used = Values.of(machine) if values is None else values
     return tuple(
@@ -99,9 +99,9 @@ def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescrib
     )
 
 
-def piece_of(machine: Machine, axis: str, values: Values | None = None) -> Prescribed:
+def piece_of(machine: Machine, axis: str) -> Prescribed:
     """Return the piece that an axis belongs to."""
-    return next(piece for piece in prescribed(machine, values) if axis in piece.axes)
+    return next(piece for piece in prescribed(machine) if axis in piece.axes)
 
 
 def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescribed:
@@ -169,9 +169,10 @@ def _first(bound: FloatArray | float) -> float:
 
 
 def resonance_hz(source: Source, inertia: float) -> float | None:
-    """Return at which frequency a stepper swings about its step, Hz; None for a servo.
+    """Return the frequency in Hz at which a stepper swings about its step; None for a servo.
 
-    Its torque goes with the sine of the electrical angle, a quarter turn to a full step.
+    The restoring torque is that of a small deflection: the torque of a stepper varies with the
+    sine of the electrical angle, of which a full step is a quarter turn.
     """
     if isinstance(source, PulseServo):
         return None

@@ -1,4 +1,4 @@
-"""An axis whose links are rigid: what its bodies do, and what current that takes."""
+"""An axis with rigid links: the motion of its bodies, and the force and current that it takes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ def current_needed(
     Parameters
     ----------
     velocity_si, acceleration_si
-        Of the axis, in m/s and m/s^2 or rad/s and rad/s^2.
+        Velocity and acceleration of the axis, in m/s and m/s^2 or rad/s and rad/s^2.
+
+    Raises
+    ------
+    MachineError
+        If the axis moves without its drive.
     """
     rates = rigid_motion(machine, axis)
     drive = machine.drive_of(axis)
@@ -28,7 +33,7 @@ def current_needed(
 
 
 def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si: float) -> float:
-    """Return the force, N (N m), that an axis needs along its own way, all links rigid."""
+    """Return the force in N (torque in N m) in the coordinate of the axis, all links rigid."""
     rates = rigid_motion(machine, axis)
     force = 0.0
     for name, body in machine.bodies.items():
@@ -41,12 +46,17 @@ def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si
 
 
 def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
-    """Return how far an axis's drive turns for 1 m or rad of the axis, from the rates of bodies.
+    """Return the angle of an axis's drive, in rad (m), for 1 m or rad of the axis.
+
+    Parameters
+    ----------
+    rates
+        Rates of the bodies, from ``rigid_motion``.
 
     Raises
     ------
     MachineError
-        If it does not turn, or so little that a force of it is no number.
+        If the drive does not turn, or too little for a division by it.
     """
     source = machine.source_of(axis)
     if source is not None:
@@ -64,7 +74,7 @@ def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
 def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
     """Return the rate of every body when the axis moves at 1 m/s or rad/s and nothing stretches.
 
-    Bodies that the axis doesn't take along stand still.
+    Bodies that are not connected with the axis have the rate 0.
     """
     bodies = list(machine.bodies)
     rows: list[FloatArray] = []

@@ -1,7 +1,7 @@
 """Routh's array: unstable roots of a polynomial, and the gains that keep a loop stable.
 
-For loops without dead time, or with Pade's approximation of it, which is what the textbooks and
-the stitcher's thesis use; the exact answer for a loop with dead time is in ``margins``.
+It applies to loops without dead time, or with Pade's approximation of it, as textbooks and the
+stitcher thesis use it. ``margins`` has the exact limits of a loop with dead time.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _TINY = 1e-12
 
 
 def routh_array(coefficients: Sequence[float]) -> FloatArray:
-    """Return Routh's array of a polynomial, highest power first, (n + 1, n // 2 + 1).
+    """Return the (n + 1, n // 2 + 1) Routh array of a polynomial, highest power first.
 
-    A row of zeros is replaced by the derivative of the row above it, a zero at the head of a row
-    by a small number of the sign above it.
+    A row of zeros is replaced by the derivative of the auxiliary polynomial of the row above. A
+    zero at the head of a row is replaced by a small number with the sign of the one above it.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def routh_array(coefficients: Sequence[float]) -> FloatArray:
 
 
 def unstable_roots(coefficients: Sequence[float]) -> int:
-    """Return how many roots have a positive real part: sign changes of the first column."""
+    """Return the number of roots with positive real part: sign changes of the first column."""
     first = routh_array(coefficients)[:, 0]
     return int(np.count_nonzero(first[1:] * first[:-1] < 0))
 

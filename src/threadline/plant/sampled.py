@@ -1,9 +1,10 @@
-"""What a digital controller sees: the plant behind a held output, from tick to tick, exactly.
+"""Exact sampled models: the plant behind a held output from tick to tick, and closed loops on it.
 
-A dead time of ``d T + f`` with ``0 <= f < T`` delivers each held value ``f`` after a tick, so one
-tick is two pieces: the older value for ``f``, the newer for ``T - f``. Both are matrix
-exponentials; nothing is rounded to a tick and nothing is approximated by a rational delay
-(Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, section 4.3.4).
+With a dead time of ``d T + f``, ``0 <= f < T``, a held value reaches the plant ``f`` after a tick.
+Within a tick the older value therefore acts for ``f`` and the newer one for ``T - f``. Both parts
+are matrix exponentials, so the dead time is neither rounded to a tick nor approximated by a
+rational function (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, section
+4.3.4).
 """
 
 from __future__ import annotations
@@ -28,15 +29,16 @@ class SampledPlant:
     Parameters
     ----------
     transition
-        (n, n).
+        (n, n) matrix of the states over a tick.
     newer, older
-        (n, inputs).
+        (n, inputs) effect over a tick of the held value with d ticks of delay, and of the one
+        before it.
     ticks
-        Whole ticks of dead time ``d`` of each input.
+        Whole ticks d of dead time of each input.
     C
-        (outputs, n).
+        (outputs, n) matrix of the outputs.
     period_s
-        One tick.
+        Length of a tick.
     """
 
     transition: FloatArray
@@ -61,7 +63,8 @@ class SampledPlant:
 class ClosedLoop:
     """``X[k+1] = A X[k] + B r[k]``, ``y[k] = C X[k] + D r[k]``, from references in counts.
 
-    ``outputs`` names the rows: the plant's own, then ``"controllers.NAME"`` in V.
+    ``outputs`` names the rows of C and D: the outputs of the plant, then ``"controllers.NAME"`` for
+    the outputs of the controllers in V.
     """
 
     A: FloatArray
@@ -81,7 +84,7 @@ class ClosedLoop:
         return float(np.abs(self.eigenvalues()).max())
 
     def respond(self, reference: FloatArray) -> FloatArray:
-        """Return the (k, outputs) answer to (k, inputs) references, from rest."""
+        """Return the (k, outputs) response to (k, inputs) references in counts, from rest."""
         state = np.zeros(len(self.A))
         answer = np.empty((len(reference), len(self.C)))
         for k, r in enumerate(np.asarray(reference, dtype=np.float64)):
@@ -90,13 +93,13 @@ class ClosedLoop:
         return answer
 
     def steady(self) -> FloatArray:
-        """Return the (outputs, inputs) answer to a unit step after a long time."""
+        """Return the (outputs, inputs) steady state after unit steps of the references."""
         settled = np.linalg.solve(np.eye(len(self.A)) - self.A, self.B)
         return np.asarray(self.C @ settled + self.D)
 
 
 def sample(plant: StateSpace, period_s: float) -> SampledPlant:
-    """Return ``plant`` as a controller with a held output sees it.
+    """Return the sampled model of ``plant`` behind outputs that are held for a tick.
 
     Raises
     ------
@@ -132,14 +135,15 @@ def close_loop(
     names: tuple[str, ...],
     gains: tuple[float, ...] | None = None,
 ) -> ClosedLoop:
-    """Return the loop closed over ``plant`` by one filter for each of its inputs.
+    """Return the closed loop of ``plant`` with one controller for each of its inputs.
 
     Parameters
     ----------
     filters, sensors, names
-        For each input its controller, the output in counts that it reads, and its name.
+        For each input: the difference equation of its controller, the output in counts that the
+        controller reads, and the controller's name.
     gains
-        Factors on the controllers; 1 when None.
+        Factors on the controllers' gains; 1 when None.
     """
     period = filters[0].period_s
     sampled = sample(plant, period)

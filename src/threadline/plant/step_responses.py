@@ -1,4 +1,4 @@
-"""Step responses of the true sampled loop and the figures read from them."""
+"""Step responses of the sampled loop, and the figures read from them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ _BAND = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Step:
-    """The answer to a step of 1, in the same unit, tick by tick.
+    """The response to a step of 1 in the reference, in the unit of the reference.
 
     Parameters
     ----------
     time_s, value
-        (k,) at the controller's ticks; the step comes at 0.
+        (k,) ticks of the controller and response at them; the step is at 0.
     final
-        Where it ends.
+        Steady state of the response.
     rise_s
-        From 10 to 90 % of the final value.
+        Time from 10 to 90 % of the final value.
     settling_s
-        Until it stays within 2 % of the final value.
+        Time until the response stays within 2 % of the final value.
     overshoot
-        Beyond the final value, as a share of it; 0 for none.
+        Excess of the largest value over the final one, as a share of the final one; 0 for none.
     peak_s
-        When it is largest.
+        Time of the largest value.
     steady_state_error
         1 less the final value.
     """
@@ -49,7 +49,9 @@ class Step:
 def step_response(
     loop: Loop, output: str = "measured", duration_s: float | None = None
 ) -> Step | None:
-    """Return the answer of an axis to a unit step of its reference; None for an unstable loop.
+    """Return the response of an axis to a unit step of its reference.
+
+    It is None where the loop is unstable, and where the output ends at 0.
 
     Parameters
     ----------
@@ -73,7 +75,7 @@ def step_response(
     value = np.ascontiguousarray(closed.respond(reference)[:, row])
     final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
     if final == 0.0:
-        return None  # this output never moves: there is no end to take shares of
+        return None  # the figures are shares of the final value
     time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
     return read_step(time_s, value, final)
 

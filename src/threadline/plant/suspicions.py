@@ -1,4 +1,4 @@
-"""Numbers of a machine that don't fit together, named before anyone relies on them."""
+"""Warnings about numbers of a machine that contradict each other or are improbable."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ _SPARE = 1.0 + 1e-9
 
 
 def suspicions(machine: Machine) -> list[str]:
-    """Return one sentence for every number that asks for a second look; empty when none does.
+    """Return one sentence for every suspicious number; empty when there is none.
 
-    Found are torque and back-emf constants that disagree by more than 5 % (in SI they are
-    the same number), counts of an axis that its sensor does not give over belt and gear (more
-    than 1 % and the tolerances off), viscous friction that takes half of a motor's current or
-    more at the axis' working speed, a speed and acceleration that an axis works at and allows but
-    that need more current than there is, and a filter whose word is too coarse to see a small
-    error.
+    Suspicious are
+
+    - torque and back-emf constants that differ by more than 5 % (in SI they are one number),
+    - counts of an axis that differ from those of its sensor over belt and gear by more than 1 % and
+      the tolerances,
+    - friction that takes half of a motor's current or more at the axis' working speed,
+    - a working speed and an allowed acceleration that together need more current, or more torque of
+      a stepper or pulse servo, than the drive has,
+    - a controller that rounds an error of several counts at rest to no DAC level.
     """
     found = [text for name in machine.motors for text in _constants(machine, name)]
     for name in machine.axes:
@@ -54,7 +57,10 @@ def _constants(machine: Machine, name: str) -> list[str]:
 
 
 def _scale(machine: Machine, name: str) -> list[str]:
-    """Say so when a tenth of the counts, or an encoder's forgotten four edges, move the load."""
+    """Return a warning where the counts of an axis are not those of its sensor over belt and gear.
+
+    Forgotten quadrature (four counts a line) and a slipped decimal point are found by it.
+    """
     axis = machine.axes[name]
     if axis.load is None:  # the load is then what the encoder reads
         return []
@@ -127,7 +133,10 @@ def _beyond_current(machine: Machine, name: str) -> list[str]:
 
 
 def _beyond_torque(machine: Machine, name: str) -> list[str]:
-    """Say so when an axis allows more than its drive has torque for, links rigid."""
+    """Return warnings about an axis that asks its stepper or pulse servo for too much torque.
+
+    Its counts are checked, too.
+    """
     axis, source = machine.axes[name], machine.source_of(name)
     assert source is not None
     drive = axis.drive

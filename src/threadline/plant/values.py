@@ -1,4 +1,4 @@
-"""Numbers of a machine by path, one value or one for each variant."""
+"""Numbers of a machine by their paths, some of them replaced in each of several variants."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Values(Locked):
     Parameters
     ----------
     machine
-        Gives the structure and every number that is not replaced.
+        Machine with the structure and every number that is not replaced.
     replaced
         Path of a number, such as ``"bodies.x.inertia"``, to its (count,) SI values.
     count
@@ -45,7 +45,7 @@ class Values(Locked):
 
     @classmethod
     def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
-        """Check and keep the replaced numbers."""
+        """Return ``machine`` with numbers ``replaced``; their paths and lengths are checked."""
         given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
         known = tuple(_paths(machine))
         for path in given:
@@ -66,10 +66,11 @@ class Values(Locked):
         return 0.0 if quantity is None else quantity.si
 
     def by_delay(self) -> list[tuple[Values, IntArray]]:
-        """Return the variants by their dead times, each with its (k,) places among all.
+        """Return the variants grouped by their dead times, each group with its (k,) indices.
 
-        All variants of one batch must share their dead times, which decide when things happen: in
-        what is returned they are numbers of the machine, and no longer replaced.
+        The variants of one simulated batch must have the same dead times, since those decide at
+        which instants a simulation stops. In each group the dead times are numbers of the machine
+        and no longer replaced.
         """
         late = [path for path in self.replaced if path.endswith(".delay")]
         if not late:
@@ -96,7 +97,7 @@ def _paths(machine: Machine) -> Iterator[str]:
     for table in _TABLES:
         for name, part in getattr(machine, table).items():
             yield from _numbers(part, f"{table}.{name}")
-    # Where no load is given, it is what the sensor counts: other counts put it elsewhere.
+    # An axis without a load of its own has the one that its sensor counts, so counts move it.
     yield from (f"axes.{name}.counts" for name, axis in machine.axes.items() if axis.load is None)
 
 

@@ -1,4 +1,4 @@
-"""What is known of an axis without a loop: a cylinder, or a drive that is told positions."""
+"""The analysis of an axis without a loop: of a cylinder, or of a drive that is given positions."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from threadline.plant.modes import Oscillation
 from threadline.plant.pneumatic import flow_mode
 from threadline.plant.prescribed import piece_of, resonance_hz
 from threadline.plant.rigid import drive_rate, rigid_force, rigid_motion
-from threadline.plant.values import Values
 
 
 class Analysis(Protocol):
-    """What every analysis of something that moves can answer."""
+    """The analysis of an axis, whether it has a loop or not."""
 
     @property
     def axis(self) -> str:
-        """What moves."""
+        """Name of the axis or cylinder."""
 
     @property
     def stable(self) -> bool:
         """Whether every motion of it decays."""
 
     def verdict(self) -> str:
-        """Return one sentence on its stability."""
+        """Return one sentence about its stability."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the analysis as JSON content."""
@@ -40,21 +39,21 @@ class Analysis(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CylinderAnalysis:
-    """What is known of a cylinder: it has no loop, and what it stands on rings.
+    """The analysis of a cylinder, which has no loop but makes its frame ring.
 
     Parameters
     ----------
     axis
-        The cylinder.
+        Name of the cylinder.
     standing, sliding
-        Modes of what it is connected with, the slowest first: while the piston stands in its
-        housing, and while it slides on its air.
+        Modes of the bodies that it is connected with, the slowest first: while the piston stands in
+        its housing, and while it slides on its air.
     shaped
-        The mode that its valves excite most, which shapers are made for.
+        Mode that the valves excite most, for which shapers are designed.
     speed_m_s
-        Of the piston at level 1.
+        Speed of the piston at level 1.
     growing
-        How many poles of the sliding cylinder grow.
+        Number of unstable poles of the sliding cylinder.
     """
 
     axis: str
@@ -70,7 +69,7 @@ class CylinderAnalysis:
         return self.growing == 0
 
     def verdict(self) -> str:
-        """Return one sentence: that there is no loop, and what rings."""
+        """Return one sentence: there is no loop, and the frame rings at this frequency."""
         return (
             f"axis {self.axis} has no loop: its valves set the speed of the piston; what it stands "
             f"on rings at {self.shaped.frequency_hz:.4g} Hz, damping ratio "
@@ -95,11 +94,7 @@ class CylinderAnalysis:
         }
 
 
-def analyse_cylinder(
-    machine: Machine,
-    axis: str,
-    values: Values | None = None,  # noqa: ARG001
-) -> CylinderAnalysis:
+def analyse_cylinder(machine: Machine, axis: str) -> CylinderAnalysis:
     """Return the analysis of one cylinder.
 
     Raises
@@ -133,20 +128,20 @@ def _oscillations(matrix: FloatArray) -> tuple[Oscillation, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToldAnalysis:
-    """What is known of an axis whose drive is told positions: it has no loop, its load rings.
+    """The analysis of an axis whose drive is given positions: it has no loop, but its load rings.
 
     Parameters
     ----------
     axis, drive
-        The axis and its drive.
+        Names of the axis and of its drive.
     locked
-        Modes of the load against the motor, which stands where it is told, the slowest first.
+        Modes of the load against the motor, which stands still, the slowest first.
     resonance_hz
-        At which a stepper without load swings about its step; None of a servo.
+        Frequency at which a stepper without load swings about its step; None for a servo.
     torque_n_m, torque_at_speed_n_m
-        What the drive has at standstill, and at the speed limit of the axis.
+        Torque of the drive at standstill, and at the speed limit of the axis.
     needed_n_m
-        What the axis asks for at its limits of speed and acceleration, links rigid.
+        Torque that the axis needs at its limits of speed and acceleration, with rigid links.
     """
 
     axis: str
@@ -159,11 +154,11 @@ class ToldAnalysis:
 
     @property
     def stable(self) -> bool:
-        """There is no loop that could be unstable."""
+        """True: there is no loop that could be unstable."""
         return True
 
     def verdict(self) -> str:
-        """Return one sentence: that there is no loop, what rings, and what torque there is."""
+        """Return one sentence: there is no loop, the load rings, and the torque needed is this."""
         slowest = f"{self.locked[0].frequency_hz:.4g} Hz" if self.locked else "nowhere"
         swing = (
             ""
@@ -194,15 +189,15 @@ class ToldAnalysis:
         }
 
 
-def analyse_told(machine: Machine, axis: str, values: Values | None = None) -> ToldAnalysis:
-    """Return the analysis of an axis whose drive is told positions.
+def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
+    """Return the analysis of an axis whose drive is given positions.
 
     Raises
     ------
     MachineError
         If its piece has a part that is not linear.
     """
-    piece, part = piece_of(machine, axis, values), machine.axes[axis]
+    piece, part = piece_of(machine, axis), machine.axes[axis]
     source = machine.position_sources[part.drive]
     turns = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
     speeds = np.array([0.0, part.velocity.si * turns])
@@ -218,7 +213,7 @@ def analyse_told(machine: Machine, axis: str, values: Values | None = None) -> T
     )
 
 
-ANALYSES: Mapping[str, Callable[[Machine, str, Values | None], Analysis]] = {
+ANALYSES: Mapping[str, Callable[[Machine, str], Analysis]] = {
     "linear": analyse_axis,
     "rotary": analyse_axis,
     "stepper": analyse_told,
@@ -226,15 +221,15 @@ ANALYSES: Mapping[str, Callable[[Machine, str, Values | None], Analysis]] = {
     "stepped": analyse_told,
     "cylinder": analyse_cylinder,
 }
-"""By what moves: how it is analysed."""
+"""Function that analyses each kind of ``Machine.moving``."""
 
 
-def analyse_moving(machine: Machine, name: str, values: Values | None = None) -> Analysis:
-    """Return the analysis of whatever moves by that name.
+def analyse_moving(machine: Machine, name: str) -> Analysis:
+    """Return the analysis of an axis or cylinder by its name.
 
     Raises
     ------
     MachineError
-        If it cannot be analysed.
+        If its equations allow no analysis.
     """
-    return ANALYSES[machine.moving[name]](machine, name, values)
+    return ANALYSES[machine.moving[name]](machine, name)

@@ -16,16 +16,14 @@ _ZERO = 1e-11
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chain:
-    """The chain of integrators from an input to an output.
-
-    ``y`` differentiated ``degree`` times is ``row . x + gain u``.
+    """The integrations between an input u and an output y: ``y^(degree) = rows[-1] . x + gain u``.
 
     Parameters
     ----------
     degree
-        Relative degree.
+        Relative degree: the order of the lowest derivative of y that u enters.
     rows
-        (degree + 1, n): ``C A^k``, the k-th derivative of y without input.
+        (degree + 1, n): row k is ``C A^k``, which gives the k-th derivative of y without u.
     gain
         ``C A^(degree - 1) B``.
     """
@@ -59,12 +57,13 @@ def chain_of(plant: StateSpace) -> Chain:
 def zeros_of(plant: StateSpace) -> ComplexArray:
     """Return the zeros of a plant with one input and one output, in rad/s.
 
-    With the input that holds the output still, the states that remain move by
-    ``A - B C A^r / (C A^(r-1) B)``; its eigenvalues are the zeros and r zeros at the origin.
+    The input that holds the output constant makes the states move by the matrix
+    ``A - B C A^r / (C A^(r-1) B)``. Its eigenvalues are the zeros of the plant, and r times 0.
     """
     chain = chain_of(plant)
     inner = plant.A - np.outer(plant.B[:, 0], chain.rows[chain.degree]) / chain.gain
-    # In the null space of the chain nothing but the zeros is left: no r-fold root to smear out.
+    # On the null space of the chain the matrix has the zeros alone: rounding would smear an r-fold
+    # eigenvalue 0.
     scaled = chain.rows[: chain.degree]
     scaled = scaled / np.linalg.norm(scaled, axis=1)[:, None]
     units = np.maximum(np.abs(scaled).max(axis=0), _ZERO)
