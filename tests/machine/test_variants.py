@@ -20,6 +20,7 @@ from threadline.machine.variants import (
     variant,
     variant_of,
 )
+from threadline.plant.prescribed import prescribed
 
 RULES = """base = "lathe-winder"
 [tolerances]
@@ -178,3 +179,22 @@ def test_every_library_machine_varies(name: str) -> None:
     numbers = numbers_at(machine, one_at_a_time(machine))
     assert len(numbers) >= 15
     assert variant(machine, drawn(machine, 1, np.array([0]))[0]).sha256 != machine.sha256
+
+
+def test_counts_of_a_stepper_without_a_load_move_its_load(tmp_path) -> None:
+    """N steps turn the motor by N / 3200 of a turn and the load by N / counts, 1 % less here."""
+    file = tmp_path / "m.toml"
+    file.write_text(
+        'base = "stepper-winder"\n[axes.X]\nload = "none"\n'
+        'counts = "80 count/mm +- 1 %, assumed"\n[tolerances]\n'
+        'exclude = ["bodies.*", "links.*", "drives.*"]\n'
+    )
+    machine = load_machine(file)
+    (other,) = (variant(machine, row) for row in one_at_a_time(machine)[1:])
+    weight = other.axes["X"].load["x_motor"]
+
+    assert weight.si == pytest.approx(3200 / (2 * np.pi) / (1.01 * 80e3), rel=1e-12)
+    assert weight.unit == "m/rad"
+    (piece,) = (piece for piece in prescribed(other) if "X" in piece.axes)
+    row = piece.loads[piece.axes.index("X")]
+    assert row[len(piece.states) + piece.drives.index("x")] == pytest.approx(weight.si, rel=1e-12)

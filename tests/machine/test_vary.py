@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -75,3 +76,17 @@ def test_off_tolerance_are_loads_and_links_and_nothing_else() -> None:
     assert other.links["x_belt"].stiffness.si == pytest.approx(1.05 * 6.24e5, rel=1e-12)
     assert other.links["frame_mount"].stiffness.si == pytest.approx(1.05 * 5e6, rel=1e-12)
     assert replace(other, bodies=machine.bodies, links=machine.links) == machine
+
+
+def test_a_stepper_without_a_load_carries_its_own_body(tmp_path: Path) -> None:
+    """Such axes are what ``threadline new`` writes from a firmware's settings; rotors of 10 %."""
+    file = tmp_path / "m.toml"
+    file.write_text(
+        'base = "stepper-winder"\n[axes.X]\nload = "none"\n[axes.A]\nload = "none"\n'
+        '[bodies.x_motor]\ninertia = "6e-5 kg m^2 +- 10 %, assumed"\n'
+    )
+    machine = load_machine(file)
+    other = off_tolerance(machine, mass=1.0)
+
+    assert other.bodies["x_motor"].inertia.si == pytest.approx(1.1 * 6e-5, rel=1e-12)
+    assert other.bodies["x_eye"] == machine.bodies["x_eye"]

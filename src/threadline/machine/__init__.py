@@ -1,4 +1,4 @@
-"""Machines as data: the parts, the file, the library."""
+"""Machines as data: their parts, their files and the library."""
 
 from threadline.machine.load import library_file, library_names, load_machine, overlay_names
 from threadline.machine.model import Machine

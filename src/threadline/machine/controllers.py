@@ -11,15 +11,16 @@ names it. With ``e`` the error at this tick and ``e'`` the one before:
 ``lead``  ``u = K (e - A e') - B u'``, the motion chip's filter ``K (z - A) / (z + B)``
 ========  =======================================================================
 
-``proportional-velocity`` is another mode of that chip: ``u = K (r - r' - (y - y'))``, the gain
-alone on the speed in counts per tick; the same as ``K (e - e')``. Its two others run ``lead``
-behind positions that the chip makes itself on the filter's clock, in 256ths of a count:
+``proportional-velocity`` is another mode of that chip: ``u = K (r - r' - (y - y'))`` for references
+r and readings y, which is ``K (e - e')``, a gain on the error of speed in counts per tick. In two
+more modes the filter ``lead`` follows positions that the chip generates itself on the filter's
+clock, in 256ths of a count:
 
 =====================  ==========================================================
-``integral-velocity``  the speed between the last two references, reached with
-                       ``acceleration``, summed up; 8-bit words of whole counts per tick
-``trapezoid``          to the reference with ``acceleration`` and at most ``velocity``; one that
-                       comes on the way is taken up when the last has been reached
+``integral-velocity``  sums up a speed, which approaches the difference of the last two references
+                       with ``acceleration``; speeds are 8-bit words of whole counts per tick
+``trapezoid``          goes to the reference with ``acceleration`` and at most ``velocity``; a new
+                       reference is followed when the last one has been reached
 =====================  ==========================================================
 """
 
@@ -36,19 +37,20 @@ from threadline.machine.quantity import Quantity, Units
 
 Gain = Annotated[Quantity, Units(("dac/count",), not_negative=True)]
 COEFFICIENT_LOW, COEFFICIENT_HIGH = 1.0 / 256.0, 255.0 / 256.0
-"""Smallest and largest A and B of the motion chip: eight bits behind the binary point."""
+"""Smallest and largest A and B of the motion chip: eight bits after the binary point."""
 ACCELERATION_MOST = 32767
 """Largest acceleration of the motion chip, in 256ths of a count per tick squared."""
 VELOCITY_LOW, VELOCITY_HIGH = -128.0, 127.0
-"""Speeds that the motion chip's integral velocity control can be told, in counts per tick."""
+"""Lowest and highest speed of the motion chip's integral velocity mode, in counts per tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Dac:
     """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped.
 
-    ``rounding`` says which level an output in between is given as; a half goes to the even one of
-    the nearest two.
+    ``rounding`` gives the level for an output between two levels; ``"nearest"`` takes the even one
+    for an output half-way. With ``zero_on_reversal`` the DAC puts out 0 V at the first tick after a
+    change of sign.
     """
 
     bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
@@ -122,8 +124,8 @@ class PidController:
 class LeadFilter:
     """The motion chip's filter ``gain (z - zero) / (z + pole)`` with its 8-bit coefficients.
 
-    ``zero`` (A) and ``pole`` (B) are bounded by 1/256 and 255/256: by Tustin's rule the pole is
-    always further out than the zero, so that the filter can only lead.
+    ``zero`` (A) and ``pole`` (B) are from 1/256 to 255/256. By Tustin's rule the continuous pole is
+    then always at a higher frequency than the zero, so the filter can only lead.
     """
 
     clock: str
@@ -155,7 +157,10 @@ class LeadController(LeadFilter):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class ProfileController(LeadFilter):
-    """The motion chip where it makes the positions itself; acceleration in 256ths, 15 bits."""
+    """The motion chip where it generates positions itself.
+
+    ``acceleration`` is held in 15 bits, in 256ths of a count per tick squared.
+    """
 
     acceleration: Annotated[Quantity, Units(("count/tick**2",), positive=True)]
 
@@ -172,14 +177,17 @@ class ProfileController(LeadFilter):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class IntegralVelocityController(ProfileController):
-    """The motion chip's integral velocity control: its references' speed, summed up."""
+    """The motion chip's integral velocity mode: it sums up the speed of its references."""
 
     kind: Literal["integral-velocity"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class TrapezoidController(ProfileController):
-    """The motion chip's trapezoid profile: its references are where to go, ``velocity`` 7 bits."""
+    """The motion chip's trapezoid mode: it makes a trapezoid of speed to each reference.
+
+    ``velocity`` is held in 7 bits, in counts per tick.
+    """
 
     kind: Literal["trapezoid"]
     velocity: Annotated[Quantity, Units(("count/tick",), positive=True, whole=True, most=127)]
@@ -187,7 +195,7 @@ class TrapezoidController(ProfileController):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class VelocityController:
-    """The motion chip's proportional velocity control: the gain alone, on counts per tick."""
+    """The motion chip's proportional velocity mode: a gain on the error of speed."""
 
     kind: Literal["proportional-velocity"]
     clock: str

@@ -1,6 +1,6 @@
-"""What may be changed of a machine when it is redesigned: the ``[design]`` table of its file.
+"""The ``[design]`` table of a machine file: which numbers a redesign may change.
 
-Nothing of it has a part in a motion or a simulation: ``threadline design`` alone reads it.
+Nothing but ``threadline design`` reads this table: it changes no motion and no simulation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Factor = Annotated[float, Field(gt=0.0, lt=1e6, strict=True)]
 MOST_MARGIN_DEG = 90.0
 MOST_PARAMETERS = 8
 MOST_TOLERANCES = 4
-"""Every corner of the tolerances is simulated: 2 to this power of them."""
+"""Most parameters with a tolerance, since all 2 to this power corners are simulated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -34,18 +34,18 @@ class DesignParameter:
     Parameters
     ----------
     of
-        Their names in the file: ``"links.x_belt.stiffness"``.
+        Dotted names of the numbers in the file, such as ``"links.x_belt.stiffness"``.
     factor
-        Least and largest factor on what the file says, or ``range``, the same as quantities.
+        Least and largest factor on the values of the file; ``range`` can be given in its place.
     range
-        Least and largest value, in the unit of the numbers, which must then be equal.
+        Least and largest value with their units; the numbers must then be equal in the file.
     weight
-        A change costs ``weight |ln factor|``.
+        A change by a factor costs ``weight |ln factor|``.
     tolerance
-        Share by which the numbers may be off: a design that is asked to hold over the tolerances
-        is tried at both ends of it.
+        Share by which the numbers may differ from the design. A design over the tolerances is
+        simulated at both ends.
     note
-        For people.
+        Text for people.
     """
 
     of: tuple[NumberPath, ...] = Field(min_length=1)
@@ -79,16 +79,17 @@ Seconds = Annotated[Quantity, Units(("s",), not_negative=True)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DesignSettings:
-    """What can be set without changing the machine, least and largest; it costs nothing.
+    """Settings that a redesign may change at no cost, each with its least and largest value.
 
     Parameters
     ----------
     crossover, phase_margin
-        What the lead filters of all axes are designed for. Without them the gains stay.
+        Crossover and phase margin for which the lead filters of all axes are designed. Without them
+        the gains stay as they are.
     acceleration
-        Share of the machine's acceleration and jerk that the planner uses.
+        Share of the machine's acceleration and jerk limits that the planner uses.
     needle_delay
-        How long after the command the needle goes down.
+        Time from the command of a stitch to its needle.
     """
 
     crossover: tuple[Hertz, Hertz] | None = None
@@ -118,9 +119,10 @@ class DesignSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class KnownDesign:
-    """An answer that somebody gave: plotted beside the one found.
+    """A design from elsewhere, which is plotted beside the one that was found.
 
-    ``factors`` are by the names of the parameters; what is left out stays as it is.
+    ``factors`` maps names of parameters to their factors; those that are left out have the factor
+    1.
     """
 
     title: str

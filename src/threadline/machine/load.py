@@ -28,7 +28,7 @@ _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+)(?: names the \w+ '([^']*)'|: )")
 _DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
 _OURS = ("sha256", "file", "reference", "parameters")
-"""Fields of the model that no file may hold."""
+"""Fields of ``Machine`` that are not keys of a file."""
 
 
 def library_names() -> tuple[str, ...]:
@@ -41,7 +41,7 @@ def library_names() -> tuple[str, ...]:
 
 
 def library_file(name: str) -> Path:
-    """Return where the file of a library machine lies, to be read or copied.
+    """Return the path of a library machine's file.
 
     Raises
     ------
@@ -53,12 +53,15 @@ def library_file(name: str) -> Path:
 
 
 def overlay_names(reference: str | Path) -> tuple[str, ...]:
-    """Return the overlays of a machine that fit it: a base may have some that need more parts.
+    """Return the overlays of a machine with which it can be loaded.
+
+    A machine file that is based on another inherits overlays from it, some of which may need parts
+    that it does not have.
 
     Raises
     ------
     MachineError
-        As ``load_machine``.
+        If there is no such machine, or its file cannot be read.
     """
     name, _ = split_reference(str(reference))
     available = _resolve(name, ())[0].get("overlays", {})
@@ -173,7 +176,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         base_name = os.path.normpath(Path(file).parent / base_name)
     below, _, base_file = _resolve(base_name, (*seen, name))
     below = _overlaid(below, base_overlays, base_name, base_file)
-    # An operator's settings are those of his machine: one made from it has its own, or none.
+    # The operator's settings of a base are not inherited.
     below.pop("operator", None)
     return _merge(below, content), text, file
 
@@ -200,7 +203,7 @@ def _check_name(name: str) -> None:
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Return ``below`` with the values of ``above``; tables merge, ``"none"`` takes a key away."""
+    """Return ``below`` with the values of ``above``; tables merge, and ``"none"`` removes a key."""
     merged = copy.deepcopy(below)
     for key, value in above.items():
         if value == "none":
@@ -213,9 +216,9 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def place_in(machine: Machine, key: str) -> Place | None:
-    """Return where ``key``, such as ``"design.settings.crossover"``, stands in a machine's file.
+    """Return the file and line of ``key``, such as ``"design.settings.crossover"``.
 
-    Line 0 where it comes from a base; None for a machine that was not read from a file.
+    The line is 0 where a base holds the key; None is returned for a machine without a file.
     """
     if not machine.file:
         return None

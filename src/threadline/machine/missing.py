@@ -1,4 +1,4 @@
-"""What a machine file lacks: every key at once, each with a value that shows its form."""
+"""Keys that a machine file lacks, all of them at once, each with an example of its value."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from threadline.machine.schema import field_node, in_file, plain_node
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
-"""Kinds of error, as pydantic names them, of a key that is not there."""
+"""Pydantic's types of error for a missing key."""
 _SAMPLES = {
     "": "1",
     "s": "5 ms",
@@ -25,14 +25,14 @@ _AXES = ("axes",)
 
 @dataclass(frozen=True, slots=True)
 class MissingKey:
-    """A key that must be there.
+    """A required key that a file lacks.
 
     Parameters
     ----------
     location
-        Its parts, as in the file.
+        Parts of its dotted name.
     form
-        What may stand there, as in the file.
+        Example of the line that would add it.
     """
 
     location: tuple[str, ...]
@@ -40,23 +40,23 @@ class MissingKey:
 
     @property
     def said(self) -> str:
-        """The key."""
+        """Dotted name of the key, in quotes."""
         return repr(".".join(self.location))
 
     def said_at(self, line: int) -> str:
-        """Return the key with its form, and the line of what it belongs to, 0 for none."""
+        """Return the name with its example, and with the line of its table (0 for none)."""
         return f"{self.said} ({f'line {line}, ' if line else ''}like {self.form})"
 
 
 def missing_keys(
     errors: Sequence[Mapping[str, Any]], content: Mapping[str, Any]
 ) -> list[MissingKey]:
-    """Return what is missing, in the order in which the parts of a machine are described.
+    """Return the missing keys, in the order of the fields of ``Machine``.
 
     Parameters
     ----------
     errors
-        Of pydantic, about ``content``.
+        Errors of pydantic about ``content``.
     content
         The machine file, overlays merged into it.
     """
@@ -75,7 +75,7 @@ def missing_keys(
         form = sample(node, _kind(content, location))
         found.append(MissingKey(location, _assigned(location, node, form)))
     if found and not {"axes", "cylinders"} & set(content):
-        # What needs more than one key is checked when all others are right: too late for a list.
+        # Rules that need several keys are checked only when all others are right: too late here.
         node = field_node(_AXES)
         found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
     turns = any(
@@ -90,14 +90,14 @@ def missing_keys(
 
 
 def sample(node: Mapping[str, Any], kind: str = "") -> str:
-    """Return a value that a key may have, as TOML writes it.
+    """Return an example of a key's value in TOML.
 
     Parameters
     ----------
     node
-        Of the key, in the schema of the machine file.
+        Node of the key in the schema of machine files.
     kind
-        What the part is (``rotary``, ``current``), where that decides its unit.
+        Kind or mode of its part (``rotary``, ``current``), which may decide the unit.
     """
     node = plain_node(node)
     if "x-units" in node:
@@ -137,7 +137,7 @@ def _rows(node: Mapping[str, Any], kind: str) -> Iterator[str]:
 
 
 def _assigned(location: tuple[str, ...], node: Mapping[str, Any], form: str) -> str:
-    """Return the line that gives a key its form: of a table of tables, header and keys."""
+    """Return the line that adds a key; for a table of tables, its header and its keys."""
     if len(location) == 1 and node.get("type") == "object":
         pattern, entry = next(iter(node.get("patternProperties", {}).items()), ("", {}))
         required = plain_node(entry).get("required")
@@ -149,7 +149,7 @@ def _assigned(location: tuple[str, ...], node: Mapping[str, Any], form: str) -> 
 
 
 def _unit(units: Sequence[str], kind: str) -> str:
-    """Return the unit that fits what the part is; the first where that decides nothing."""
+    """Return the unit that suits the kind of a part, or the first one for any kind."""
     turning = [unit for unit in units if "rad" in unit or "N*m" in unit or "kg*m" in unit]
     if kind == "rotary" and turning:
         return turning[0]

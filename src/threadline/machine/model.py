@@ -43,41 +43,49 @@ NUMBERED = (
     "tick_budget", "clocks", "bodies", "links", "drives", "sensors", "controllers", "axes",
     "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "tool", "operator",
 )  # fmt: skip
-"""Fields that hold the numbers of the machine itself."""
+"""Fields of ``Machine`` whose numbers may have tolerances."""
 CommandedBy = Literal["ticks", "switches", "steps"]
 """The kinds of commands that a machine may take."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Machine:
-    """A machine, as its TOML file says; every number in SI with tolerance and provenance.
+    """A machine as its TOML file describes it; every number in SI with tolerance and provenance.
 
     Parameters
     ----------
     name, title, sources
-        For people.
+        Name, one-line description and references, for people.
     tick_budget
-        No job may need more ticks than this.
+        Largest number of ticks that a job may take.
     clocks, bodies, links, drives, sensors, controllers, axes, inputs
-        The network and what runs on it, by name; the order of ``axes`` is that of all arrays.
+        Parts of the network and of its control, by name. All arrays over axes have the order of
+        ``axes``.
     cylinders, outputs, contacts, plc
-        Of an on/off machine: its pneumatic axes and what switches them. It may have no ``axes``.
+        Pneumatic axes of an on/off machine and the PLC that switches them. Such a machine may have
+        no ``axes``.
+    tool
+        Radius at which rotary axes act that have none of their own.
+    operator
+        Settings of the operator.
     programs
         How its controller reads part programs.
     planner
-        Of a firmware that plans the motion between blocks by itself.
+        The motion planner of a firmware that plans the motion between blocks by itself.
     shaft, tables
-        Of an embroidery machine: its main shaft, and what plays step tables between its stitches.
+        Main shaft of an embroidery machine, and the controller that plays step tables between its
+        stitches.
     design
-        What may be changed of it, for ``threadline design`` alone.
+        Numbers that ``threadline design`` may change.
     tolerances
         How its numbers vary within their ``+-``.
     sha256
-        Of the resolved content: base file and overlays included.
+        Hash of the content, base file and overlays included.
     file, reference
-        Where it was read from, and what to ask for to read it again.
+        Path of its file, and the name by which ``load_machine`` reads it again.
     parameters
-        The parameter file whose settings replaced those of the file; empty without one.
+        Path of the parameter file whose settings replaced those of the machine file; empty without
+        one.
     """
 
     name: str
@@ -242,22 +250,22 @@ class Machine:
 
     @property
     def place(self) -> Place | None:
-        """Its file, for an error; None for a machine that was not read from a file."""
+        """Place of its file, for an error; None for a machine that was not read from a file."""
         return Place(self.file) if self.file else None
 
     @property
     def commanded_by(self) -> CommandedBy:
-        """The kind of commands that it takes: the key of every table of kinds of work."""
+        """Kind of commands that it takes, by which ``threadline.kinds.KINDS`` lists its work."""
         if self.shaft is not None:
             return "steps"
         return "switches" if self.cylinders else "ticks"
 
     @property
     def moving(self) -> dict[str, str]:
-        """What moves, by name, and as what.
+        """Everything that moves, by name, each with its kind.
 
-        A ``linear`` or ``rotary`` axis with a loop, a ``stepper``, a ``pulse-servo``, a
-        ``cylinder``; a ``stepped`` axis plays tables between the stitches.
+        A kind is ``linear`` or ``rotary`` (an axis with a loop), ``stepper``, ``pulse-servo``,
+        ``cylinder``, or ``stepped`` (an axis that plays tables between stitches).
         """
         if self.tables is not None:
             return dict.fromkeys(self.axes, "stepped")
@@ -269,17 +277,17 @@ class Machine:
 
     @property
     def rotary(self) -> frozenset[str]:
-        """Names of the axes that turn; whatever else moves goes along a line."""
+        """Names of the rotary axes; all other axes and all cylinders are linear."""
         return frozenset(name for name, axis in self.axes.items() if axis.kind == "rotary")
 
     @property
     def motors(self) -> dict[str, DcMotor]:
-        """Drives that a loop commands, by name."""
+        """Drives that a controller commands in volts, by name."""
         return {name: d for name, d in self.drives.items() if isinstance(d, DcMotor)}
 
     @property
     def position_sources(self) -> dict[str, Source]:
-        """Drives that are told positions, by name."""
+        """Drives that are given positions (steppers and pulse servos), by name."""
         return {name: d for name, d in self.drives.items() if not isinstance(d, DcMotor)}
 
     @property
@@ -296,7 +304,7 @@ class Machine:
         return self.motors[self.controller_of(axis).drive]
 
     def source_of(self, axis: str) -> Source | None:
-        """Return the drive of an axis that is told positions; None for one with a loop."""
+        """Return the stepper or pulse servo of an axis; None for an axis with a loop."""
         return self.position_sources.get(self.axes[axis].drive)
 
     def clock(self, name: str) -> Clock:

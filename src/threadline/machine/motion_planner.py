@@ -1,4 +1,4 @@
-"""The motion planner inside a firmware: what it makes of the blocks of a program by itself."""
+"""Settings of the motion planners in firmwares, which plan the motion between blocks themselves."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class GrblPlanner:
-    """Grbl's and FluidNC's: trapezoids, and corners by their junction deviation.
+    """The planner of grbl and FluidNC: trapezoids of speed, and corners by junction deviation.
 
-    ``blocks`` is the size of the ring in which blocks wait, 16 when left out; one of them is
-    always empty.
+    ``blocks`` is the size of the ring buffer of blocks, 16 when left out; one block of it is always
+    empty.
     """
 
     kind: Literal["grbl"]
@@ -34,16 +34,17 @@ class GrblPlanner:
 
     @property
     def look_ahead(self) -> int:
-        """How many blocks are planned together, the one under way included."""
+        """Number of blocks that are planned together, the one under way included."""
         return (_RING if self.blocks is None else round(self.blocks.si)) - 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MarlinPlanner:
-    """Marlin's: trapezoids, and corners by junction deviation or by jumps of speed ("jerk").
+    """Marlin's planner: trapezoids of speed, and corners by junction deviation or speed jumps.
 
-    ``jump`` is the step that the speed of an axis may make at a corner (``M205 X Y Z``), for axes
-    by letter; ``acceleration`` that of every move (``M204 T``), where it is less than the axes'.
+    ``jump`` is the jump of speed that Marlin calls jerk, which an axis may make at a corner
+    (``M205 X Y Z``), by the axis' letter. ``acceleration`` limits every move (``M204 T``) where it
+    is less than the limits of the axes.
     """
 
     kind: Literal["marlin"]
@@ -63,16 +64,16 @@ class MarlinPlanner:
 
     @property
     def look_ahead(self) -> int:
-        """How many blocks are planned together; the one under way keeps the end that it has."""
+        """Number of blocks that are planned together, without the one under way."""
         return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class KlipperPlanner:
-    """Klipper's: trapezoids with a least cruise, corners by their square corner velocity.
+    """Klipper's planner: trapezoids with a least cruise, and corners by square corner velocity.
 
-    ``velocity`` and ``acceleration`` are ``max_velocity`` and ``max_accel`` of ``[printer]``;
-    ``minimum_cruise_ratio`` is 50 % when left out, as there.
+    ``velocity`` and ``acceleration`` are ``max_velocity`` and ``max_accel`` of Klipper's
+    ``[printer]``; ``minimum_cruise_ratio`` is 50 % when left out, as in Klipper.
     """
 
     kind: Literal["klipper"]
@@ -91,7 +92,7 @@ class KlipperPlanner:
 
     @property
     def cruise_ratio(self) -> float:
-        """The least share of a move that is at constant speed."""
+        """Least share of a move's length at constant speed."""
         return _CRUISE_RATIO if self.minimum_cruise_ratio is None else self.minimum_cruise_ratio.si
 
 

@@ -35,7 +35,7 @@ def number_at(machine: Machine, path: str) -> Quantity:
 
 
 def is_whole(machine: Machine, path: str) -> bool:
-    """Say whether a number of ``machine`` must be a whole one, such as the bits of a converter."""
+    """Return whether a number must be a whole one, such as the bits of a converter."""
     node: Any = machine
     *above, last = path.split(".")
     for key in above:
@@ -47,10 +47,10 @@ def is_whole(machine: Machine, path: str) -> bool:
 
 
 def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
-    """Return ``machine`` with other numbers (SI) and a hash that tells them apart.
+    """Return ``machine`` with other numbers (in SI, by their dotted names) and a hash of its own.
 
-    Tolerances stay the same share of the value; a time is an exact fraction of a second, too,
-    within 1e-18 s of what is given.
+    Tolerances stay the same share of the value. A time is converted to an exact fraction of a
+    second, within 1e-18 s.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
 
 
 def exact_time_s(seconds: float) -> Fraction:
-    """Return a time as a fraction whose parts are small enough for an exact common step."""
+    """Return a time in s as a fraction with a denominator of at most 1e9."""
     return Fraction(float(seconds)).limit_denominator(_PER_SECOND)
 
 

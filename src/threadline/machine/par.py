@@ -44,14 +44,14 @@ class Parameter:
 
 
 def read_parameters(path: str | Path, machine: Machine) -> Machine:
-    """Return ``machine`` with what FW-CNC.PAR says of it.
+    """Return ``machine`` with the operator's settings, axes and gains of a parameter file.
 
     Parameters
     ----------
     path
-        The file.
+        The parameter file.
     machine
-        What the file says nothing about. Fewer axes than it has keep the first ones.
+        Machine that has all other numbers. If the file gives fewer axes, the first ones are kept.
 
     Raises
     ------

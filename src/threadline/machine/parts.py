@@ -1,8 +1,8 @@
 """The parts of a machine: bodies and links between them, drives, sensors, axes, switches.
 
-Every part is data from the machine file. A machine is a network: each body has one coordinate,
-each link a stretch that is a weighted sum of coordinates, so that a belt between a motor, a head
-and a frame, a rack to the ground and a gear are the same thing with other numbers.
+Every part is data from the machine file. A machine is a network: each body has one coordinate, and
+each link a stretch that is a weighted sum of coordinates. A belt between a motor, a head and a
+frame, a rack on the ground and a gear are links that differ in their weights.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
 
 
 Rounding = Literal["nearest", "floor", "truncate"]
-"""To the nearest whole number, down, or towards zero."""
+"""Direction of rounding: to the nearest whole number, down, or towards zero."""
 Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(_weighing)]
-"""Weights of coordinates, in a stretch or in the way of a force; at least one is not 0."""
+"""Weights of coordinates in a stretch, a load or the direction of a force; one is not 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Body:
-    """A mass with one coordinate (m or rad), counted from where the machine starts.
+    """A mass with one coordinate (m or rad), counted from the start position of the machine.
 
-    ``friction`` opposes sliding with a constant force; ``stiction`` is the force to break loose.
+    ``friction`` opposes sliding with a constant force; ``stiction`` is the force at breakaway.
     """
 
     kind: Literal["linear", "rotary"]
@@ -71,10 +71,11 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Eccentric:
-    """A gear off its shaft's centre: the play is ``play + width cos(angle)``.
+    """An eccentric gear, which makes the play of a link ``play + width cos(angle)``.
 
-    ``angle`` weighs coordinates into the gear's angle in rad, ``phase`` is that angle where the
-    machine starts; ``width`` is the amplitude by which the full width varies.
+    ``angle`` gives the gear's angle in rad as a weighted sum of coordinates, and ``phase`` that
+    angle at the start of the machine; ``width`` is the amplitude by which the full width of the
+    play varies.
     """
 
     angle: dict[str, Annotated[Quantity, Units(("", "rad/m"))]] = Field(min_length=1)
@@ -86,10 +87,10 @@ class Eccentric:
 class Link:
     """A spring and damper whose stretch is ``sum(coefficient * coordinate)``.
 
-    With ``preload`` the link is a belt: each of its two runs carries its share of the stiffness
-    and falls slack once its tension is gone; ``first_run`` is the share of the run that a positive
-    stretch tightens, a half when left out. ``play`` is the full width of a dead band, and
-    ``eccentric`` lets it vary with the angle of a gear.
+    With ``preload`` the link is a belt of two runs: each has its share of the stiffness and is
+    slack while it has no tension. ``first_run`` is the share of the run that a positive stretch
+    tightens, a half when left out. ``play`` is the full width of a dead band, which ``eccentric``
+    makes vary with the angle of a gear.
     """
 
     stretch: Weights
@@ -126,11 +127,12 @@ class Link:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Amplifier:
-    """Turns the controller's volts into motor volts (mode voltage) or amperes (mode current).
+    """Turns the controller's voltage into a voltage (mode voltage) or current (mode current).
 
-    ``limits`` says what the current limit holds of a motor with inductance: the current itself
-    (``state``), or what is taken from an integrator that runs on beyond it (``output``).
-    ``reserve`` is the share of volts and current that a plan leaves to the loop.
+    ``limits`` says how the current of a motor with inductance is limited: as a state that stays at
+    the limit (``state``), or at the output of an integrator that goes on beyond it (``output``, as
+    in simulations with a saturation block). ``reserve`` is the share of voltage and current limits
+    that a plan leaves to the loop.
     """
 
     mode: Literal["voltage", "current"]
@@ -167,9 +169,9 @@ class DcMotor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Encoder:
-    """Counts whole steps of ``sum(resolution * coordinate)``.
+    """An encoder that reads ``sum(resolution * coordinate)`` in whole counts.
 
-    ``rounding`` says which whole count a position in between is read as.
+    ``rounding`` gives the reading at a position between two counts.
     """
 
     kind: Literal["encoder"]
@@ -179,7 +181,7 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Potentiometer:
-    """A voltage proportional to ``sum(sensitivity * coordinate)``; observes, closes no loop."""
+    """A sensor whose voltage is ``sum(sensitivity * coordinate)``; no loop uses it."""
 
     kind: Literal["potentiometer"]
     reads: dict[str, Sensitivity] = Field(min_length=1)
@@ -190,14 +192,14 @@ Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Axis:
-    """What the job moves: scale, travel and hard limits.
+    """An axis that jobs move: its scale, travel and hard limits.
 
-    ``controller`` names the loop that moves it, or ``drive`` a drive that is told positions.
-    ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum
-    of coordinates; without it the axis' own sensor, free of its rounding, is the load.
-    ``endless`` axes have no travel. ``radius`` is where a rotary axis acts on the work, that of the
-    tool when left out. ``working_velocity`` is the speed of the axis' daily work, for which
-    warnings are given.
+    ``controller`` names the controller that moves it, or ``drive`` a stepper or pulse servo.
+    ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum of
+    coordinates; without it, the load is what the sensor or the drive of the axis counts, not
+    rounded. ``frame`` gives the position of the frame in the same way. ``endless`` axes have no
+    travel. ``radius`` is the distance at which a rotary axis acts on the work, that of the tool
+    when left out. ``working_velocity`` is the speed of daily work, for which warnings are computed.
     """
 
     kind: Literal["linear", "rotary"]
@@ -257,17 +259,17 @@ class LimitSwitch:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Tool:
-    """Where the axes act: the radius that turns an angle of a rotary axis into a length."""
+    """The tool: ``radius`` is the distance at which rotary axes act."""
 
     radius: Annotated[Quantity, Units(("m",), positive=True)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Operator:
-    """The operator's settings (the parameter file of the 1994 controller).
+    """The operator's settings, as in the parameter file of the 1994 controller.
 
-    What that controller alone acts on may be left out: ``manual_feed``, ``limit_feed`` and
-    ``knots_between``.
+    ``manual_feed``, ``limit_feed`` and ``knots_between`` act in that controller alone and may be
+    left out.
     """
 
     normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]

@@ -1,8 +1,8 @@
 """Parts of an on/off machine: cylinders, the valves that set their speed, contacts and the PLC.
 
-A flow control behind an open valve lets the exhaust out at a set rate, so that the valves that
-are open set the *speed* of the piston, not its force: ``speed`` times the sum of the flows.
-Flows of one direction work in parallel and add; every subset of them is a level.
+A flow control behind an open valve lets the exhaust out at a set rate. The open valves therefore
+set the *speed* of the piston and not its force: it is ``speed`` times the sum of their flows, since
+flow controls of one direction work in parallel. Every subset of them gives a level.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threadline.machine.quantity import Quantity, Units
 
 Length = Annotated[Quantity, Units(("m",), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
-"""A delay, lag or ramp of compressed air: even one second is long for it."""
+"""A delay or lag of compressed air, of at most 100 s; one second is long."""
 InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
@@ -54,9 +54,9 @@ class Contact:
     """A digital input of the PLC.
 
     ``light-grid`` and ``enable`` are true while the machine may move; ``start`` asks for a cycle,
-    ``home`` for the way home, ``acknowledge`` clears a fault;
-    ``contact`` is an end switch that closes once ``cylinder`` is at ``at`` or beyond it, or
-    something that the machine does not move.
+    ``home`` for the return to the home position, and ``acknowledge`` clears a fault. A ``contact``
+    with a ``cylinder`` is an end switch that closes once the cylinder is at ``at`` or beyond it;
+    without one it is an input from outside the machine.
     """
 
     kind: Literal["light-grid", "enable", "start", "acknowledge", "home", "contact"]
@@ -77,13 +77,13 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Way:
-    """One sense of a cylinder: the valve that gives it, and its flow controls."""
+    """One direction of a cylinder: the valve that selects it, and its flow controls."""
 
     valve: str
     flows: dict[str, Fraction] = Field(min_length=1)
 
     def levels(self) -> dict[tuple[str, ...], float]:
-        """Return every set of flow controls with its level, the closed one included."""
+        """Return every set of open flow controls with its level, the empty set included."""
         names = list(self.flows)
         return {
             chosen: sum(self.flows[n].si for n in chosen)
@@ -93,7 +93,7 @@ class Way:
 
     @property
     def level_tolerance(self) -> float:
-        """How exactly the flow controls are set."""
+        """Tolerance of the level with all flow controls open."""
         return sum(flow.tolerance_si for flow in self.flows.values())
 
 
@@ -101,8 +101,8 @@ class Way:
 class Cushion:
     """End cushioning: over the last ``length`` of the stroke the exhaust is throttled to ``flow``.
 
-    A piston whose exhaust is metered follows its flow whatever dampers it meets; the cushion slows
-    it by letting out less.
+    A piston whose exhaust is metered moves at the speed of the flow whatever force opposes it, so a
+    cushion slows it by reducing the flow.
     """
 
     length: Length
@@ -111,14 +111,15 @@ class Cushion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cylinder:
-    """A pneumatic axis: a flow that sets its speed, behind a lag, through the spring of the air.
+    """A pneumatic axis: valves set the speed of a flow, which moves the piston through the air.
 
-    The piston pushes the body ``pushes`` and its reaction acts on ``reacts_on``. ``delay`` passes
-    between a valve's command and the first air; ``lag`` is the time constant with which the speed
-    follows. The air is a spring with a damper between the flow and the piston; ``air_ramp`` is
-    the distance over which the damping builds up after each standstill. ``friction`` acts in the
-    cylinder. ``frame`` is where vibration is felt. ``needs`` is its interlock: end switches of
-    other cylinders that are on whenever it moves.
+    The piston pushes the body ``pushes``, and its reaction acts on ``reacts_on``. ``delay`` is the
+    time from a valve's command to the first flow, and ``lag`` the time constant of the flow's
+    speed. The air is a spring with a damper between flow and piston; ``air_ramp`` is the distance
+    over which its damping builds up after each standstill. ``friction`` and ``stiction`` act
+    between piston and housing. ``frame`` gives the position whose vibration is judged, as a
+    weighted sum of coordinates. ``needs`` is its interlock: end switches of other cylinders that
+    have to be on whenever it moves.
     """
 
     pushes: str
@@ -147,7 +148,7 @@ class Cylinder:
         return self
 
     def way(self, forward: bool) -> Way:
-        """Return the valves of one sense."""
+        """Return the valve and flow controls of one direction."""
         return self.forward if forward else self.back
 
 
@@ -155,8 +156,9 @@ class Cylinder:
 class Plc:
     """The controller of an on/off machine.
 
-    ``dwell`` is the shortest time between two switchings of one valve; a scan that takes longer
-    than ``watchdog`` is a fault; with ``never_over`` no command may exceed the unshaped level.
+    ``dwell`` is the shortest time between two switchings of one valve. A scan that takes longer
+    than ``watchdog`` is a fault. With ``never_over``, shaped commands may not exceed the unshaped
+    level.
     """
 
     clock: str

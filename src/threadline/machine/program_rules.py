@@ -13,17 +13,17 @@ FeedRule = Literal[
     "fastest-axis", "base-axes", "path", "cadfil", "linuxcnc", "rs274", "grbl", "fluidnc",
     "marlin", "fanuc",
 ]  # fmt: skip
-"""Whose rule says what F means; ``threadline.jobs.gcode.f_words`` has them."""
+"""Rules for the meaning of an F word; ``threadline.jobs.gcode.f_words`` defines each."""
 DialectName = Literal["winder", "linuxcnc", "grbl", "fluidnc", "marlin", "fanuc", "x-winder"]
-"""What words mean to a controller; ``threadline.jobs.gcode.dialects`` has them."""
+"""Dialects of part programs; ``threadline.jobs.gcode.dialects`` defines each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Programs:
     """How the controller of the machine reads part programs.
 
-    ``feed_mode`` says by whose rule F is a speed, that of the dialect when left out; ``base_axes``
-    go with ``base-axes`` and with nothing else.
+    ``feed_mode`` is the rule for the meaning of F, that of the dialect when left out. ``base_axes``
+    are the axes whose speed F is under the rule ``base-axes``, and are given with no other.
     """
 
     dialect: DialectName = "winder"

@@ -26,7 +26,7 @@ from threadline.units import (
 )
 
 LEAST_SI, MOST_SI = 1e-15, 1e15
-"""The smallest and the largest size of a machine's number that is not 0."""
+"""The smallest and the largest magnitude of a machine's number that is not 0."""
 _MOST_PARTS = 10**18
 _SHOWN = 120
 _FORM = re.compile(
@@ -52,20 +52,20 @@ _WORDS = f"{', '.join(list(Provenance)[:-1])} or {list(Provenance)[-1]}"
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number of the machine, SI.
+    """A number of the machine, in SI.
 
     Parameters
     ----------
     si
-        The value in ``unit``.
+        Value in ``unit``.
     unit
-        SI unit.
+        SI unit; empty for a number without unit.
     tolerance_si
         Half the width of the interval in which the true value lies, in ``unit``.
     provenance, note
-        How it is known, and where it stands.
+        How the number is known, and its source.
     exact_s
-        For a time: the exact fraction of a second.
+        A time as an exact fraction of a second; None for every other number.
     """
 
     si: float
@@ -115,12 +115,12 @@ def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
 
 
 def _check_size(text: str, quantity: Quantity) -> None:
-    """Refuse what no machine has: its square or its ratio to another would be no number.
+    """Refuse numbers so large or small that squares and ratios of them would overflow.
 
     Raises
     ------
     ValueError
-        If it is of such a size, or a time of too many digits to count in.
+        If the number is such a one, or a time with too many digits.
     """
     size, wide = abs(quantity.si), quantity.tolerance_si
     if size > MOST_SI or wide > MOST_SI or 0.0 < size < LEAST_SI:
@@ -137,7 +137,7 @@ def _check_size(text: str, quantity: Quantity) -> None:
 
 
 def _faulty(text: str) -> UnitError:
-    """Return the error of a text that is no number of a machine: what it lacks, and how it goes."""
+    """Return the error of a text that is no number of a machine, with the parts that it lacks."""
     refuse_decimal_comma(text)
     head, _, tail = text.partition(",")
     tolerance = _TOLERANCE.search(head)
@@ -170,8 +170,8 @@ def _matching_unit(written: str, units: tuple[str, ...]) -> str:
 class Units:
     """Marks a field of the machine model with the SI units and the values that it may have.
 
-    A ``positive`` number must be above 0 at both ends of its tolerance. A ``certain`` one must be,
-    too, unless its value is exactly 0.
+    A ``positive`` number must be above 0 at both ends of its tolerance. A ``certain`` one, unless
+    its value is exactly 0, must be above 0 at both ends, too. ``most`` is the largest value.
     """
 
     units: tuple[str, ...]
@@ -192,7 +192,7 @@ class Units:
     def __get_pydantic_json_schema__(
         self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Say in the schema which units there are."""
+        """Add the units to the JSON schema, as ``x-units``."""
         return {"type": "string", "x-units": list(self.units)}
 
     def _read(self, value: Any) -> Quantity:

@@ -10,14 +10,14 @@ from threadline.machine.quantity import parse_machine_quantity
 
 
 def with_radii(machine: Machine, text: str | None) -> Machine:
-    """Return ``machine`` whose rotary axes act where ``text`` says, ``"A=40 mm, B=2 mm"``.
+    """Return ``machine`` with radii of its rotary axes, given like ``"A=40 mm, B=2 mm"``.
 
-    None is the machine as it is.
+    With None the machine is returned as it is.
 
     Raises
     ------
     OptionError
-        If the text cannot be read, or names an axis that does not turn.
+        If the text cannot be read, or names an axis that is not rotary.
     """
     if text is None:
         return machine

@@ -16,7 +16,7 @@ ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
 
 @cache
 def schema() -> dict[str, Any]:
-    """Return the schema of a machine file; kept, for making it takes longer than reading one."""
+    """Return the JSON schema of a machine file; it is cached, since making it takes long."""
     return ADAPTER.json_schema(mode="validation")
 
 
@@ -26,7 +26,7 @@ def field_node(location: tuple[str, ...]) -> dict[str, Any]:
     Parameters
     ----------
     location
-        As pydantic gives it: with the kind of a controller or sensor behind its name.
+        Location in pydantic's form, with the kind of a controller or sensor after its name.
     """
     node: Any = schema()
     for part in location:
@@ -41,14 +41,14 @@ def field_node(location: tuple[str, ...]) -> dict[str, Any]:
 
 
 def field_names(location: tuple[str, ...]) -> list[str]:
-    """Return the keys allowed at ``location``, which is as for ``field_node``."""
+    """Return the keys allowed at ``location``, given as for ``field_node``."""
     return list(field_node(location).get("properties", {}))
 
 
 def kinds_with(location: tuple[str, ...]) -> list[str]:
-    """Return the kinds that have the last key of ``location``, which the kind before it lacks.
+    """Return the kinds of a part that have the last key of ``location``, which its own kind lacks.
 
-    Empty for a part of which there are no kinds.
+    There are none for a part without kinds.
     """
     among, key = location[:-2], location[-1]
     kinds = field_node(among).get("discriminator", {}).get("mapping", {})
@@ -56,7 +56,7 @@ def kinds_with(location: tuple[str, ...]) -> list[str]:
 
 
 def plain_node(node: Any) -> dict[str, Any]:
-    """Return what a node of the schema refers to; of a key that may be left out, its value."""
+    """Return a node of the schema with references resolved, and of an optional key the value."""
     definitions = schema().get("$defs", {})
     while isinstance(node, dict):
         if "$ref" in node:
@@ -69,7 +69,7 @@ def plain_node(node: Any) -> dict[str, Any]:
 
 
 def in_file(location: tuple[str, ...]) -> tuple[str, ...]:
-    """Return ``location`` as the file has it: without the kind of a controller or sensor."""
+    """Return ``location`` as in the file, without the kind of a controller, drive or sensor."""
     tagged = len(location) > 2 and location[0] in {"controllers", "drives", "sensors"}
     return location[:2] + location[3:] if tagged else location
 
@@ -80,8 +80,8 @@ def line_of(text: str, location: tuple[str, ...], overlays: Sequence[str] = ()) 
     Parameters
     ----------
     overlays
-        Those of the file that are in force: where one holds as much of ``location`` as the file
-        itself, it is what counts, and the last of them.
+        Overlays of the file that were applied. The last one that holds at least as much of
+        ``location`` as the file itself gives the line.
     """
     best, best_depth = _deepest(text, location)
     for overlay in overlays:
@@ -107,7 +107,7 @@ def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
             continue
         depth = len(path) if path == location[: len(path)] else 0
         if header and depth == 0 and location == table[: len(location)]:
-            depth = len(location)  # a table that its header opens together with those around it
+            depth = len(location)  # a header such as [a.b.c] opens the tables a and a.b, too
         if depth > best_depth:
             best, best_depth = number, depth
     return best, best_depth

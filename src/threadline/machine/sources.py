@@ -1,8 +1,8 @@
-"""Drives that are told positions: steppers and pulse-controlled servos.
+"""Drives that are given positions: steppers and pulse-controlled servos.
 
-Such a drive makes its body a prescribed coordinate: where the body is, is what was commanded and
-not what pulls at it. What pulls at it asks for torque; where that is more than the drive has, a
-stepper loses steps, and a servo faults.
+Such a drive makes the coordinate of its body a prescribed one: it follows the commands whatever
+force opposes it. The force determines the torque that the drive needs. Where that is more than the
+drive has, a stepper loses steps and a servo stops with a fault.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Speed = Annotated[Quantity, Units(("rad/s", "m/s"), not_negative=True)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class CurvePoint:
-    """A point of a data sheet's curve: the most torque (force) at a speed."""
+    """A point of a data sheet's curve: the largest torque (force) at a speed."""
 
     speed: Speed
     torque: Torque
@@ -32,10 +32,11 @@ class CurvePoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Winding:
-    """What a stepper's pull-out torque follows from when no curve is given.
+    """The winding of a stepper, from which its pull-out torque follows.
 
-    ``current`` is the amplitude of the sine in a phase, ``holding_torque`` what it holds with it;
-    ``resistance`` and ``inductance`` are of a phase, ``supply`` the voltage of its driver.
+    ``current`` is the amplitude of the sine in a phase, and ``holding_torque`` the torque at that
+    current; ``resistance`` and ``inductance`` are those of a phase, and ``supply`` is the voltage
+    of the driver.
     """
 
     holding_torque: Torque
@@ -47,12 +48,12 @@ class Winding:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Stepper:
-    """A stepping motor that turns ``body`` by its steps; the body's inertia includes its rotor's.
+    """A stepping motor that moves ``body`` in steps; the body's inertia includes its rotor's.
 
-    ``full_steps`` counts full steps per rad (m) of the body, each in ``microsteps``. The most that
-    it pulls at a speed is a ``curve`` of a data sheet or follows from its ``winding``.
-    ``microstep_error`` is the largest distance at which it stands from a microstep; ``detent`` is
-    the torque that the motor holds without current.
+    ``full_steps`` is the number of full steps per rad (m) of the body, each divided into
+    ``microsteps``. The largest torque at a speed is a ``curve`` of a data sheet, or follows from
+    the ``winding``. ``microstep_error`` is the largest distance of the motor, at rest, from its
+    microstep; ``detent`` is the torque that the motor holds without current.
     """
 
     kind: Literal["stepper"]
@@ -81,9 +82,9 @@ class Stepper:
         return self.full_steps.si * self.microsteps.si
 
     def most_torque(self, speed_si: FloatArray) -> FloatArray:
-        """Return the (k,) torque, N m (N), that it has at speeds of any sign, rad/s (m/s).
+        """Return the (k,) largest torques in N m (N) at speeds of any sign in rad/s (m/s).
 
-        Beyond the end of a curve there is none.
+        Beyond the end of a curve the torque is 0.
         """
         speed = np.abs(np.asarray(speed_si, dtype=np.float64))
         if self.curve:
@@ -95,16 +96,17 @@ class Stepper:
 
     @property
     def stiffness(self) -> float:
-        """N m/rad (N/m) about its step: the slope of a sine of which a step is a quarter."""
+        """Stiffness about a step in N m/rad (N/m): the slope of a sine with four steps a period."""
         held = self.curve[0].torque if self.winding is None else self.winding.holding_torque
         return float(held.si * self.full_steps.si * np.pi / 2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class PulseServo:
-    """A servo with a loop of its own that follows pulses with a bandwidth, up to a torque.
+    """A servo with a loop of its own, which follows pulses with a bandwidth up to a torque limit.
 
-    Its shaft follows the command as a critically damped second-order lag, whatever pulls at it.
+    Its shaft follows the command as a critically damped second-order lag, whatever force opposes
+    it.
     """
 
     kind: Literal["pulse-servo"]
@@ -120,7 +122,7 @@ class PulseServo:
         return self.resolution.si
 
     def most_torque(self, speed_si: FloatArray) -> FloatArray:
-        """Return the (k,) torque, N m (N), that it has: the same at every speed."""
+        """Return the (k,) largest torques in N m (N), which are the same at every speed."""
         return np.full(np.shape(speed_si), self.torque_limit.si)
 
 
@@ -128,19 +130,23 @@ Source = Stepper | PulseServo
 
 
 def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> FloatArray:
-    """Return the most torque of a two-phase stepper at (k,) speeds >= 0, in N m.
+    """Return the (k,) pull-out torques in N m of a two-phase stepper.
 
-    In the frame that turns with the rotor, with the electrical speed ``w_e = p w``, ``p`` a quarter
-    of the full steps per turn, the current i and the voltage v are complex amplitudes:
-    ``v = (R + j w_e L) i + j k w``, the torque is ``k Im i``. The driver gives |v| <= V and
-    |i| <= I, so that i lies in two discs; wanted is the highest point of what they share
-    (Kenjo and Sugawara, *Stepping Motors and their Microprocessor Controls*, chapter 4; the
-    equations are those of any synchronous machine).
+    In the frame that turns with the rotor, current i and voltage v are complex amplitudes with
+    ``v = (R + j w_e L) i + j k w`` and the torque ``k Im i``. The electrical speed is
+    ``w_e = p w``, with p a quarter of the full steps in a turn. The driver gives |v| <= V and
+    |i| <= I, so i lies in two discs, and the largest torque is at the highest point of their
+    intersection (Kenjo and Sugawara, *Stepping Motors and their Microprocessor Controls*, chapter
+    4; the equations are those of any synchronous machine).
 
     Parameters
     ----------
+    winding
+        The winding.
     full_steps
-        Per rad.
+        Full steps per rad.
+    speed
+        (k,) speeds in rad/s, not negative.
     """
     most, volts = winding.current.si, winding.supply.si
     k = winding.holding_torque.si / most
@@ -154,7 +160,7 @@ def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> F
     top = centre + 1j * radius  # of the disc of voltages
     found = np.where(np.abs(top) <= most, top.imag, -np.inf)
     found = np.where(np.abs(1j * most - centre) <= radius, most, found)
-    # Where neither top lies in the other disc it is the higher crossing of the two circles.
+    # Where neither top lies in the other disc, the highest point is a crossing of the two circles.
     apart = np.abs(centre)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (most**2 - radius**2 + apart**2) / (2.0 * apart)

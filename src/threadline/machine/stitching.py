@@ -1,7 +1,7 @@
 """Parts of a machine that moves a frame between strokes of its needles: main shaft and tables.
 
-Each turn of the shaft has a window in which the frame moves, in steps that a controller plays from
-tables; then the needles enter the cloth and leave it.
+Each turn of the shaft has a window in which a controller moves the frame by tables of steps. After
+the window the needles enter the cloth and leave it again.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _FINEST = 360_000
 class Shaft:
     """The main shaft: one stitch in each turn.
 
-    Its angle counts from where the frame begins to move; it may move until ``window``. The needle
-    is in the cloth from ``needle_enters`` to ``needle_leaves``. ``turn`` is the time of a turn at
-    the highest speed, ``slowest_turn`` at the lowest. Without an ``acceleration`` the shaft cannot
-    change its speed while it sews.
+    The angle of the shaft is 0 where the frame may begin to move, and ``window`` where it must rest
+    again. The needle is in the cloth from ``needle_enters`` to ``needle_leaves``. ``turn`` is the
+    time of a turn at the highest speed, ``slowest_turn`` that at the lowest. Without an
+    ``acceleration`` the shaft cannot change its speed while it sews.
     """
 
     turn: PositiveTime
@@ -71,9 +71,9 @@ class Shaft:
 class Tables:
     """The controller's tables of step intervals, one for each length from ``unit`` to ``longest``.
 
-    Their intervals are whole periods of ``clock``. Before each move it loads a table for every
-    axis that moves, each in ``fetch``, and it gives no more than ``step_rate`` steps in a second.
-    ``law`` names the motion law that tables are cut from unless told otherwise.
+    Intervals are whole periods of ``clock``. Before each move the controller loads a table for
+    every axis that moves, which takes ``fetch`` each, and its largest rate of steps is
+    ``step_rate``. ``law`` names the default motion law of the tables.
     """
 
     clock: str

@@ -1,7 +1,7 @@
-"""What the tolerances of a machine file mean: the ``[tolerances]`` table, and the numbers it names.
+"""The ``[tolerances]`` table of a machine file, and the numbers that it names.
 
-``+-`` is the half width of the interval that holds the value. Unless the table says otherwise every
-number lies anywhere in its interval alike, and on its own.
+``+-`` is the half width of the interval that holds a number. Unless this table says otherwise,
+numbers are distributed uniformly over their intervals and independent of each other.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ NumberPattern = Annotated[
 class Tolerances:
     """How the numbers of a machine vary within their ``+-``.
 
-    A number is named as its place in the file, ``"links.x_belt.stiffness"``; ``*`` stands for one
-    part of the name, or for all that are left at its end.
+    Numbers are named by their dotted names in the file, such as ``"links.x_belt.stiffness"``; ``*``
+    stands for any text in a name.
 
     Parameters
     ----------
     normal
         Numbers that are distributed normally: ``+-`` is two standard deviations.
     exclude
-        Numbers that stay as the file has them.
+        Numbers that do not vary.
     groups
-        Numbers that move together, by the same share of their tolerances.
+        Numbers that vary together, all at the same place in their tolerances.
     """
 
     normal: tuple[NumberPattern, ...] = ()
@@ -52,7 +52,7 @@ class Tolerances:
         return self
 
     def named(self) -> Iterator[tuple[str, str]]:
-        """Yield each pattern with the key of the table that it stands in."""
+        """Yield the key of each pattern in the file, and the pattern."""
         for key, patterns in (("normal", self.normal), ("exclude", self.exclude)):
             yield from ((f"tolerances.{key}", pattern) for pattern in patterns)
         for name, members in self.groups.items():
@@ -60,7 +60,7 @@ class Tolerances:
 
 
 def matches(path: str, patterns: tuple[str, ...]) -> bool:
-    """Say whether one of ``patterns`` names the number ``path``."""
+    """Return whether one of ``patterns`` names the number ``path``."""
     return any(fnmatchcase(path, pattern) for pattern in patterns)
 
 

@@ -1,9 +1,9 @@
 """Machines within the tolerances of a file: drawn at random, at the corners, one number at a time.
 
-A *part* is where in its tolerance a number lies: -1 its lower end, 0 what the file says, 1 its
-upper end. Every way of choosing variants gives (k, n) parts for the n numbers of
-``uncertain(machine)``; ``numbers_at`` turns them into the numbers of a batch, and ``variant`` into
-one machine with the very same numbers.
+A *part* is the place of a number in its tolerance: -1 at the lower end, 0 at the value of the file,
+1 at the upper end. Every way of choosing k variants gives (k, n) parts for the n numbers of
+``uncertain(machine)``. ``numbers_at`` turns parts into the numbers of a batch, and ``variant`` into
+one machine with the same numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from threadline.machine.quantity import Quantity
 from threadline.machine.tolerances import matches, quantities
 
 MOST_CORNERS = 12
-"""Numbers of which every corner is tried: 2 to this power of them."""
+"""Most numbers that may vary for ``corners``, which then are 2 to this power."""
 FARTHEST = 3.0
 """Standard deviations at which a normal distribution is cut off."""
 _PER_PART = 2.0
@@ -41,7 +41,7 @@ _PLANNED = (
     "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.jerk", "axes.*.travel.*",
     "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
 )  # fmt: skip
-"""Numbers that plans go by and motions do not: the same in every variant of a machine."""
+"""Numbers that plans depend on and motions do not: they are the same in every variant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +51,12 @@ class Uncertain:
     Parameters
     ----------
     name
-        Of the group, or of the number in the file.
+        Name of the group, or the dotted name of the number.
     numbers
-        Names in the file.
+        Dotted names of its numbers in the file.
     normal
-        Whether it is distributed normally, cut off at 3 standard deviations: 1.5 tolerances.
+        Whether it is distributed normally, cut off at 3 standard deviations, which are 1.5
+        tolerances. Otherwise its distribution is uniform.
     """
 
     name: str
@@ -64,14 +65,15 @@ class Uncertain:
 
 
 def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
-    """Return what varies of ``machine``, in the order of its file; a group where its first is.
+    """Return the n numbers and groups of ``machine`` that vary, in the order of its file.
 
-    Limits that a plan goes by (velocity, travel, the shortest dwell of a valve) are no part of it.
+    A group is in the place of its first number. Limits that only plans depend on (velocity, travel,
+    the shortest dwell of a valve) do not vary.
 
     Raises
     ------
     OptionError
-        With the name of a number that has a tolerance and that no variant can change.
+        If a number has a tolerance but no variant can change it.
     """
     rules = machine.tolerances
     found: dict[str, list[str]] = {}
@@ -90,18 +92,18 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
 
 
 def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
-    """Return (k, n) parts of the variants with these numbers in the sequence of a seed.
+    """Return (k, n) parts of the variants number ``index`` in the random sequence of a seed.
 
-    A variant depends on seed and index alone, so that any order, any share of a sequence and any
-    number of processes gives the same bits: Philox's counter-based generator, keyed by both
-    (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011).
+    A variant depends on seed and index alone, so every order, every section of the sequence and
+    every number of processes gives the same bits. The generator is the counter-based Philox, keyed
+    by both (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011).
 
     Parameters
     ----------
     seed
-        From 0 to 2**64 - 1.
+        Whole number from 0 to 2**64 - 1.
     index
-        (k,) from 0.
+        (k,) numbers of variants in the sequence, from 0.
 
     Raises
     ------
@@ -126,7 +128,7 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
 
 
 def corners(machine: Machine) -> FloatArray:
-    """Return (2**n, n) parts: every number at either end, the first number slowest.
+    """Return (2**n, n) parts: every combination of ends, the first number changing slowest.
 
     Raises
     ------
@@ -145,7 +147,7 @@ def corners(machine: Machine) -> FloatArray:
 
 
 def one_at_a_time(machine: Machine) -> FloatArray:
-    """Return (2 n, n) parts: each number at its lower end, then at its upper, alone."""
+    """Return (2 n, n) parts: each number alone at its lower and its upper end, others at 0."""
     count = len(uncertain(machine))
     parts = np.zeros((2 * count, count))
     parts[np.arange(0, 2 * count, 2), np.arange(count)] = -1.0
@@ -154,12 +156,17 @@ def one_at_a_time(machine: Machine) -> FloatArray:
 
 
 def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
-    """Return what a batch of variants replaces: names in the file to (k,) SI values.
+    """Return the numbers of a batch of variants, each as (k,) SI values by its name in the file.
 
     Parameters
     ----------
     parts
-        (k, n).
+        (k, n) places of the numbers in their tolerances.
+
+    Raises
+    ------
+    ValueError
+        If ``parts`` has another number of columns.
     """
     table = np.atleast_2d(np.asarray(parts, dtype=np.float64))
     numbers = uncertain(machine)
@@ -179,9 +186,9 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
 def variant(machine: Machine, parts: FloatArray) -> Machine:
     """Return the machine whose numbers lie at ``parts``, (n,), of their tolerances.
 
-    Its numbers are those of ``numbers_at``, to the bit, and its hash is its own. Commands are
-    counted in the file's counts per unit in every variant: where these vary, the same counts put
-    the load elsewhere.
+    Its numbers equal those of ``numbers_at`` to the bit, and its hash is its own. Commands are
+    counted in the file's counts per unit in every variant; where the counts per unit of an axis
+    vary, the same commands move its load to another position.
     """
     numbers = {name: float(values[0]) for name, values in numbers_at(machine, parts).items()}
     scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}
@@ -189,18 +196,17 @@ def variant(machine: Machine, parts: FloatArray) -> Machine:
     axes = dict(machine.axes)
     for name, counts in scales.items():
         axis = name.split(".")[1]
-        sensor = made.sensors[machine.controller_of(axis).sensor]
         unit = {"count/m": "m", "count/rad": "rad"}[machine.axes[axis].counts.unit]
         load = {
             body: replace(q, si=q.si / counts, unit=_per(unit, q.unit), tolerance_si=0.0)
-            for body, q in sensor.reads.items()
+            for body, q in _counted(made, axis).items()
         }
         axes[axis] = replace(machine.axes[axis], load=load)
     return replace(made, axes=axes)
 
 
 def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:
-    """Return the machine with some of its uncertain numbers, by name, at a part of each.
+    """Return the machine with some of its uncertain numbers, by name, at given parts.
 
     Raises
     ------
@@ -218,6 +224,18 @@ def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:
             )
         parts[names.index(name)] = part
     return variant(machine, parts)
+
+
+def _counted(machine: Machine, axis: str) -> Mapping[str, Quantity]:
+    """Return the bodies whose coordinates the counts of an axis are of, each with counts per unit.
+
+    They are those that its encoder reads, or the one that its stepper or pulse servo turns.
+    """
+    source = machine.source_of(axis)
+    if source is None:
+        return machine.sensors[machine.controller_of(axis).sensor].reads
+    unit = "count/rad" if machine.bodies[source.body].kind == "rotary" else "count/m"
+    return {source.body: replace(machine.axes[axis].counts, si=source.counts, unit=unit)}
 
 
 def _numbers(machine: Machine) -> list[tuple[str, Quantity]]:

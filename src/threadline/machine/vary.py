@@ -1,7 +1,8 @@
-"""The same machine on another day, or used more gently."""
+"""The same machine on another day, off its tolerances, or with lower limits."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from threadline.arrays import FloatArray
@@ -10,7 +11,7 @@ from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
 
 DAMPING_OF_DAYS = (0.7, 1.3)
-"""Between which the damping of a machine lies from day to day, of what its file says."""
+"""Least and largest damping of a machine from day to day, as a factor on its file's."""
 
 
 def vary(
@@ -23,11 +24,11 @@ def vary(
     friction
         Scales sliding friction and stiction of every body and every cylinder.
     supply
-        Scales the voltage and current that the amplifiers can give at most; their gain is set by
-        feedback and does not follow the supply; and the voltage of steppers' drivers. Of air it
-        scales the stiffness, which is in proportion to its pressure. The speed stays: an exhaust
-        flow control chokes below about half of the pressure before it, and then lets out the same
-        volume whatever that is.
+        Scales the voltage and current limits of amplifiers (not their gain, which is set by
+        feedback) and the supply voltage of steppers' drivers. In cylinders it scales the stiffness
+        of the air, which is proportional to the pressure. Their speed stays: the flow through an
+        exhaust flow control is choked below about half of the pressure before it, and the volume
+        that it then lets out does not depend on that pressure.
     damping
         Scales the viscous damping of every body and every link.
 
@@ -81,7 +82,9 @@ def vary(
 def varied_numbers(
     machine: Machine, friction: FloatArray, supply: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return what ``vary`` changes of a machine with loops, for many days: names to SI values.
+    """Return the numbers that ``vary`` changes in a machine with loops, for many days at once.
+
+    The result maps the name of each number to its (days,) values in SI.
 
     Parameters
     ----------
@@ -110,15 +113,13 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
     Parameters
     ----------
     mass, stiffness
-        In parts of the tolerance of each number: 1 is its upper end, -1 its lower one. Loads are
-        the bodies that carry the work of an axis, of a rigid axis those that its drive turns, of a
-        cylinder what it pushes; springs are the links that are not rigid and the air of cylinders.
+        Place of each number in its tolerance: 1 is the upper end, -1 the lower one. Loads are the
+        bodies in the load of an axis (of an axis without one, those that its drive turns) and the
+        bodies that cylinders push. Springs are the links and the air of cylinders.
     """
-    loads = {
-        body
-        for name, axis in machine.axes.items()
-        for body in axis.load or machine.drive_of(name).acts_on
-    } | {cylinder.pushes for cylinder in machine.cylinders.values()}
+    loads = {body for name in machine.axes for body in _carrying(machine, name)} | {
+        cylinder.pushes for cylinder in machine.cylinders.values()
+    }
     bodies = {
         name: replace(body, inertia=_off(body.inertia, mass)) if name in loads else body
         for name, body in machine.bodies.items()
@@ -135,10 +136,11 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
 
 
 def mode_off(machine: Machine, relative: float) -> Machine:
-    """Return ``machine`` with modes at (1 + ``relative``) times their frequency, and their damping.
+    """Return ``machine`` with its modes at (1 + ``relative``) times their frequencies.
 
-    Stiffness grows with the square of that factor and viscous damping with the factor itself,
-    of every link and every body, so that damping ratios stay; the air in cylinders stays.
+    Damping ratios stay.
+    The stiffness of every link is scaled by the square of that factor, and the viscous damping of
+    every link and body by the factor itself. The air in cylinders is left as it is.
 
     Raises
     ------
@@ -156,10 +158,10 @@ def mode_off(machine: Machine, relative: float) -> Machine:
 
 
 def derate(machine: Machine, share: float) -> Machine:
-    """Return ``machine`` with that share of its acceleration and jerk limits.
+    """Return ``machine`` with its acceleration and jerk limits multiplied by ``share``.
 
-    A loop that lags turns acceleration into error, so that the planner that uses less of what the
-    motors could give often does the job sooner within the same tolerance.
+    A loop that lags turns acceleration into error. A plan with lower accelerations can therefore
+    have a higher speed, and often less time, within the same tolerance.
 
     Raises
     ------
@@ -177,6 +179,14 @@ def derate(machine: Machine, share: float) -> Machine:
         for name, axis in machine.axes.items()
     }
     return replace(machine, axes=axes)
+
+
+def _carrying(machine: Machine, axis: str) -> Iterable[str]:
+    """Return the bodies that carry the work of an axis: its load, or what its drive turns."""
+    load, source = machine.axes[axis].load, machine.source_of(axis)
+    if load is not None:
+        return load
+    return machine.drive_of(axis).acts_on if source is None else (source.body,)
 
 
 def _off(quantity: Quantity, parts: float) -> Quantity:

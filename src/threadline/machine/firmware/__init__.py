@@ -1,4 +1,4 @@
-"""Settings of firmwares (grbl, FluidNC, Marlin, Klipper) -> a machine file."""
+"""Machine files from the settings of firmwares (grbl, FluidNC, Marlin, Klipper)."""
 
 from threadline.machine.firmware.axis_settings import AxisSettings, Settings
 from threadline.machine.firmware.machine_text import machine_text

@@ -1,4 +1,4 @@
-"""What the settings of a firmware say of its axes, whatever the firmware."""
+"""Settings of the axes and of the motion planner of a firmware, whichever it is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MOST = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A number of a settings file, and where it stands."""
+    """A number of a settings file, and its line."""
 
     value: float
     line: int
@@ -20,20 +20,20 @@ class Said:
 
 @dataclass(slots=True)
 class AxisSettings:
-    """What is said of an axis, in the firmware's own units; None for what is not.
+    """Settings of an axis in the firmware's units; None for those that the file does not give.
 
     Parameters
     ----------
     steps
-        Per mm, or per degree of an axis that turns.
+        Microsteps per mm, or per degree of a rotary axis.
     rate
-        Greatest speed, mm (degrees) a minute.
+        Largest speed, in mm (degrees) per minute.
     acceleration
-        mm (degrees) per second squared.
+        In mm (degrees) per second squared.
     travel
-        mm or degrees, from the lowest to the highest position.
+        Distance from the lowest to the highest position, in mm (degrees).
     microsteps
-        Of its driver.
+        Microsteps of its driver in a full step.
     """
 
     steps: Said | None = None
@@ -52,12 +52,12 @@ class Settings:
     firmware
         ``grbl``, ``fluidnc``, ``marlin`` or ``klipper``.
     file
-        Where they were read.
+        Path of the settings file.
     axes
-        By letter, in the firmware's order.
+        Settings of the axes by letter, in the firmware's order.
     planner
-        What it says of its motion planner, by the key of ``[planner]``, in mm and degrees;
-        ``jump.X`` of an axis.
+        Settings of the motion planner, by the keys of ``[planner]`` in a machine file, in mm and
+        degrees; ``jump.X`` is that of axis X.
     """
 
     firmware: str
@@ -66,12 +66,12 @@ class Settings:
     planner: dict[str, Said] = field(default_factory=dict)
 
     def say(self, axis: str, what: str, text: str, line: int, name: str) -> None:
-        """Take a number of an axis.
+        """Add a number ``text`` of an axis, for its setting ``what``; ``name`` is the file's word.
 
         Raises
         ------
         MachineError
-            If it is no number above 0 that a machine may have, or was another before.
+            If it is not a number above 0 and up to 1e9, or differs from one given before.
         """
         value = self._number(text, line, name, zero=False)
         settings = self.axes.setdefault(axis, AxisSettings())
@@ -80,12 +80,12 @@ class Settings:
         setattr(settings, what, Said(value, line))
 
     def say_of_planner(self, key: str, text: str, line: int, name: str) -> None:
-        """Take a number of the motion planner; 0 is one.
+        """Add a number ``text`` of the motion planner; ``name`` is the file's word for it.
 
         Raises
         ------
         MachineError
-            If it is no number from 0 on that a machine may have, or was another before.
+            If it is not a number from 0 to 1e9, or differs from one given before.
         """
         value = self._number(text, line, name, zero=True)
         self._refuse_another(self.planner.get(key), value, line, name)

@@ -1,4 +1,4 @@
-"""Settings and answers -> the text of a machine file."""
+"""The text of a machine file from the settings of a firmware and the answers of the owner."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PLANNER_KEYS = {
         "minimum_cruise_ratio": ("", "0.5"),
     },
 }
-"""Unit of each key of [planner], and what the firmware takes where its settings are silent."""
+"""Unit and default of each key of [planner]; an empty default stands for none."""
 _KLIPPER_WORDS = {"velocity": "max_velocity", "acceleration": "max_accel"}
 _DEFAULTS = {"rotor": "3.2e-5 kg m^2", "friction": "0.03 N m"}
 _UNITS = {
@@ -40,15 +40,18 @@ _TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
 
 
 def machine_text(settings: Settings, answers: Answers, name: str) -> str:
-    """Return the machine file of a winder driven by steppers, as its firmware and owner say.
+    """Return the machine file of a winder with steppers, from its firmware's settings and answers.
 
-    Every axis is rigid: what it moves counts at its motor. The firmware's own limits are the
-    machine's.
+    Every axis is rigid: its load is added to the inertia of its motor. Limits of speed and
+    acceleration are those of the firmware.
 
     Raises
     ------
     OptionError
-        If something is not said: all that is asked for, each with a value that would do.
+        If numbers are missing (all of them are named, each with an example), or an answer is of an
+        axis that does not exist or in a wrong unit.
+    MachineError
+        If the settings lack the steps of an axis, or limits that Klipper requires.
     """
     _check_axes(settings, answers)
     missing = list(_missing(settings, answers))
@@ -138,7 +141,7 @@ def _missing(settings: Settings, answers: Answers) -> Iterator[tuple[str, tuple[
 
 
 def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
-    """Yield the lines of [planner]; Klipper's limits have no default of their own."""
+    """Yield the lines of [planner]."""
     said = settings.planner
     firmware = settings.firmware
     yield "[planner]"
@@ -178,7 +181,7 @@ def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -
     assert said.steps is not None
     steps = said.steps.value
     micro = said.microsteps.value if said.microsteps else _number(answers, "microsteps", axis)
-    # Of the axis per rad of the motor: mm or degrees in a turn are full steps x microsteps / steps.
+    # A turn of the motor moves the axis by full steps x microsteps / steps, in mm or degrees.
     per_turn = _FULL_STEPS * micro / steps
     lever = (math.radians(per_turn) if turns else per_turn / 1e3) / (2.0 * math.pi)
     moved = _number(answers, "inertia" if turns else "mass", axis)
@@ -226,7 +229,7 @@ def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -
     way = answers.of("travel", axis)
     if said.travel is not None:
         way = f"{said.travel.value!r} mm"
-    # A job begins anywhere between the ends: it goes no further than all of the travel.
+    # A job may begin anywhere between the ends, from where it moves at most by the whole travel.
     yield (
         f'travel = ["-{way} exact, assumed: no further than from end to end", '
         f'"{way} exact, assumed: likewise"]'

@@ -1,4 +1,4 @@
-"""What settings do not say, and their owner does: at most ten numbers, each asked for by name."""
+"""Numbers of a machine that its firmware's settings lack, for which its owner is asked by name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "inertia": ("that a rotary axis turns", "4e-3 kg m^2"),
     "radius": ("of the mandrel", "50 mm"),
 }
-"""Name -> what it is, and a value that would do."""
+"""Name of each question, with its meaning and an example of an answer."""
 OPTIONAL: dict[str, tuple[str, str]] = {
     "travel": ("from end to end, where the settings have none", "600 mm"),
     "rate": ("greatest speed a minute, where the settings have none", "6000 mm/min"),
@@ -33,17 +33,17 @@ _OF_AN_AXIS = frozenset(ASKED) - {"rotary"} | frozenset(OPTIONAL)
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What an owner says: by name, or by name and axis (``mass.X``)."""
+    """The answers of an owner, by name or by name and axis (``mass.X``)."""
 
     given: dict[str, str]
 
     @property
     def rotary(self) -> str:
-        """The letters of the axes that turn; empty where none does."""
+        """Letters of the rotary axes; empty where there are none."""
         return "".join(c for c in self.given.get("rotary", "").upper() if c.isalpha())
 
     def of(self, name: str, axis: str) -> str | None:
-        """Return what is said of an axis, None for nothing."""
+        """Return the answer for an axis, or the one for all axes; None without either."""
         return self.given.get(f"{name}.{axis}", self.given.get(name))
 
 

@@ -1,4 +1,4 @@
-"""One reader per firmware; the content of a file says whose it is.
+"""Readers of settings files, one for each firmware, which is recognised from the content.
 
 Sources: grbl 1.1 wiki, "Configuring Grbl" ($100 to $135); Marlin, marlinfw.org/docs/gcode M92,
 M201, M203, M503; FluidNC wiki, "Axes"; Klipper, docs/Config_Reference.md, [stepper] and [printer].
@@ -35,18 +35,18 @@ _KLIPPER = {
 
 
 def read_settings(path: str | Path) -> Settings:
-    """Return what a settings file says of the axes.
+    """Return the settings of axes and motion planner in a settings file.
 
     Parameters
     ----------
     path
-        What grbl answers to ``$$``, Marlin to ``M503``, the YAML of FluidNC or the ``printer.cfg``
-        of Klipper.
+        File with grbl's answer to ``$$``, Marlin's answer to ``M503``, FluidNC's YAML or Klipper's
+        ``printer.cfg``.
 
     Raises
     ------
     MachineError
-        If it is none of these, holds something that cannot be, or says nothing of any axis.
+        If it is none of these, has a line that cannot be read, or has no axis.
     """
     path = Path(path)
     text = read_text(path, _MOST_BYTES, MachineError, "settings file")
