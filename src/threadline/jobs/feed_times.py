@@ -1,4 +1,4 @@
-"""What a feed means: the time that a move takes at it."""
+"""The time that a move takes at a feed, by the meaning of the feed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _IN_TURN = ("XYZ", "UVW", "ABC")
 
 
 def check_feed(feed: Feed, axes: tuple[str, ...], place: Place | None) -> None:
-    """Refuse a feed at which nothing would move.
+    """Refuse a feed that is not above 0, or whose base axes the job does not have.
 
     Raises
     ------
@@ -56,7 +56,8 @@ def feed_time_s(
     * base axes (CADFIL): Euclidean length of the base at the tool / feed; a move that leaves the
       base at rest takes the length of all axes instead;
     * all axes: Euclidean length of all axes / feed, a degree as a millimetre;
-    * in turn: that of X Y Z, where it is 0 of U V W, where both are of A B C;
+    * in turn: Euclidean length of X Y Z / feed; where that is 0 the length of U V W, and where
+      that is 0, too, that of A B C, a degree as a millimetre;
     * inverse time: 1 / feed.
     """
     column = [machine.axis_names.index(axis) for axis in axes]
@@ -97,12 +98,15 @@ def _length(way: FloatArray) -> FloatArray:
 def wanted_feed(
     programmed: Feed | None, given: Feed | None, place: Place | None, job: Job, machine: Machine
 ) -> Feed:
-    """Return the feed that counts for a move: rapid, the one given, or the programmed.
+    """Return the feed that applies to a move.
+
+    A rapid move stays rapid; otherwise ``given`` applies if there is one, else ``programmed``, else
+    the operator's normal feed.
 
     Raises
     ------
     PlanError
-        If there is none, or nothing would move at it.
+        If there is none of these, or it is not above 0.
     """
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
@@ -121,7 +125,10 @@ def wanted_feed(
 def nominal_time_s(
     displacement: FloatArray, wanted: Feed, given: Feed | None, job: Job, machine: Machine
 ) -> tuple[FloatArray, int]:
-    """Return the (n,) times at a feed, and how many moves the operator's normal feed slowed."""
+    """Return the (n,) times in s at ``wanted``, and the number of moves that were slowed.
+
+    Moves are slowed to the operator's normal feed unless a feed is ``given``.
+    """
     nominal = feed_time_s(displacement, wanted, job.axes, machine)
     operator = machine.operator
     if given is not None or operator is None or wanted.mode is FeedMode.RAPID:

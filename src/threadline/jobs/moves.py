@@ -1,7 +1,7 @@
-"""Move lists (``.toml``): what a machine does step by step, one ``[[operation]]`` after the other.
+"""Move lists (``.toml``): the steps of an on/off machine, one ``[[operation]]`` after the other.
 
-Each operation says one thing: ``move``, ``dwell``, ``valve``, ``vacuum``, ``output`` or ``wait``.
-``step`` names the step of the cycle from there on.
+Each operation has one of the keys ``move``, ``dwell``, ``valve``, ``vacuum``, ``output`` and
+``wait``. The key ``step`` names the step of the cycle that begins with its operation.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ OPERATION_KEYS = {
     "output": ("output", "on"),
     "wait": ("wait", "is", "timeout"),
 }
-"""What an operation may say, and the keys that go with it."""
+"""Keys of each sort of operation, by the key that tells the sort."""
 DEFAULT_TIMEOUT_S = 2.0
-"""How long an input is waited for unless the list says otherwise."""
+"""Time after which an input that does not come is a fault, unless the list gives another."""
 MAX_BYTES = 4 * 1024 * 1024
 REST, OVERLAP, NEVER = "rest", "overlap", "never"
-"""Tags of a move: s that the list waits behind its last switching; whether that may be cut."""
+"""Tags of a move: the wait in s after its last switching, and whether it may be cut short."""
 STEP_EVENT = "step "
-"""What the name of the ``ToolEvent`` that begins a step begins with."""
+"""Prefix of the name of the ``ToolEvent`` with which a step begins."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 _HEADER = re.compile(r"\s*\[\[\s*operation\s*\]\]")
 
@@ -61,12 +61,12 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
     path
         The file.
     machine
-        Gives the axes (cylinders), outputs and inputs that the list may name.
+        Machine whose cylinders, outputs and inputs the list may name.
 
     Raises
     ------
     JobError
-        If it is not TOML or not a move list of this machine; with the line.
+        With the line, if the file is not TOML or not a move list of this machine.
     """
     path = Path(path)
     with open_binary(path) as stream:
@@ -108,7 +108,7 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
 
 @dataclass(slots=True)
 class _Reader:
-    """One file: what it says, and where."""
+    """One file, with its text for the lines of errors."""
 
     file: str
     text: str
@@ -212,7 +212,7 @@ class _Reader:
         return Move(tuple(position.values()), None, source, self._how(row, index))
 
     def _how(self, row: Mapping[str, Any], index: int) -> Mapping[str, float | str]:
-        """Return how a move is to be commanded, where the list itself says it."""
+        """Return the tags of a move: shaper or levels, rest and overlap, where they are given."""
         given: dict[str, float | str] = {k: row[k] for k in ("shaper", "levels") if k in row}
         if len(given) > 1:
             self.refuse("a move has a shaper or levels, not both", index, "levels")

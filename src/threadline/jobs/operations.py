@@ -18,13 +18,13 @@ from threadline.signals import Stream
 
 Tags: TypeAlias = Mapping[str, float | str]
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_] | NDArray[np.object_]
-"""A tag of a run of moves: NaN, "" or None where a move lacks it."""
+"""Values of one tag for a run of moves; NaN, "" or None for a move without the tag."""
 NO_TAGS: Tags = {}
 NO_COLUMNS: Mapping[str, Column] = {}
 
 
 class FeedMode(StrEnum):
-    """What the number of a feed means; SI inside."""
+    """Meaning of the value of a feed, in SI."""
 
     FASTEST_AXIS = "fastest-axis"  # m/s of the fastest axis; a rotary axis acts at the tool radius
     BASE_AXES = "base-axes"  # m/s of the base axes alone (CADFIL modes 1 and 2)
@@ -39,7 +39,7 @@ class FeedMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """How fast a move is wanted: ``value`` in the SI unit of ``mode``.
+    """The wanted speed of a move: ``value`` in the SI unit of ``mode``.
 
     ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``.
     """
@@ -51,15 +51,15 @@ class Feed:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where an operation was asked for.
+    """The place in a job file that an operation comes from.
 
     Parameters
     ----------
     file, line
         File and line, from 1.
     passes
-        Pass of each subroutine call that is open, outermost first, from 1: ``(3,)`` is the
-        third time round the subroutine.
+        Number of the pass of each open subroutine call, outermost first, from 1: ``(3,)`` is the
+        third pass of a subroutine.
     """
 
     file: str
@@ -84,7 +84,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveRun:
-    """Consecutive moves as arrays: the same as as many ``Move``s, for stages that are in a hurry.
+    """Consecutive moves as arrays, which are faster to process than as many ``Move``s.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ class MoveRun:
     feeds
         ``(i, feed)``: the feed from move ``i`` on; the first has i = 0.
     file, passes
-        As in ``Source``, the same for all.
+        As in ``Source``; they are the same for all moves of a run.
     columns
-        The tags by name, (n,) each: stitch, layer, circuit, tension, thread.
+        (n,) values of each tag, by its name: stitch, layer, circuit, tension, thread.
     """
 
     targets: FloatArray
@@ -121,7 +121,7 @@ class MoveRun:
 
 
 def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags]:
-    """Yield the tags of the moves from ``begin`` to before ``end``, out of their columns."""
+    """Yield the tags of each move from ``begin`` up to, not including, ``end``."""
     names = tuple(columns)
     parts = [column[begin:end] for column in columns.values()]
     rows = zip(*(part.tolist() for part in parts), strict=True)
@@ -206,7 +206,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class ToolEvent:
-    """Something that the tool does: ``name`` with ``value`` (trim, thread, tension)."""
+    """An action of the tool, ``name``, with its ``value`` (trim, thread, tension)."""
 
     name: str
     value: float
@@ -214,21 +214,20 @@ class ToolEvent:
 
 
 Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
-"""What may set the speed of a job."""
+"""What sets the speed of a job; see ``Job.paced_by``."""
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Stop | ToolEvent
 
 
 class OperationStream(Stream[Operation]):
-    """A stream of operations whose moves can be had in runs too.
+    """A stream of operations that can also be read as runs of moves.
 
     Parameters
     ----------
     runs
         Operations and runs of moves.
     folded
-        The same with repeated passes given once: an operation or run, how many times it
-        happens, and the line of the call that repeats it (0 for none); left out where
-        nothing repeats.
+        Operations and runs with repeated passes given once. Each comes with the number of times it
+        happens and the line of the call that repeats it (0 for none). None where nothing repeats.
     """
 
     __slots__ = ("_folded", "_runs")
@@ -268,30 +267,30 @@ class Job:
     Parameters
     ----------
     name
-        For people: usually the file's name.
+        Name for people, usually that of the file.
     file
-        What was read.
+        Path of the file that it was read from.
     sha256
-        Of the file's bytes.
+        Hash of the file's bytes.
     axes
         Names of the axes of every ``Move.target``, in order.
     start
         (axes,) position before the first operation, m or rad.
     operations
-        Re-iterable; the index of an operation in it is how later stages call it.
+        Re-iterable operations; later stages refer to an operation by its index here.
     warnings
         Suspicious things found by the reader, each with its place.
     feed_rule
-        Whose rule says what its F means; empty where no F is read.
+        Name of the rule for the meaning of F; empty for a job without F.
     drawn
-        The drawn lines that are followed, by their number: the tag ``contour`` of a stitch, of
-        which it covers the stretch from ``from_m`` to ``to_m``.
+        Drawn lines that a seam follows. The tag ``contour`` of a stitch is the index of its line,
+        and its tags ``from_m`` and ``to_m`` are the stretch of the line that it covers.
     paced_by
-        What its speed is set by: ``feed``, ``needle`` (stitches a second), ``switchings``, or
-        ``shaft`` (a stitch in each turn of the machine's main shaft).
+        What sets its speed: ``feed``, ``needle`` (stitches a second), ``switchings``, or ``shaft``
+        (a stitch in each turn of the machine's main shaft).
     home
-        Cylinders in the order in which the way home brings them back; empty where a list leaves
-        that to its moves.
+        Cylinders in the order in which they return home; empty where the moves of the list decide
+        it.
     """
 
     name: str
@@ -310,22 +309,23 @@ class Job:
         return iter(self.operations)
 
     def runs(self) -> Iterator[Operation | MoveRun]:
-        """Return the same operations, with moves in runs of arrays where the reader can."""
+        """Return the operations, with moves in runs of arrays where the reader makes them."""
         if isinstance(self.operations, OperationStream):
             return self.operations.runs()
         return iter(self.operations)
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return them with repeated passes given once: each, its times, the line of the call."""
+        """Return the operations with repeated passes given once; see ``OperationStream``."""
         if isinstance(self.operations, OperationStream):
             return self.operations.folded()
         return ((item, 1, 0) for item in move_runs(self))
 
 
 def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
-    """Return the operations of ``job`` with every move in a run of at most about ``longest``.
+    """Return the operations of ``job`` with every move in a run.
 
-    Readers that give single moves have them gathered here, tags in columns.
+    Single moves of a reader are gathered into runs of at most ``longest``; runs of a reader are
+    passed on as they are.
     """
     moves: list[Move] = []
     for item in job.runs():
@@ -348,7 +348,7 @@ def _together(one: Source, other: Source) -> bool:
 
 
 def gathered(moves: list[Move]) -> MoveRun:
-    """Return ``moves``, at least one, as a run with their tags in columns."""
+    """Return ``moves``, of which there is at least one, as a run."""
     feeds = [(0, moves[0].feed)]
     for index, move in enumerate(moves):
         if move.feed is not feeds[-1][1]:

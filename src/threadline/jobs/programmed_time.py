@@ -1,4 +1,4 @@
-"""How long a job takes at its programmed feeds, before any machine has its say."""
+"""The time of a job at its programmed feeds, without the dynamics of a machine."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from threadline.machine import Machine
 
 
 def programmed_time_s(job: Job, machine: Machine, feed: Feed | None = None) -> float:
-    """Return the nominal time of a job, s.
+    """Return the nominal time of a job, in s.
 
-    Every move takes the time that its feed gives it, as if the machine had no inertia, and every
-    dwell its own; what no feed binds (a rapid) goes at the velocity limits of the axes. Stops take
-    none. It is what a planner reports that knows of feeds alone; the operator's normal feed does
-    not count.
+    Every move takes the time that its feed gives, as if the machine had no inertia, and every rapid
+    move the time at the velocity limits of the axes. Dwells take their own time, stops none. The
+    operator's normal feed is ignored. A CAM program that knows nothing but feeds reports this time.
 
     Parameters
     ----------
     feed
-        Replaces the programmed feeds.
+        Feed in place of the programmed ones; None for the programmed.
 
     Raises
     ------
     JobError
-        Where a block does not say what it needs to.
+        If a block lacks a feed or a mode of motion.
     PlanError
         If a feed is missing or not above 0.
     """

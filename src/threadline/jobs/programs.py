@@ -1,4 +1,4 @@
-"""Programs of machines: part programs, or X-Winder's, whatever the file is called."""
+"""The reader of programs: part programs, and those of X-Winder, told apart by their first line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def read_program(
     feed_mode: str | None = None,
     base_axes: tuple[str, ...] = (),
 ) -> Job:
-    """Return the job of a program; the file's beginning says when it is X-Winder's.
+    """Return the job of a program; an X-Winder program is recognised by its first line.
 
     Raises
     ------

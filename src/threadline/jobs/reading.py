@@ -23,12 +23,12 @@ class Format:
     Parameters
     ----------
     name
-        For people.
+        Name of the format, for people.
     extensions
-        How the name ends: with the dot, lower case; the first format that fits is taken, so
-        ``.seam.toml`` stands before ``.toml``.
+        Endings of file names, with the dot, in lower case. The first format with a matching ending
+        is used, so ``.seam.toml`` is listed before ``.toml``.
     read
-        Called with the path, ``machine=`` and the options.
+        Reader, which is called with the path, ``machine=`` and the options.
     options
         Names of the options that ``read`` takes.
     """
@@ -58,11 +58,11 @@ def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
     Parameters
     ----------
     path
-        The extension names the format.
+        The file; the ending of its name tells the format.
     machine
         The machine that the job is for.
     options
-        Those of the format's reader.
+        Options of the format's reader.
 
     Raises
     ------

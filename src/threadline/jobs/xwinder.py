@@ -1,8 +1,8 @@
-"""Programs of X-Winder Designer (.X4G): a mandrel that turns on, and what happens beside it.
+"""Programs of X-Winder Designer (.X4G), in which a mandrel turns on while other axes move.
 
-The files say themselves, in brackets, what their lines do; nothing else is published. What they
-say, checked against their own numbers (the winding angle follows from F, S and the diameter, the
-dwells add up to whole circuits):
+No description of the format is published, but comments in brackets in the files explain their
+lines. These meanings were checked against the numbers of the files (the winding angle follows from
+F, S and the diameter, and the dwells add up to whole circuits):
 
 =============== ==================================================================================
 ``M4 S``         the mandrel turns at S rpm from here on, through all that follows, to ``M5``
@@ -57,7 +57,7 @@ _P_S = 1e-4
 
 
 def begins_as_x_winder(path: Path) -> bool:
-    """Say whether a file begins as X-Winder Designer begins its programs."""
+    """Return whether a file begins like the programs of X-Winder Designer."""
     if path.is_dir():
         return False
     with open_binary(path) as stream:
@@ -71,7 +71,7 @@ def read_x_winder(path: Path, *, machine: Machine) -> Job:
     Raises
     ------
     JobError
-        With file and line, if a line is none of its dialect, or the machine lacks the axes C and Z.
+        With file and line, if a line is not of the dialect, or the machine lacks axis C or Z.
     BudgetError
         If it has more operations than the machine's tick budget.
     """
@@ -117,7 +117,7 @@ def _kinds(machine: Machine) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class XWinderProgram:
-    """A program that has been looked through, ready to be followed any number of times."""
+    """A program that has been checked, and can be read any number of times."""
 
     file: SourceFile
     machine: str
@@ -158,7 +158,7 @@ class _Reading:
         yield Stop(True, self._source())
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what deserves a second look, after a reading."""
+        """Return warnings about the program, after a reading."""
         file = self.program.file
         found = []
         if self.head_line:
@@ -311,7 +311,7 @@ class _Reading:
             yield from self._go({}, duration_s)
 
     def _go(self, target: dict[str, float], duration_s: float) -> Iterator[Operation]:
-        """Move to ``target`` in a time through which the mandrel turns on."""
+        """Yield the move to ``target`` in a given time, in which the mandrel turns on."""
         moved = any(self.at[name] != value for name, value in target.items())
         turned = 6.0 * self.rpm * duration_s
         self.at.update(target)

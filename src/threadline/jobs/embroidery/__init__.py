@@ -1,4 +1,4 @@
-"""Embroidery designs: a stitch after the other, each where the needle enters the cloth."""
+"""Embroidery designs: the readers of their formats, and the moves of the frame that they need."""
 
 from threadline.jobs.embroidery.job import read_design
 from threadline.jobs.embroidery.records import SUFFIXES

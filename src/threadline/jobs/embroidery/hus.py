@@ -1,9 +1,9 @@
-"""HUS designs: three columns (what, X, Y) of a byte for each record, packed one after the other.
+"""HUS designs: three columns (command, X, Y), a byte for each record, packed one after the other.
 
-The packing is that of LHA's dynamic Huffman methods: blocks of at most 65 535 symbols, each with
-its own code lengths; a symbol below 256 is a byte, 510 ends the column, and any other repeats what
-was unpacked before. A reader of pystitch told the layout; its results are what this one is tested
-against. It is read here because a damaged file may ask that one for gigabytes.
+The packing is that of LHA's dynamic Huffman methods: blocks of at most 65 535 symbols, each block
+with its own code lengths. A symbol below 256 is a byte, 510 ends the column, and any other repeats
+bytes that were unpacked before. The layout is known from pystitch, whose reader can allocate
+gigabytes for a damaged file; the results of this reader are tested against that one.
 
 ======  =====================================================
 offset  what
@@ -36,12 +36,12 @@ _SHORTEST_COPY = 253  # a symbol less this is the length of a copy
 
 
 def read_hus(content: bytes, place: Place) -> FloatArray:
-    """Return x, y (in units of the format, Y down) and act of every record, shape (n, 3).
+    """Return the (n, 3) records: x and y in units of the format (Y down), and act.
 
     Raises
     ------
     JobError
-        If it is no HUS file, cut off, or says something that is not known.
+        If the file is no HUS file, is cut off, or has an unknown command.
     """
     if len(content) < _HEADER.size:
         raise _damaged(f"it has {len(content)} bytes", place)
@@ -87,7 +87,7 @@ def _damaged(why: str, place: Place) -> JobError:
 
 
 class _Code:
-    """A Huffman code by its lengths; ``always`` where there is but one symbol, of no bits."""
+    """A Huffman code by its lengths; without lengths, ``always`` is its only symbol, of 0 bits."""
 
     def __init__(self, lengths: list[int], always: int = 0) -> None:
         self.lengths, self.always = lengths, always
@@ -105,7 +105,7 @@ class _Code:
 
 
 class _Unpacker:
-    """A column and how far it has been read; behind its end there are zeros."""
+    """A packed column with the position of the next bit; zeros follow its end."""
 
     def __init__(self, packed: bytes) -> None:
         self.data, self.bits, self.at = packed + bytes(4), 8 * len(packed), 0
@@ -138,7 +138,7 @@ class _Unpacker:
         return found
 
     def length(self) -> int:
-        """Return a length of a code that is not packed itself: 3 bits, from 7 on ones behind."""
+        """Return the next length of a code: 3 bits; after 7 a 1 for each bit more, then a 0."""
         found = self.take(3)
         while found >= 7 and self.take(1):
             found += 1
@@ -179,14 +179,14 @@ class _Unpacker:
         return _Code(lengths[:count])
 
     def distances_code(self) -> _Code:
-        """Return the code of how far back a copy begins."""
+        """Return the code of the distances back to the beginnings of copies."""
         count = self.take(5)
         if count == 0:
             return _Code([], self.take(5))
         return _Code([self.length() for _ in range(count)])
 
     def unpack(self, most: int) -> bytearray:
-        """Return at least ``most`` bytes where there are so many.
+        """Return the bytes of the column, at least ``most`` of them if it has so many.
 
         Raises
         ------

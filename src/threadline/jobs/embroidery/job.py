@@ -1,8 +1,8 @@
-"""A design as a job: records are merged back into the moves that the frame makes.
+"""The job of a design: its records, merged into the moves of the frame.
 
-A format that holds at most 12.1 mm in a record tells a longer move as jumps before its stitch:
-these are one move. A run of jumps that is longer than the longest move of the machine, that leads
-to the first stitch, or that no stitch ends, is travel with the needle up.
+A format that holds at most 12.1 mm in a record splits a longer stitch into jumps and a stitch,
+which are merged into one move here. Jumps that together are longer than the longest move of the
+machine, that lead to the first stitch, or that no stitch follows, are travel with the needle up.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ EVENTS = {
     Act.SLOW: "slow",
     Act.FAST: "fast",
 }
-"""What records ask for that is no motion, by the name of its ``ToolEvent``."""
+"""Name of the ``ToolEvent`` for each act of a record that is no motion."""
 _ROUNDING = 1e-9
 _LONGEST_RUN = 4096
 
@@ -55,13 +55,13 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
     path
         The file; its ending names the format.
     machine
-        Gives the longest move.
+        The machine, whose tables have a longest move.
 
     Raises
     ------
     JobError
-        If the machine has no step tables, the file cannot be read, or a stitch is longer than the
-        machine's longest move and no jump.
+        If the machine has no step tables, the file cannot be read, nothing moves, or a stitch
+        without jumps is longer than the machine's longest move.
     """
     path = Path(path)
     if machine.tables is None or machine.axis_names != AXES:
@@ -103,9 +103,9 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
 
 @dataclass(slots=True)
 class _Merged:
-    """Moves and events as they come out of the records; times of the needle are counted.
+    """Moves and events made from the records so far.
 
-    Numbers are kept in rows of arrays: X and Y of each target, and line, stitch and block.
+    ``targets`` holds X and Y of each move, and ``rows`` its line, stitch and block.
     """
 
     file: str
@@ -166,7 +166,7 @@ class _Merged:
 
     @property
     def moves(self) -> int:
-        """How many moves there are."""
+        """Number of moves so far."""
         return len(self.targets) // 2
 
     def operations(self) -> Iterator[Operation | MoveRun]:
@@ -195,7 +195,7 @@ class _Merged:
             )
 
     def warnings(self) -> tuple[str, ...]:
-        """Say what deserves a second look."""
+        """Return warnings about the design."""
         if not self.still:
             return ()
         return (f"{self.file}: {self.still} stitches lead nowhere: the needle enters twice there",)

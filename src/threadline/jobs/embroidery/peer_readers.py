@@ -1,4 +1,4 @@
-"""The readers of pystitch, watched: a design that is cut off must not pass for a shorter one."""
+"""Readers of pystitch, with a check that a design that is cut off is not read as a shorter one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ READERS = {
     ".xxx": "XxxReader",
     ".u01": "U01Reader",
 }
-"""By the ending of the file."""
+"""Module of pystitch that reads each format, by the ending of the file."""
 _ENDS: dict[str, Callable[[bytes, bool], bool]] = {
     ".pes": lambda read, _: read[-2:] == b"\xff\x00",
     # Its reader takes two bytes more, where there are any.
@@ -26,8 +26,12 @@ _ENDS: dict[str, Callable[[bytes, bool], bool]] = {
     ".xxx": lambda read, _: read[-4:-2] in (b"\x7f\x7f", b"\x7f\x18"),
     ".u01": lambda read, _: len(read) > 2 and read[-3] & 0x1F == 0x18,
 }
-"""Whether the records are whole, by what was read until their end and whether more was wanted: four
-formats have a mark of their own, VP3 says its lengths. EXP has neither; DST is looked at before."""
+"""Tests of whether the records of a format are complete.
+
+Arguments are the last bytes that the reader has read and whether it asked for more than there were.
+Four formats have a mark of the end, and VP3 has lengths. EXP has neither; DST is tested by
+``records``.
+"""
 
 
 class CutOffError(Exception):
@@ -35,11 +39,11 @@ class CutOffError(Exception):
 
 
 class SenselessError(Exception):
-    """What stands at a byte makes no sense to the reader."""
+    """The reader failed at a byte, which is not valid there."""
 
 
 class _Stream(io.BytesIO):
-    """Remembers whether somebody wanted more than there is."""
+    """A stream that remembers whether more bytes were asked for than there are."""
 
     short = False
 
@@ -51,14 +55,14 @@ class _Stream(io.BytesIO):
 
 
 class _Watched(EmbPattern):  # type: ignore[misc]
-    """Looks where its reader stands when the records are at their end."""
+    """A pattern of pystitch that tests, at the end of the records, whether they are complete."""
 
     def __init__(self, stream: _Stream, suffix: str) -> None:
         super().__init__()
         self._stream, self._suffix = stream, suffix
 
     def end(self, dx: float = 0, dy: float = 0) -> None:
-        """Take the end of the design, unless that is where the file was cut off."""
+        """Add the end of the design, unless the file was cut off there."""
         at = self._stream.tell()
         whole = _ENDS.get(self._suffix)
         last = self._stream.getvalue()[max(0, at - 4) : at]
@@ -68,14 +72,14 @@ class _Watched(EmbPattern):  # type: ignore[misc]
 
 
 def read_with_peer(content: bytes, suffix: str) -> tuple[list[list[float]], int]:
-    """Return x, y and code of every record, and how many bytes were read.
+    """Return x, y and code of every record, and the number of bytes that were read.
 
     Raises
     ------
     CutOffError
-        If the records end without their mark.
+        If the records end without the mark of their end.
     SenselessError
-        If its arithmetic meets what no such file has.
+        If pystitch fails in any other way.
     """
     stream = _Stream(content)
     pattern = _Watched(stream, suffix)

@@ -1,4 +1,4 @@
-"""The records of a design file, whatever its format: where to, and what is done there."""
+"""The records of a design file of any format: positions, and the act at each."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
     hus.SUFFIX: hus.read_hus,
     t15.SUFFIX: t15.read_t15,
 }
-"""Readers of this house; the others are those of pystitch."""
+"""Readers of our own, by the ending; all others are those of pystitch."""
 _PEERS = (".dst", ".exp", ".pes", ".jef", ".vp3", ".xxx", ".u01")
 SUFFIXES = (*_PEERS, *_OWN)
 UNIT_M = 1e-4
-"""Of these formats: 0.1 mm."""
+"""Unit of length of all these formats: 0.1 mm."""
 MAX_BYTES = 64 * 1024 * 1024
 _DST_HEADER, _DST_RECORD = 512, 3
 
 
 class Act(IntEnum):
-    """What a record does once its place is reached; the numbers are pystitch's."""
+    """What is done at the position of a record; the numbers are pystitch's."""
 
     STITCH = 0
     JUMP = 1
@@ -46,16 +46,16 @@ _KNOWN = tuple(Act)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Records:
-    """What a file says; n records.
+    """The n records of a design.
 
     Parameters
     ----------
     position_m
-        (n, 2) X to the right and Y up, m, from where the frame stands at first.
+        (n, 2) X to the right and Y up, in m, from the start position of the frame.
     act
-        (n,) an ``Act`` each.
+        (n,) acts, as numbers of ``Act``.
     content
-        The bytes that were read.
+        Bytes of the file.
     """
 
     position_m: FloatArray

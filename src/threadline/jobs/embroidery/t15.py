@@ -1,6 +1,6 @@
 """Saurer T15 cards: the punched card of a shuttle embroidery machine as a file.
 
-No description of the format is published; it was worked out from two files and their twins in DST.
+No description of the format is published; it is known from two files and the same designs in DST.
 A header of 12 bytes (size over 12, 15, 0), a leader of 384 (64 columns of punched letters), then
 records of 4 bytes: a function F and three bytes of holes. A displacement has three digits of three
 holes for each axis, in base 7, a negative digit being the complement of the positive one. The end
@@ -29,20 +29,20 @@ _DIGITS = {0: 0, 1: 1, 2: 2, 4: 3, 6: -1, 5: -2, 3: -3}
 _HOLES = {digit: holes for holes, digit in _DIGITS.items()}
 _KIND = 15
 _BLANKS = (100, 200)
-"""Empty moves before and behind the design, as the known cards have them."""
+"""Numbers of empty moves before and after the design, as in the known cards."""
 _STITCH, _JUMP, _TRIM, _COLOUR, _LAST = 0, 1, 2, 5, 4
 
 
 def read_t15(content: bytes, place: Place) -> list[list[float]]:
-    """Return x, y (down, 0.1 mm) and act of every record, as other readers give them.
+    """Return x and y (down) in 0.1 mm and act of every record, like the readers of pystitch.
 
-    Where a stretch begins the needle enters in place; records that move nothing there are stitches
-    too, elsewhere they are nothing.
+    Each sewn stretch begins with a stitch in place. Within it a record without motion is a stitch;
+    elsewhere such a record is left out.
 
     Raises
     ------
     JobError
-        If anything is not as the format has it; with the offset and the byte.
+        With the offset and the byte, if anything differs from the format.
     """
     if len(content) < FIRST + RECORD or len(content) % HEADER:
         raise _refused(place, f"it has {len(content)} bytes, no whole number of 12 from 408 on")
@@ -97,16 +97,16 @@ def read_t15(content: bytes, place: Place) -> list[list[float]]:
 
 
 def t15_bytes(units: IntArray, sewn: IntArray, changes: set[int]) -> bytes:
-    """Return a card.
+    """Return the bytes of a card.
 
     Parameters
     ----------
     units
-        (n, 2) ways in units of 0.1 mm, Y up.
+        (n, 2) displacements in units of 0.1 mm, Y up.
     sewn
-        (n,) 1 where a stitch ends the way, 0 where the needle is up.
+        (n,) 1 where the displacement ends in a stitch, 0 where the needle is up.
     changes
-        Ways before which the thread changes or is cut; n is the end.
+        Indices of displacements before which the thread changes or is cut; n stands for the end.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def _record(function: int, dx: int, dy: int) -> bytes:
 
 
 def _holes(way: int) -> tuple[int, int, int]:
-    """Return the holes of the digits of a way, units first; digits run from -3 to 3."""
+    """Return the holes of the base-7 digits (-3 to 3) of a displacement, the lowest first."""
     if abs(way) > MOST:
         raise ValueError(f"a way of {way} units: a record holds {MOST}")
     found = []

@@ -1,6 +1,6 @@
 """Arcs and splines of part programs as chords: G2, G3 and G5.
 
-A chord leaves its curve by 2 um at most, which is what grbl's own arcs do (setting $12, 0.002 mm).
+A chord is at most 2 um away from its curve, the default of grbl's own arcs (setting $12, 0.002 mm).
 """
 
 from __future__ import annotations
@@ -18,12 +18,16 @@ Point = tuple[float, float]
 
 
 def centre_by_radius(start: Point, end: Point, radius: float, clockwise: bool, at: Place) -> Point:
-    """Return the centre of the arc of ``radius``; a negative one asks for more than half a turn.
+    """Return the centre of an arc in mm; a negative ``radius`` gives more than half a turn.
 
     Parameters
     ----------
     start, end
-        mm in the plane of the arc.
+        Points in the plane of the arc, in mm.
+    radius
+        Radius in mm, as the word R gives it.
+    at
+        Place of the block, for errors.
 
     Raises
     ------
@@ -53,7 +57,7 @@ def centre_by_radius(start: Point, end: Point, radius: float, clockwise: bool, a
 
 
 def check_centre(start: Point, end: Point, centre: Point, at: Place) -> None:
-    """Refuse a centre that is not equally far from both ends, as far as grbl does.
+    """Refuse a centre with unequal distances from start and end, with the tolerances of grbl.
 
     Raises
     ------
@@ -73,10 +77,10 @@ def check_centre(start: Point, end: Point, centre: Point, at: Place) -> None:
 def arc(
     start: Point, end: Point, centre: Point, clockwise: bool, turns: int, at: Place
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield the ends of the chords of an arc but the last: its share, and where it ends.
+    """Yield the end of every chord of an arc but the last: share of the arc, x and y in mm.
 
-    An arc that ends where it begins is a full circle. The radius goes evenly from that of the start
-    to that of the end.
+    An arc that ends where it begins is a full circle. The radius changes evenly from that of the
+    start to that of the end. ``turns`` is the number of turns, the last of which may be a part.
 
     Raises
     ------
@@ -108,9 +112,9 @@ def arc(
 def spline(
     start: Point, first: Point, second: Point, end: Point, at: Place
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield the ends of the chords of a cubic Bezier curve but the last: its share, and where.
+    """Yield the end of every chord of a cubic Bezier curve but the last: parameter, x and y in mm.
 
-    A chord over a step h leaves the curve by h^2 max|f''| / 8 at most, and f'' lies between its
+    A chord over a step h is at most h^2 max|f''| / 8 away from the curve, and f'' lies between its
     values at the ends.
 
     Raises

@@ -1,4 +1,4 @@
-"""What a block asks for: its words sorted by meaning, each checked as far as one block can be."""
+"""A block of a part program: its words by meaning, each checked within its block."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CURVED = (2, 3, 5)
 
 
 class Block(NamedTuple):
-    """One block; exact numbers are in units of 10**-18 of what is written.
+    """One block; exact numbers are in units of 10**-18 of those written.
 
     Parameters
     ----------
@@ -43,21 +43,21 @@ class Block(NamedTuple):
     curve
         Exact I J K R Q by letter.
     dwell_s
-        Of G4.
+        Time of G4 in s.
     program
         0, 1, 2, 6, 30, 98 or 99 for that M word, else -1.
     ends
-        What that word does; empty without one.
+        Effect of that M word on the program (``MMode``); empty without one.
     spindle
         1 for M3 and M4, 0 for M5, else None.
     waits
-        The motion rests here: for a temperature, or until all of it has ended.
+        Whether the motion rests after the block, for a temperature or for its own end.
     idle
         Words without effect on motion.
     label
         O number, else -1.
     tags
-        Numbers that the comment names.
+        Names and numbers of a comment like ``tension=6.5``.
     """
 
     line: int
@@ -215,7 +215,7 @@ def _check_use(
     line: int,
     reading: Reading,
 ) -> None:
-    """Refuse words that say nothing, or two things, in the block where they stand."""
+    """Refuse words that have no use in their block, or could belong to two others."""
     place = Place(reading.file, line)
     if feed is not None and feed <= 0:
         raise JobError(

@@ -1,4 +1,4 @@
-"""The curves of a part program: which axes they bend, and their chords in exact positions."""
+"""Curved blocks of a part program (G2, G3, G5): their axes, and their chords in exact positions."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _MOST_TURNS = 10_000
 
 
 class Curves:
-    """What the curves of one reading need to remember.
+    """The plane of arcs and the last control point of splines, while a program is read.
 
     Parameters
     ----------
     reading
-        Whose axes there are.
+        Axes and file of the program.
     linear
         (axes,) whether an axis is linear.
 
     Attributes
     ----------
     plane
-        Ten times 17, 18 or 19.
+        Ten times 17, 18 or 19, for that G word.
     """
 
     def __init__(self, reading: Reading, linear: tuple[bool, ...]) -> None:
@@ -51,16 +51,18 @@ class Curves:
         Parameters
         ----------
         motion
-            2, 3 or 5.
+            2, 3 or 5, for that G word.
+        block
+            The block.
         before, after
-            Exact positions where the curve begins and ends.
+            Exact positions at the beginning and at the end of the curve.
         tenth_mm
-            Tenths of a millimetre in the unit of length.
+            Unit of length of the words, in tenths of a millimetre.
 
         Raises
         ------
         JobError
-            If the words make no curve, or its axes are not there or turn.
+            If the words give no curve, or an axis of it is rotary or not on the machine.
         """
         at = Place(self._reading.file, block.line)
         if motion == 5 and self.plane != 170:
@@ -133,7 +135,7 @@ class Curves:
         ends: tuple[tuple[float, float], tuple[float, float]],
         at: Place,
     ) -> Iterator[tuple[float, float, float]]:
-        """Return the chords of G5; without I and J it goes on as the one before it ended."""
+        """Return the chords of G5; without I and J it continues the spline of the last G5."""
         wrong = [letter for letter in words if letter not in "IJQ"]
         if wrong or p is None or "Q" not in words or ("I" in words) != ("J" in words):
             raise JobError(

@@ -1,11 +1,11 @@
-"""The dialects of part programs: which words a controller takes, and what they do there.
+"""The dialects of part programs: the words that a controller takes, and their effects.
 
-A word moves, sets a mode, or has no effect on motion, and is then named once; what would change
-motion and is not modelled here (tool lengths, other coordinate systems, canned cycles, limits set
-by the program) is in no table, and refused. Sources: ``linuxcnc``: LinuxCNC 2.9, G Codes and M
-Codes; ``grbl``: grbl 1.1 wiki and gcode.c; ``fluidnc``: the same with FluidNC's wiki; ``marlin``:
-Marlin 2.1, marlinfw.org/meta/gcode; ``fanuc``: B-63174EN; ``winder``: the printed winder's program
-with the words that ``docs/part-programs.md`` lists.
+A word moves, sets a mode, or has no effect on motion; a warning names each of the last once. Words
+that would change motion in a way that is not modelled (tool lengths, other coordinate systems,
+canned cycles, limits set by the program) are in no table and refused. Sources: ``linuxcnc``:
+LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wiki and gcode.c; ``fluidnc``: the same with
+FluidNC's wiki; ``marlin``: Marlin 2.1, marlinfw.org/meta/gcode; ``fanuc``: B-63174EN; ``winder``:
+the printed winder's program with the words that ``docs/part-programs.md`` lists.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threadline.machine.program_rules import DialectName, FeedRule
 
 Group = str
 CANCEL = 80
-"""The motion of G80: none."""
+"""Number of the motion mode that G80 sets: none."""
 MMode = Literal["stop", "end", "call", "return", "on", "off", "rest", "wait", "idle"]
 
 _MOTION = {0: "motion", 10: "motion"}
@@ -52,34 +52,39 @@ _MARLIN_M: dict[int, MMode] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
-    """What the words of a program mean to a controller.
+    """The words of a program as one sort of controller reads them.
 
     Parameters
     ----------
+    name
+        Name of the dialect.
     feed_rule
-        By whose rule F is a speed, unless the machine file or an option says otherwise.
+        Rule for the meaning of F, unless the machine file or an option gives another.
     g
-        Group of each G word, times ten: ``{281: "action"}`` is G28.1. One of each in a block.
+        Group of each G word, by ten times its number: ``{281: "action"}`` is G28.1. A block has at
+        most one word of each group.
     m
-        What each M word does.
+        Effect of each M word.
     idle_letters
-        Words of the spindle and the tool magazine, which a controller keeps for itself.
+        Letters of words for spindle and tool magazine, which have no effect on motion.
     idle_groups
-        Groups whose words have no effect on motion as long as nothing else of theirs is known.
+        Groups of G words that only cancel or select a default, and so have no effect on motion.
     needs_end
-        A program ends with M2, M30 or M99, and not with the file.
+        Whether a program must end with M2, M30 or M99.
     rapid_is_feed
-        G0 goes at the feed, as G1 does.
+        Whether G0 moves at the feed, as G1 does.
     each_g
-        Axis words stand behind a G word in every block.
+        Whether every block with axis words needs a G word.
     homes
-        G28 looks for the switches of the axes that it names, and is no move by way of a point.
+        Whether G28 homes the axes that it names; otherwise it moves them by way of a point.
     dwell_s
-        What the letters of G4 count, in seconds, of a whole number and of one with a point.
+        Unit in s of each letter of G4, for a whole number and for a number with a point.
     points
-        Axis words need a decimal point, for without one they count least increments.
+        Whether axis words need a decimal point, because without one they would be in least
+        increments.
     one_command
-        The words behind an M word belong to it; a checksum may end the line.
+        Whether a line has one command: words after an M word belong to it, and a checksum may
+        follow.
     """
 
     name: DialectName
@@ -150,23 +155,23 @@ DIALECTS: Mapping[str, Dialect] = {
         points=True,
     ),
 }  # fmt: skip
-"""By name; x-winder programs have letters of their own, and a reader of theirs."""
+"""Dialects by name; X-Winder programs have other words and a reader of their own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a block is read against.
+    """What the reading of a block depends on.
 
     Parameters
     ----------
     file
-        Named in errors.
+        Path of the file, for errors.
     machine
         Name of the machine, for errors.
     axes
-        Index by axis letter.
+        Index of each axis by its letter.
     dialect
-        What the words mean.
+        Dialect of the program.
     """
 
     file: str
@@ -176,7 +181,7 @@ class Reading:
 
 
 def dialect_of(machine: Machine, name: str | None) -> str:
-    """Return the name of the dialect that an option, else the machine file, names."""
+    """Return the name of the dialect: that of the option, or of the machine file without one."""
     return name if name is not None else machine.programs.dialect
 
 

@@ -1,7 +1,7 @@
-"""What F means.
+"""The meaning of F words.
 
-In G94, F is a speed in mm/min (G20: inch/min). Which speed, when axes of different kinds move
-together, is a choice that every controller makes for itself. ``RULES`` has them by whose they are:
+In G94, F is a speed in mm/min (G20: inch/min). Which speed that is when axes of different kinds
+move together differs from controller to controller. ``RULES`` has their rules by name:
 
 ``fastest-axis`` (the default: the printed winder's)
     of the fastest axis, where a rotary axis counts with the length of its arc at its radius. A
@@ -24,9 +24,9 @@ together, is a choice that every controller makes for itself. ``RULES`` has them
     degrees a minute: RS274/NGC version 3 section 2.1.2.5 (which has no U V W), LinuxCNC's canon
     and Marlin 2.1's ``get_move_distance`` with rotational axes.
 
-The last go by letters, as the firmwares do, whatever the machine has put there: the mandrel that
-Marlin is told as Y counts with the linear axes, a degree as a millimetre. F of a move of A B C
-alone is no length, so that G20 does not scale it.
+The last three rules depend on the letters of the axes alone, as in the firmwares: a mandrel that is
+axis Y of a Marlin counts with the linear axes, a degree as a millimetre. For a move of A B C alone
+F is in degrees, so that G20 does not scale it.
 
 In G93, F is the inverse of the time of the move in minutes, and every G1 block has its own. G0
 moves as fast as the limits of the machine allow.
@@ -63,7 +63,7 @@ RULES: Mapping[str, tuple[FeedMode, str]] = {
     "rs274": _IN_TURN,
     "marlin": _IN_TURN,
 }
-"""The mode of each rule, and its length in words."""
+"""The mode of each rule, and the text of which speed F is."""
 F_MODES = tuple(dict.fromkeys(mode for mode, _ in RULES.values()))
 _WITHOUT_UVW = "rs274"
 
@@ -78,15 +78,15 @@ class FRule:
 
     @property
     def text(self) -> str:
-        """The rule, for people."""
+        """Name of the rule with its base axes."""
         base = f":{','.join(self.base_axes)}" if self.base_axes else ""
         return f"{self.name}{base}"
 
 
 def parse_feed_mode(text: str) -> dict[str, Any]:
-    """Return the reader's options for what F means: ``"path"``, ``"base-axes:A,X"``.
+    """Return the reader's options ``feed_mode`` and ``base_axes`` of a text.
 
-    The reader knows the modes and the machine's axes, and refuses others.
+    The text is like ``"path"`` or ``"base-axes:A,X"``. The reader refuses unknown rules and axes.
     """
     mode, _, axes = text.partition(":")
     base = tuple(name.strip().upper() for name in axes.split(",")) if axes.strip() else ()
@@ -99,7 +99,7 @@ def f_rule(
     base_axes: tuple[str, ...] = (),
     of_dialect: str = "fastest-axis",
 ) -> FRule:
-    """Return what F means on ``machine``; None is what its file says, else the dialect's rule.
+    """Return the rule for F on ``machine``; with None that of its file, else that of the dialect.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
 
 
 def of_which(rule: str) -> str:
-    """Return what F is the speed of, in words, by the text of a job's rule.
+    """Return of which speed F is, in words, by ``Job.feed_rule``.
 
     >>> of_which("base-axes:A,X"), of_which("x-winder")
     ('of the base axes, a rotary axis at its radius', 'of the carriage, a second')

@@ -1,4 +1,4 @@
-"""The programs open while a part program is followed, and the text kept for their loops."""
+"""The programs that are open while a part program is read, and the text kept for their loops."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ _KEPT_BLOCKS = 10_000
 
 @dataclass(slots=True)
 class Frame:
-    """A program that is open: which pass of how many, and where it has been read to."""
+    """A program that is open: its pass, the number of its passes, and its next line."""
 
     program: Program
     lines: Lines
     pass_: int
     passes: int
-    calls: int = 1  # how many times the call that began it stands for
-    line: int = 0  # of the call in the main program
-    folded: int = 1  # how many passes the present one stands for
-    start: tuple[int, ...] = ()  # exact position and offset where the pass that is folded begins
+    calls: int = 1  # number of times that its call happens
+    line: int = 0  # line of the call in the main program
+    folded: int = 1  # number of passes for which the present one stands
+    start: tuple[int, ...] = ()  # exact position and offset at the beginning of the folded pass
 
     @property
     def times(self) -> int:
-        """How many times an operation of the present pass happens."""
+        """Number of times that an operation of the present pass happens."""
         return self.calls * self.folded
 
     def fold_rest(self, start: tuple[int, ...]) -> None:
-        """Let the pass that begins at ``start`` stand for all that are left."""
+        """Let the pass that begins at ``start`` stand for itself and all passes after it."""
         self.folded = self.passes - self.pass_ + 1
         self.pass_ = self.passes
         self.start = start
@@ -45,7 +45,7 @@ class KeptText:
     Parameters
     ----------
     file, reading
-        Where they are read from, and against what.
+        The file, and the axes and dialect by which its blocks are read.
     """
 
     def __init__(self, file: SourceFile, reading: Reading) -> None:

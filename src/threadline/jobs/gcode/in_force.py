@@ -1,8 +1,8 @@
-"""Which unit of length a feed is in where it stands: that of the calls, not of the file.
+"""The unit of length in force at each feed of a program, which depends on its calls.
 
-A subroutine without G20 or G21 of its own has the unit of its caller, and one with them leaves its
-own behind. So modes, feeds and calls are noted in order while the file is scanned; when all
-programs are known, the calls are followed from the main program on.
+A subroutine without G20 or G21 has the unit of its caller; one with them leaves its own unit in
+force when it returns. Modes, feeds and calls are therefore noted in order while the file is
+scanned. When all programs are known, the calls are followed from the main program on.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class _Program:
 class FeedNotes:
     """The modes, feeds and calls of every program of a file, in order.
 
-    A hundred thousand are kept, which bounds memory; equal ones that follow each other are one.
+    At most a hundred thousand are kept, so that memory is bounded; repetitions are left out.
     """
 
     _programs: dict[int | None, _Program] = field(default_factory=dict)
@@ -85,12 +85,14 @@ class FeedNotes:
             kept.notes.append(note)
 
     def speeds(self, main: int | None) -> dict[tuple[int, int], int]:
-        """Return the first line of each F in G94 that is run: by F and tenths of a millimetre.
+        """Return the first line of each speed F (in G94) of the programs that are run.
+
+        The keys are exact F and its unit in tenths of a millimetre.
 
         Parameters
         ----------
         main
-            The program that is started. No program may call itself.
+            Label of the main program. No program may call itself.
         """
         left: dict[int | None, _Modes] = {}
         found: dict[tuple[int, int], int] = {}

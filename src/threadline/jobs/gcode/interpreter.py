@@ -1,4 +1,4 @@
-"""Following a part program from block to block: modes, calls, exact positions."""
+"""The interpreter of part programs: modes, calls and exact positions, block by block."""
 
 from __future__ import annotations
 
@@ -46,14 +46,20 @@ _MILLIMETRE = 10  # tenths of a millimetre
 
 @dataclass(frozen=True, slots=True)
 class PartProgram:
-    """A scanned part program, ready to be followed any number of times.
+    """A scanned part program, which can be read any number of times.
 
     Parameters
     ----------
+    file
+        The file, with its hash.
+    reading
+        Axes and dialect.
+    structure
+        Its programs and their calls.
     linear
         (axes,) whether an axis is linear.
     rule
-        What F means in G94.
+        Meaning of F in G94.
     """
 
     file: SourceFile
@@ -68,23 +74,23 @@ class PartProgram:
         Raises
         ------
         JobError
-            Where a block does not say what it needs to: a feed, or a mode of motion.
+            If a block lacks a feed or a mode of motion.
         """
         return (item for item, _, _ in Interpreter(self).run())
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
         """Return the operations with passes that repeat each other given once.
 
-        From its third pass on a subroutine makes the same moves in every pass: the first has set
-        every mode that it sets, and the second, in these modes, has placed every axis that it
-        places absolutely. So three passes stand for all.
+        From its third pass on a subroutine makes the same moves in every pass: its first pass has
+        set every mode that it sets, and its second, in these modes, has placed every axis that it
+        places absolutely. The third pass therefore stands for all that follow.
 
         Returns
         -------
         iterator
-            Of an operation or a run, how many times it happens, and the line of the call in the
-            main program that it comes from (0 for the main program's own). A move that happens
-            0 times says where the passes that were left out end.
+            Of operations and runs, each with the number of times it happens and the line of the
+            call in the main program that it comes from (0 for operations of the main program). A
+            move that happens 0 times gives the position after the passes that were left out.
 
         Raises
         ------
@@ -131,7 +137,7 @@ class Interpreter:
     def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
         """Return the operations, moves in runs where the kernel has read them.
 
-        With each comes how many times it happens and the line of the main program's call.
+        Each comes with the number of times it happens and the line of the main program's call.
         """
         structure = self._program.structure
         frames = [Frame(structure.main, self._text.lines_of(structure.main), 1, 1)]
@@ -180,7 +186,7 @@ class Interpreter:
                 return
 
     def _advance(self, frame: Frame) -> None:
-        """Go where the passes that were folded into one would have led."""
+        """Set the position to the one after all passes that were folded into one."""
         axes, offset = len(self._exact), self._zeros.offset
         for index, start in enumerate(frame.start[:axes]):
             self._put(index, start + frame.folded * (self._exact[index] - start))
@@ -188,18 +194,18 @@ class Interpreter:
             offset[index] = start + frame.folded * (offset[index] - start)
 
     def _put(self, index: int, exact: int) -> None:
-        """Let an axis be at an exact position."""
+        """Set the position of an axis, exactly and in SI."""
         self._exact[index] = exact
         linear = self._linear[index]
         self._position[index] = exact / _MM_PER_M if linear else math.radians(exact / ONE)
 
     def _turns(self, callee: Program, block: Block) -> int:
-        """Return the passes; a body that only sets modes sets the same in every pass."""
+        """Return the number of passes; a subroutine without operations needs only one."""
         totals = self._program.structure.totals[callee.label]
         return block.passes if totals.operations else 1
 
     def _read_plain(self, lines: Lines) -> MoveRun | None:
-        """Let the kernel go on; return what it moved."""
+        """Read plain blocks with the compiled reader; return their moves, None without any."""
         plain = self._plain
         for to, numbers in ((plain.exact, self._exact), (plain.offset, self._zeros.offset)):
             for index, exact in enumerate(numbers):
@@ -233,7 +239,7 @@ class Interpreter:
         return MoveRun(targets, line, feeds, self._path, self._passes)
 
     def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
-        """Return the (count,) feeds of moves just read, those of A B C alone without inches."""
+        """Return the (count,) feeds of the moves just read, with inches undone for A B C alone."""
         values = plain.out_feed[:count]
         words = np.flatnonzero(plain.out_word[:count] >= 0)
         unit = np.full(count, self._feed_tenth_mm)
@@ -310,7 +316,7 @@ class Interpreter:
         return value * self._tenth_mm // 10 if self._linear[index] else value
 
     def _go(self, block: Block) -> None:
-        """Take the axis words of ``block``."""
+        """Set the position to that of the axis words of ``block``."""
         for index, value in block.axes:
             base = self._exact if self._relative else self._zeros.offset
             self._put(index, base[index] + self._scaled(index, value))
@@ -360,7 +366,7 @@ class Interpreter:
         yield Move(tuple(self._position), feed, source, tags)
 
     def _stays(self, block: Block) -> bool:
-        """Say whether the words of a block lead nowhere."""
+        """Return whether the axis words of a block are the present position."""
         base = self._exact if self._relative else self._zeros.offset
         return all(base[i] + self._scaled(i, v) == self._exact[i] for i, v in block.axes)
 

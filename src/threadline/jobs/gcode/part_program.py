@@ -30,20 +30,20 @@ def read_part_program(
 ) -> Job:
     """Return the job of a part program.
 
-    The file is read once here: every block is checked, and the moves are counted with their
-    calls multiplied out. The job reads it again each time it is gone through.
+    The file is read once here: every block is checked, and the moves are counted, with the passes
+    of calls multiplied. The job reads the file again in every iteration.
 
     Parameters
     ----------
     path
         A program in the dialect of ``docs/part-programs.md``.
     machine
-        Its axes are the only ones that the program may move.
+        Machine whose axes the program may move.
     dialect
-        Name of what its words mean; None is what the machine file says.
+        Name of the dialect; that of the machine file when None.
     feed_mode, base_axes
-        What F means, see ``threadline.jobs.gcode.f_words``; None is what the machine file
-        says, else the dialect's.
+        Rule for the meaning of F (``threadline.jobs.gcode.f_words``); that of the machine file, or
+        else of the dialect, when None.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _dialect(machine: Machine, option: str | None) -> Dialect:
 
 
 def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> None:
-    """Refuse more operations than ticks: each counts as one at least, however short it is."""
+    """Refuse more operations than the tick budget: each takes at least one tick."""
     budget = int(machine.tick_budget.si)
     main = structure.main
     totals = structure.totals[main.label]

@@ -1,12 +1,12 @@
-"""The plain blocks of a part program, read by machine code.
+"""A compiled reader of the plain blocks of a part program.
 
 Nearly all lines of a long program are plain: N, G0 G1 G90 G91, axis words, F, a comment. This
-kernel reads and follows them; at the first line that is anything else, or is wrong, or has more
-digits than fit, it stops in front of it, and ``blocks`` and ``interpreter`` take that line. They
-can do all that the kernel does, and tests hold the two against each other.
+reader handles them. It stops before the first line that is anything else, is wrong, or has too many
+digits; ``block`` and ``interpreter`` read that line. They can read plain blocks, too, and tests
+compare the two.
 
-Positions are integers of 1e-7 mm or degrees below 2**53, so that the quotient that turns them
-into SI is the correctly rounded one, as it is with the exact integers of the interpreter.
+Positions are integers of 1e-7 mm or degrees below 2**53. Their conversion to SI is therefore
+correctly rounded, like that of the interpreter's exact integers.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     out_word: IntArray,
     used: NDArray[np.bool_],
 ) -> int:
-    """Take plain blocks from ``state[AT]`` on; return the number of moves written.
+    """Read plain blocks from ``state[AT]`` on; return the number of moves written.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         with EACH_G not 0 axis words need a G word in their block. RAPID_F becomes the line of the
         first G0 with an F.
     offset
-        (axes,) 1e-7 mm or degrees: where the programmed zero is.
+        (axes,) position of the programmed zero, in 1e-7 mm or degrees.
     exact, position
         (axes,) in 1e-7 mm or degrees, and in m or rad; updated.
     feed
@@ -313,7 +313,7 @@ follow_plain = njit(cache=True, nogil=True)(_follow_plain)
 
 
 class PlainReader:
-    """The kernel with the arrays that it works in.
+    """The compiled reader with its arrays.
 
     Parameters
     ----------
@@ -346,12 +346,12 @@ class PlainReader:
         self._pause = self._patience = 0
 
     def worth_trying(self) -> bool:
-        """Say whether to try again: rarely, where no block is plain."""
+        """Return whether to try the next line, which is rarely after lines that were not plain."""
         self._pause -= 1
         return self._pause < 0 and self.usable
 
     def read(self, lines: Lines) -> int:
-        """Go on in ``lines`` over plain blocks; return how many moves are in the ``out`` arrays."""
+        """Read plain blocks of ``lines``; return the number of moves in the ``out`` arrays."""
         self.state[AT] = lines.at
         self.state[LINE] = lines.number
         moves = follow_plain(
@@ -367,7 +367,7 @@ class PlainReader:
 
 
 def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:
-    """Return the reader of a program's plain blocks, as its dialect has them."""
+    """Return the compiled reader for the dialect of a program."""
     dialect = reading.dialect
     plain = PlainReader(reading.axes, linear, follow)
     plain.state[RAPID_FEED] = dialect.rapid_is_feed

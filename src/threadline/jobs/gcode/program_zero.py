@@ -1,4 +1,4 @@
-"""Where the programmed zero and the home of a part program are: G92 to G92.3 and G28.1."""
+"""The programmed zero and the home position of a part program: G92 to G92.3 and G28.1."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ _HOME, _SHIFT, _SUSPEND, _RESTORE = 281, 920, 922, 923
 
 
 class Zeros:
-    """Exact positions of ``axes`` axes on the machine: 10**-18 mm or degrees.
+    """Positions on the machine for a number of ``axes``, as exact 10**-18 mm or degrees.
 
     Attributes
     ----------
     offset
-        Where the programmed zero is.
+        Position of the programmed zero.
     home
-        Where G28 goes.
+        Position to which G28 moves.
     """
 
     def __init__(self, axes: int) -> None:
@@ -24,12 +24,12 @@ class Zeros:
         self._kept = [0] * axes  # while G92.2 has set the offset aside
 
     def take(self, code: int, at: Sequence[int], given: Mapping[int, int]) -> None:
-        """Do what ten times a G word says, at the position ``at``.
+        """Apply a G word, given as ten times its number, at the position ``at``.
 
         Parameters
         ----------
         given
-            What G92 calls the position from now on, by the index of the axis.
+            Programmed positions that G92 gives the present position, by the index of the axis.
         """
         if code == _HOME:
             self.home = list(at)

@@ -1,4 +1,4 @@
-"""Words that a block cannot have, and what to do about them."""
+"""Errors for words that a block cannot have, with their remedies."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def refuse_number(
 
 
 def refuse_without_point(letter: str, number: str, line: int, reading: Reading) -> NoReturn:
-    """Refuse a number that a parameter of the control gives one of two meanings."""
+    """Refuse a number without decimal point, whose unit depends on a parameter of the control."""
     raise JobError(
         f"{letter}{_short(number)} has no decimal point: by its parameter DPI a Fanuc control "
         "reads it in millimetres (degrees) or in thousandths of them",
@@ -52,7 +52,7 @@ def refuse_without_point(letter: str, number: str, line: int, reading: Reading) 
 
 
 def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading) -> NoReturn:
-    """Refuse a word that is unknown, saying which are known, and where this one is."""
+    """Refuse an unknown word; the error lists the known ones and dialects that have this one."""
     place = Place(reading.file, line)
     dialect = reading.dialect
     if letter in AXIS_LETTERS:

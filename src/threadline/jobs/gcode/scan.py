@@ -1,4 +1,4 @@
-"""The first pass over a part program: every block checked, nothing followed."""
+"""The first pass over a part program, which checks every block without computing positions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Findings:
     Parameters
     ----------
     feeds
-        Every F, and the calls that say in which unit it is.
+        Every F, with the modes and calls on which its unit depends.
     long_dwells, blends
         Lines of dwells that look like milliseconds, and of G64.
     idle
@@ -44,7 +44,7 @@ class Findings:
 
 
 class Scanner:
-    """Takes the blocks of a file in the order in which they stand there."""
+    """Scans the blocks of a file in their order."""
 
     def __init__(self, file: SourceFile, reading: Reading) -> None:
         self.findings = Findings()

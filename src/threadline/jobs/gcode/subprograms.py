@@ -1,7 +1,7 @@
-"""The programs of a file: where each begins and ends, whom it calls, how much it asks for.
+"""The programs of a file: where each begins and ends, its calls, and its number of operations.
 
-One pass over the file finds every mistake that can be seen without following the calls, and
-counts moves by multiplication, so that ``L 1000000000`` costs nothing to refuse.
+One pass over the file finds every mistake that can be found without following the calls. Moves are
+counted by multiplication with passes, so that ``L 1000000000`` is refused at once.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class Program:
     end
         The byte behind its last line.
     ends_with
-        99, 2 or 30; None while it is open.
+        Number of the M word that ends it: 99, 2 or 30; None while it is open.
     moves
-        Moves of its own, subroutines apart.
+        Number of its own moves, without those of subroutines.
     stops
-        Stops, dwells and tool events of its own.
+        Number of its own stops, dwells and tool events.
     calls
-        By the O number that is called.
+        Calls by the O number of the subroutine.
     """
 
     label: int | None
@@ -62,14 +62,14 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """Moves and other operations of a program with all its calls unrolled."""
+    """Numbers of moves and other operations of a program, those of all its calls included."""
 
     moves: int
     others: int
 
     @property
     def operations(self) -> int:
-        """All of them; each counts as a tick at least."""
+        """Number of all operations."""
         return self.moves + self.others
 
 
@@ -83,7 +83,7 @@ class Structure:
 
 
 class Collector:
-    """Collects the programs of a file in the order in which they stand there."""
+    """Collects the programs of a file in their order."""
 
     def __init__(self, file: SourceFile) -> None:
         self._file = file
@@ -119,7 +119,7 @@ class Collector:
         return self.current
 
     def end(self, code: int, offset: int) -> None:
-        """End the program in hand with M99, M2 or M30, in the line before byte ``offset``."""
+        """End the current program with M99, M2 or M30, in the line before byte ``offset``."""
         assert self.current is not None
         self.current.end = offset
         self.current.ends_with = code

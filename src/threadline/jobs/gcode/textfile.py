@@ -1,4 +1,4 @@
-"""Reading a text file in bounded memory, and refusing what is not text."""
+"""Text files read in bounded memory, line by line; files that are not text are refused."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class SourceFile:
 
     @property
     def sha256(self) -> str:
-        """Of all its bytes."""
+        """Hash of all bytes of the file."""
         return self.known.sha256
 
     def place(self, line: int = 0) -> Place:
@@ -132,7 +132,7 @@ class TextLine(NamedTuple):
 
 
 class Lines:
-    """A place in a text file that goes forward, line by line or as far as someone else reads.
+    """A reader of a text file with a position, which moves forward line by line or in chunks.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class Lines:
         return self._chunk.offset + self.at
 
     def more(self) -> bool:
-        """Say whether there is another line, and have it in ``data`` from ``at`` on."""
+        """Return whether there is another line; it is in ``data`` from ``at`` on."""
         if self.at < len(self._chunk.data):
             return True
         chunk = next(self._chunks, None)
@@ -172,13 +172,13 @@ class Lines:
         return True
 
     def skip(self) -> None:
-        """Go on behind the next line."""
+        """Skip the next line."""
         end = self._chunk.data.find(b"\n", self.at)
         self.at = (len(self._chunk.data) if end < 0 else end) + 1
         self.number += 1
 
     def take(self) -> TextLine:
-        """Return the next line and go on behind it; ``more`` has said that there is one.
+        """Return the next line, which must exist (see ``more``).
 
         Raises
         ------

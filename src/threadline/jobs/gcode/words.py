@@ -1,7 +1,7 @@
-"""The words of a block: a letter and a number each, comments apart.
+"""The words of a block, a letter and a number each, and its comments.
 
-Numbers are kept exactly, as integers of 10**-18 of what is written: sums of programmed increments
-do not depend on their order, and 780 times 0.1 is 78.
+Numbers are exact, as integers of 10**-18: sums of programmed increments do not depend on their
+order, and 780 times 0.1 is 78.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
 
 
 def one_command(text: str) -> str:
-    """Return a line of a firmware that takes one command a line, without what has no number.
+    """Return a line of a firmware with one command a line, as words with numbers.
 
-    The text behind M117 and M118, a checksum at the end, and letters that only name an axis of G28,
-    which get the number 0.
+    The text after M117 and M118 and a checksum are removed; letters without number, which name the
+    axes of G28, get the number 0.
 
     >>> one_command("N3 G28 X Y*54"), one_command("M117 hello X1"), one_command("G1 X5 ; a*b")
     ('N3 G28 X0 Y0', 'M117', 'G1 X5 ; a*b')
@@ -97,10 +97,10 @@ def _exact_unusual(whole: str, fraction: str) -> int | None:
 
 
 def _without_comments(text: str, file: str, line: int) -> tuple[str, str]:
-    """Return ``text`` without its comments, and what stands behind the semicolon.
+    """Return ``text`` without its comments, and the comment after the semicolon.
 
-    In the printed dialect ``;`` ends a block, elsewhere it begins a comment. Text that would be
-    a block in the one and a comment in the other is refused.
+    In the dialect of the printed winder program ``;`` ends a block, in all others it begins a
+    comment. Text after it that is a block in the one and a comment in the others is refused.
     """
     code, _, comment = _cut_at_semicolon(text)
     if "(" in code or ")" in code:
@@ -142,7 +142,7 @@ def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
 def _tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]:
     """Return the numbers that a comment like ``tension=6.5 width=4`` names.
 
-    A comment that holds anything else is for people.
+    A comment that holds anything else names none.
     """
     if _NAMED.fullmatch(comment) is None:
         return ()
@@ -171,7 +171,7 @@ def _shown(text: str) -> str:
 
 
 def _diagnose(text: str, file: str, line: int) -> NoReturn:
-    """Say what in ``text``, which is no block, is wrong."""
+    """Raise the error for ``text``, which is not a block."""
     at = 0
     while match := _WORD.match(text, at):
         if match.end() < len(text) and text[match.end()] in "eE,.":
