@@ -25,6 +25,7 @@ PYGCODE_BLOCKS = 5_000  # some seconds of it
 LONG_BLOCKS = 5_000_000
 REPEATS = 3
 UNIT = "block/s"
+MACHINE = load_machine("lathe-winder")
 
 
 def write_program(path: Path, blocks: int) -> None:
@@ -131,6 +132,3 @@ def entry(name: str, ours: float, peer: float | None, note: str) -> dict[str, An
         "unit": UNIT,
         "note": note or compared or f"{ours:,.0f} block/s; the peer is not installed",
     }
-
-
-MACHINE = load_machine("lathe-winder")

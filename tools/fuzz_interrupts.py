@@ -24,7 +24,7 @@ import traceback
 from collections import Counter
 from pathlib import Path
 
-from fuzz_commands import SHORT_DESIGN, SHORT_MOVES, SHORT_PROGRAM, SHORT_SEAM
+from fuzz_cases import SHORT_DESIGN, SHORT_MOVES, SHORT_PROGRAM, SHORT_SEAM
 from fuzz_odd import ODD
 
 from threadline.cli.main import main as run_program

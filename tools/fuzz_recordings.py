@@ -13,80 +13,25 @@ measures say of the plan alone is taken from the case before; every ``_WHOLE``th
 
 from __future__ import annotations
 
-import atexit
 import json
 import random
-import shutil
-import sys
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from fuzz_runs import Seed, plan_measured_once, seeds  # it puts the root on the path
+from tests.verdict.interpreter import Channel, asked, cannot_pass, refused
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from tests.verdict.interpreter import (  # noqa: E402
-    Channel,
-    Facts,
-    Stitch,
-    asked,
-    cannot_pass,
-    refused,
-)
-
-from threadline.errors import Place  # noqa: E402
-from threadline.jobs.operations import Move, OperationStream  # noqa: E402
-from threadline.machine import load_machine  # noqa: E402
-from threadline.options import Options  # noqa: E402
-from threadline.pipeline import Proof, prove  # noqa: E402
-from threadline.plan import Motion, Plan  # noqa: E402
-from threadline.signals import Recording, RecordingBlock, Stream  # noqa: E402
-from threadline.signals.files import read_recording, write_recording  # noqa: E402
-from threadline.signals.files.channel_units import in_si  # noqa: E402
-from threadline.targets.stitched import Stitched  # noqa: E402
-from threadline.verdict import judge, load_spec, verdict_json  # noqa: E402
-from threadline.verdict.demands import measure_demands  # noqa: E402
-from threadline.verdict.registry import MEASURES  # noqa: E402
-from threadline.verdict.stitch_measures import measure_tables  # noqa: E402
+from threadline.errors import Place
+from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.signals.files import read_recording, write_recording
+from threadline.signals.files.channel_units import in_si
+from threadline.verdict import judge, load_spec, verdict_json
 
 CLASSES = ("judge-channels", "judge-blocks", "judge-axes")
-_FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read again and again
-atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
-_WINDING = "G21\nG91\nG1 X4 Y1 A6 F1800\nX4 Y-1 A6\nX-3\nM30\n"
-_SEAM = """
-[stitching]
-stitch_length = "2.5 mm"
-needle_speed = "20 stitch/s"
-
-[[contour]]
-unit = "mm"
-points = [[10, 10], [40, 10], [40, 15]]
-"""
-# Tajima's records of three bytes: 0.9 mm along X, X, Y, back along X, and the end.
-_DESIGN = b"LA:short           \rST:      5\rCO:  0\r".ljust(512) + bytes.fromhex(
-    "040003 040003 200003 080003 080003 0000f3"
-)
-_MOVES = """
-name = "short"
-
-[[operation]]
-step = "start"
-valve = "main_air"
-
-[[operation]]
-step = "descend"
-move = { Z = "100 mm" }
-
-[[operation]]
-wait = "z_is_down"
-"""
 _WHOLE = 16
 _LIMITS = {
     "contour_error": ("0.5 mm", "5 mm"),
@@ -135,151 +80,6 @@ _SWITCHED = {
     "switching_dwell": ("50 ms",),
     "travel": ("1 mm",),
 }
-
-
-@dataclass(frozen=True)
-class Seed:
-    """A run that is judged, what there is to know of it, and its samples."""
-
-    proof: Proof
-    facts: Facts
-    period_s: float
-    samples: dict[str, np.ndarray]
-
-
-@cache
-def seeds() -> tuple[Seed, ...]:
-    """Return a short run of each kind of machine: winder, stitcher, on/off placer, embroiderer."""
-    found = []
-    for file, text, name, options in (
-        ("short.prg", _WINDING, "lathe-winder", Options()),
-        ("short.seam.toml", _SEAM, "stitcher", Options()),
-        ("short.toml", _MOVES, "letter-placer+whole-scans+own-damping", Options(shaper="zv")),
-        ("short.dst", _DESIGN, "schiffli-frame", Options()),
-    ):
-        (_FOLDER / file).write_bytes(text if isinstance(text, bytes) else text.encode())
-        machine = load_machine(name)
-        proof = prove(_FOLDER / file, machine, load_spec(None, machine), options)
-        proof = replace(proof, plan=_held(proof.plan))
-        blocks = list(proof.recording)
-        samples = {
-            c.name: np.concatenate([b.samples[c.name] for b in blocks])
-            for c in proof.recording.channels
-        }
-        period_s = float(proof.recording.channels[0].clock.period_s)
-        found.append(Seed(proof, _facts(proof), period_s, samples))
-    return tuple(found)
-
-
-def _held(plan: Plan) -> Plan:
-    """Return the plan with all its streams in memory."""
-    job = replace(plan.job, operations=OperationStream(Stream.of(plan.job.runs())))
-    if not isinstance(plan.intent, Motion):
-        return replace(plan, job=job)
-
-    def hold(stage: Any) -> Any:
-        return None if stage is None else replace(stage, blocks=Stream.of(stage.blocks))
-
-    stages = ("programmed", "path", "trajectory", "timed")
-    motion = replace(plan.intent, **{name: hold(getattr(plan.intent, name)) for name in stages})
-    return replace(plan, job=job, commands=hold(plan.commands), intent=motion)
-
-
-@contextmanager
-def _plan_measured_once(plan: Plan) -> Iterator[None]:
-    """Let the judge take what it measures of a plan alone from the first time that it did."""
-    judging: Any = sys.modules[judge.__module__]
-    measure = judging._of_plan
-    known = _of_plan(plan)
-    judging._of_plan = lambda _, keys: {k: known[k[0]] for k in keys if k[0] in known}
-    try:
-        yield
-    finally:
-        judging._of_plan = measure
-
-
-@cache
-def _of_plan(plan: Plan) -> dict[str, list[Any]]:
-    """Return what every measure of a plan alone finds, by name."""
-    measured = sys.modules[judge.__module__]._of_plan(plan, {(name, ()): None for name in MEASURES})
-    return {name: found for (name, _), found in measured.items()}
-
-
-def _facts(proof: Proof) -> Facts:
-    plan, machine = proof.plan, proof.plan.machine
-    axes = list(plan.axes)
-    if machine.cylinders:
-        own = {("travel", axis): 0.0 for axis in axes}
-        return Facts(axes, set(), True, 0.0, 0.0, own=own)
-    if isinstance(plan.intent, Stitched):
-        return _facts_of_stitches(proof)
-    begin_s, end_s = plan.motion.trajectory.moves_s
-    programmed = plan.motion.programmed
-    own, planned = {}, {}
-    for name, rows in measure_demands(plan).items():
-        for row in rows:
-            planned[name, row.axis] = row.value
-    for axis in axes:
-        of = machine.axes[axis]
-        for name, limit in (("velocity", of.velocity), ("acceleration", of.acceleration)):
-            own[name, axis] = limit.si
-        if of.jerk is not None:
-            own["jerk", axis] = of.jerk.si
-    dacs = {axis: machine.controller_of(axis).dac for axis in axes}
-    return Facts(
-        axes,
-        {a for a in axes if machine.axes[a].kind == "rotary"},
-        False,
-        begin_s,
-        end_s,
-        radius_m=programmed.radius_m,
-        vertices=np.concatenate([b.positions for b in programmed]),
-        clamp_v={a: d.range.si - 1.5 * d.volt_per_level for a, d in dacs.items()},
-        own=own,
-        planned=planned,
-        stitches=_stitches(plan),
-        lag_s=proof.spec.lag_s,
-        off_m=1e-4,  # the tolerance of the default interpolation
-    )
-
-
-def _stitches(plan: Plan) -> list[Stitch]:
-    """Return the stitches of a seam, as the job's tags and the trajectory have them."""
-    moved: dict[int, tuple[float, float]] = {}
-    for block in plan.motion.trajectory:
-        ends = block.start_s + block.duration_s
-        for number, begin, end in zip(block.operation, block.start_s, ends, strict=True):
-            moved[int(number)] = (moved.get(int(number), (float(begin), 0.0))[0], float(end))
-    return [
-        Stitch(*moved[number], float(one.tags["target_m"]), bool(one.tags["exempt"]))
-        for number, one in enumerate(plan.job)
-        if isinstance(one, Move) and "stitch" in one.tags
-    ]
-
-
-def _facts_of_stitches(proof: Proof) -> Facts:
-    plan, stitched = proof.plan, proof.plan.stitched
-    axes = list(plan.axes)
-    planned = {
-        (name, row.axis): row.value
-        for name, rows in measure_tables(plan).items()
-        for row in rows
-        if row.value is not None
-    }
-    own = {(name, axis): 1.0 for name in ("servo_force",) for axis in axes}
-    own |= {("window_use", ""): 1.0, ("fetch_use", ""): 1.0}
-    own |= {("travel", axis): 0.0 for axis in axes}
-    return Facts(
-        axes,
-        set(),
-        False,
-        0.0,
-        # The last entry of the needle is what has to be seen.
-        float(proof.plan.duration_s) * 0.9,
-        own=own,
-        planned=planned,
-        places=stitched.places_m[stitched.turns.stitch > 0],
-    )
 
 
 def _with_fault(rng: random.Random, seed: Seed) -> dict[str, np.ndarray]:
@@ -442,7 +242,7 @@ def check(kind: str, path: Path) -> None:
         write_recording(recording, recorded)
         verdict = judge([read_recording(recorded)], seed.proof.plan, spec)
     else:
-        with _plan_measured_once(seed.proof.plan):
+        with plan_measured_once(seed.proof.plan):
             verdict = judge([in_si(recording, Place(path.name))], seed.proof.plan, spec)
     if must:
         raise AssertionError(f"judged, although {must}")

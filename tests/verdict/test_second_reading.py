@@ -34,7 +34,8 @@ def cases() -> Iterator[ModuleType]:
         import fuzz_recordings
 
         yield fuzz_recordings
-        sys.modules.pop("fuzz_recordings")
+        for name in ("fuzz_recordings", "fuzz_runs"):
+            sys.modules.pop(name)
 
 
 def run(cases: ModuleType, kind: str, folder: Path, count: int, seed: int = 11) -> tuple[int, int]:
