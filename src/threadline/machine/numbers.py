@@ -9,6 +9,7 @@ from fractions import Fraction
 from typing import Any, get_args, get_type_hints
 
 from threadline.errors import OptionError
+from threadline.escaping import toml_string
 from threadline.machine.model import Machine
 from threadline.machine.quantity import Quantity, Units
 
@@ -32,6 +33,28 @@ def number_at(machine: Machine, path: str) -> Quantity:
             remedy="Name one that its file gives.",
         )
     return node
+
+
+def number_tables(texts: Mapping[str, str]) -> list[str]:
+    r"""Return the lines of a machine file that set numbers, in tables that a blank line begins.
+
+    Parameters
+    ----------
+    texts
+        Path of each number, as ``number_at`` takes it, to its text with unit and tolerance.
+
+    Examples
+    --------
+    >>> print(*number_tables({"bodies.x.inertia": "2 kg exact, assumed"}), sep="\n")
+    <BLANKLINE>
+    [bodies.x]
+    inertia = "2 kg exact, assumed"
+    """
+    tables: dict[str, list[str]] = {}
+    for path, text in texts.items():
+        table, _, key = path.rpartition(".")
+        tables.setdefault(table, []).append(f"{key} = {toml_string(text)}")
+    return [line for table, rows in sorted(tables.items()) for line in ("", f"[{table}]", *rows)]
 
 
 def is_whole(machine: Machine, path: str) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from threadline.escaping import ascii_only, toml_string
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
-from threadline.machine.numbers import number_at
+from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.quantity import Quantity
 from threadline.search.design import DesignResult, Found
 from threadline.signals.files.common import atomic_file
@@ -51,11 +51,10 @@ def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
 def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
     """Return the machine file of a design, based on the machine that was redesigned."""
     machine = result.machine
-    tables: dict[str, list[str]] = {}
-    for path, value in found.numbers.items():
-        table, _, key = path.rpartition(".")
-        text = quantity_text(number_at(machine, path), value)
-        tables.setdefault(table, []).append(f"{key} = {toml_string(text)}")
+    texts = {
+        path: quantity_text(number_at(machine, path), value)
+        for path, value in found.numbers.items()
+    }
     over = " over the tolerances" if result.tolerances else ""
     lines = [
         f"# Found by threadline design for {ascii_only(result.job.name)}: in specification{over}.",
@@ -64,9 +63,8 @@ def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
         f"name = {toml_string(machine.name.split('+')[0] + '-redesigned')}",
         f"title = {toml_string(machine.title + ', redesigned')}",
         'design = "none"',
+        *number_tables(texts),
     ]
-    for table, rows in sorted(tables.items()):
-        lines += ["", f"[{table}]", *rows]
     return "\n".join(lines) + "\n"
 
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
+from threadline.escaping import toml_string
 from threadline.kinds import kind_of
 from threadline.machine import Machine
+from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.variants import (
     MOST_CORNERS,
     Uncertain,
@@ -287,22 +289,17 @@ def _counted(number: Uncertain) -> bool:
 
 def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
     """Return the machine file of the worst machine: the numbers that differ, over its base."""
-    from threadline.escaping import toml_string
-    from threadline.machine.numbers import number_at
-
-    tables: dict[str, list[str]] = {}
-    for path, value in worst.numbers.items():
-        table, _, key = path.rpartition(".")
-        quantity = number_at(machine, path)
-        text = f"{value!r} {quantity.unit}".strip() + " exact, assumed: worst of the tolerances"
-        tables.setdefault(table, []).append(f"{key} = {toml_string(text)}")
+    texts = {
+        path: f"{value!r} {number_at(machine, path).unit}".strip()
+        + " exact, assumed: worst of the tolerances"
+        for path, value in worst.numbers.items()
+    }
     lines = [
         f"# The worst machine found within the tolerances: {100.0 * worst.share:.4g} % of",
         f"# {worst.binding}, by threadline yield.",
         f"base = {toml_string(base)}",
         f"name = {toml_string(machine.name.split('+')[0] + '-worst')}",
         f"title = {toml_string(machine.title + ', worst of its tolerances')}",
+        *number_tables(texts),
     ]
-    for table, rows in sorted(tables.items()):
-        lines += ["", f"[{table}]", *rows]
     return "\n".join(lines) + "\n"
