@@ -1,1 +1,1 @@
-"""Plane geometry and the readers of drawings, for everything that is made after a drawing."""
+"""Plane geometry, and the readers of drawings (DXF, SVG, CSV)."""

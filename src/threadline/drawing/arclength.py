@@ -18,7 +18,7 @@ _CHUNK = 1 << 15
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArcTable:
-    """Where on which piece a length along the curve lies.
+    """A table that gives the piece and parameter at each length along a curve.
 
     Parameters
     ----------
@@ -31,7 +31,8 @@ class ArcTable:
     begin_m
         (n + 1,) length from the start of the curve to each span; the last is the whole length.
     even
-        (pieces,) bool: chords and circles, on which length and parameter are proportional.
+        (pieces,) whether a piece is a chord or an arc of a circle, on which length and parameter
+        are proportional.
     """
 
     pieces: Pieces
@@ -52,10 +53,10 @@ class ArcTable:
         return np.append(self.begin_m[first], self.begin_m[-1])
 
     def locate(self, length_m: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the piece and the parameter on it at each ``length_m``, both (m,).
+        """Return the (m,) pieces and the (m,) parameters on them at (m,) lengths.
 
-        The length at the parameter is within 1e-12 m of what was asked for, or as near as the
-        parameter's rounding lets it be. Lengths outside the curve are clamped.
+        The length at the parameter is exact to 1e-12 m or to the rounding of the parameter. Lengths
+        outside the curve are clamped.
         """
         wanted = np.clip(np.asarray(length_m, dtype=np.float64), 0.0, self.length_m)
         span = np.searchsorted(self.begin_m, wanted, side="right") - 1
@@ -96,12 +97,12 @@ def span_lengths(
 
 
 def arc_table(pieces: Pieces) -> ArcTable:
-    """Return the table of lengths of ``pieces``, taken as one curve in their order.
+    """Return the table of lengths of ``pieces``, which in their order are one curve.
 
     Notes
     -----
-    Gauss-Legendre quadrature with 12 nodes on a span and on its halves; a span is halved until
-    the two agree within 1e-12 m (or rounding). Chords and circles need neither.
+    Lengths are by Gauss-Legendre quadrature with 12 nodes, on a span and on its two halves; a span
+    is halved until both agree within 1e-12 m (or rounding). Those of chords and circles are exact.
     """
     found: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     even = pieces.is_line | pieces.is_circle

@@ -1,4 +1,4 @@
-"""The inverse of the length along a curve, compiled: a length for each of a million stitches."""
+"""The compiled inverse of the length along a curve, for millions of stitches."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Spans = tuple[IntArray, FloatArray, FloatArray, FloatArray, np.ndarray]
 
 
 def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> FloatArray:
-    """Return the (m,) parameters at which the curve is ``wanted_m`` long.
+    """Return the (m,) parameters at which the curve has the lengths ``wanted_m``.
 
     Parameters
     ----------
     curve
         ``top``, ``bottom``, ``begin_rad`` and ``sweep_rad`` of the pieces.
     spans
-        ``piece``, ``begin_u``, ``end_u``, ``begin_m`` of the table, and which pieces are even.
+        ``piece``, ``begin_u``, ``end_u``, ``begin_m`` and ``even`` of the table.
     span
         (m,) int: the span that each length lies in.
     wanted_m
@@ -33,8 +33,9 @@ def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> 
 
     Notes
     -----
-    Newton's method inside a bracket that is halved where Newton leaves it. The length up to a
-    parameter is one quadrature from the beginning of the span, on which 12 nodes are exact.
+    The method is Newton's, inside a bracket that is halved where a step would leave it. The length
+    up to a parameter is one quadrature of 12 nodes from the beginning of the span, which is exact
+    to rounding.
     """
     result: FloatArray = _invert(*curve, *spans, span, wanted_m)
     return result

@@ -1,4 +1,4 @@
-"""Contours: strokes joined end to end within a stated gap, never repaired in silence."""
+"""Contours: strokes that are joined end to end within a gap; every repair is reported."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _NEAR = 100.0  # ends this many gaps apart look meant to meet
 class Contour:
     """A curve without branches.
 
-    Neighbouring pieces meet within the gap; a gap is kept as it is, so it is a jump in position
-    of that size and no length.
+    The ends of neighbouring pieces are at most the gap apart. A gap is not closed: it is a jump in
+    position, which adds nothing to the length.
     """
 
     pieces: Pieces
@@ -32,9 +32,9 @@ class Contour:
 
 
 def drop_zero_lengths(strokes: Sequence[Stroke], file: str) -> tuple[list[Stroke], list[str]]:
-    """Return the strokes without pieces that go nowhere, and warnings.
+    """Return the strokes without pieces of length 0, and warnings about these.
 
-    A stroke of which nothing is left is left out.
+    A stroke that has no other pieces is left out.
     """
     if not strokes:
         return [], []
@@ -70,20 +70,22 @@ def join_strokes(
 ) -> tuple[list[Contour], list[str]]:
     """Return the contours that ``strokes`` make, in the order of the file, and warnings.
 
-    A contour starts and runs as the stroke of it that was drawn first.
+    The start and the direction of a contour are those of its first stroke in the file.
 
     Parameters
     ----------
     strokes
-        Of one seam.
+        Strokes of one seam.
     gap_m
-        Ends at most this far apart meet.
+        Ends at most this far apart are joined.
+    file
+        Name of the file, for messages.
 
     Raises
     ------
     JobError
-        If three or more ends meet, so that the way on is a matter of taste, or a stroke is
-        shorter than the gap.
+        If three or more ends meet, so that the continuation is ambiguous, or a stroke is shorter
+        than the gap.
     """
     if not strokes:
         return [], []
@@ -126,7 +128,7 @@ def _partners(
     strokes: Sequence[Stroke],
     file: str,
 ) -> IntArray:
-    """Return (2 n,) the end that each end meets, -1 for none."""
+    """Return the (2 n,) index of the end that each end meets, -1 for none."""
     from scipy.spatial import cKDTree
 
     count = len(strokes)

@@ -1,7 +1,7 @@
-"""Pieces of curves, exact: lines, Bezier and spline spans, circular and elliptic arcs.
+"""Exact pieces of curves: lines, Bezier and spline spans, circular and elliptic arcs.
 
-All pieces of a drawing lie in a few arrays, so that a million chords cost no million objects, and
-any affine map (a block that was inserted, an SVG transform) stays exact.
+All pieces of a drawing are kept in a few arrays, so that a million chords need no million objects.
+Every affine map of them (an inserted block, an SVG transform) is exact, too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A drawn line by the length along it, for those who compare something with the drawing."""
+"""A drawn line, with its points by the length along it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class DrawnLine:
     table
         The curve.
     closed
-        It ends where it begins; lengths beyond its own are those of the next lap.
+        Whether it ends where it begins; lengths are then modulo its own.
     """
 
     table: ArcTable

@@ -1,4 +1,4 @@
-"""Seam allowance: the curve at a distance from a contour, with what it cuts off itself removed."""
+"""Offsets: curves at a distance from a contour, such as a seam allowance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.drawing.self_crossing import crossings, flatten
 from threadline.drawing.shapes import chords
 from threadline.errors import JobError, Place
 
-TOLERANCE_M = 1e-7  # of the chords that stand for curves; the offset is within 1 um
+TOLERANCE_M = 1e-7  # of the chords of curves; the offset is exact to 1 um
 _ROUND_M = 5e-7
 _MAX_CHORDS = 300_000
 _SLIGHT_RAD = math.radians(5.0)
@@ -23,18 +23,18 @@ _SLIGHT_RAD = math.radians(5.0)
 
 @dataclass(frozen=True, slots=True)
 class Allowance:
-    """At which distance, and how, a curve runs beside another.
+    """Distance and form of an offset.
 
     Parameters
     ----------
     distance_m
-        From the contour.
+        Distance from the contour.
     side
         ``inside`` or ``outside`` a closed contour, ``left`` or ``right`` of an open one.
     join
-        Corners ``mitre`` or ``round``.
+        Form of corners, ``mitre`` or ``round``.
     mitre_limit
-        A mitre longer than this many distances is rounded.
+        A mitre longer than this multiple of the distance is rounded.
     """
 
     distance_m: float
@@ -44,20 +44,20 @@ class Allowance:
 
 
 def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Contour]:
-    """Return the contours at ``allowance`` from ``contour``; itself for 0.
+    """Return the contours at ``allowance`` from ``contour``; itself for a distance of 0.
 
-    Inside a narrow part there may be several, or the part may be gone.
+    An inside offset may consist of several contours, and narrow parts have none.
 
     Raises
     ------
     JobError
-        If the side has no meaning, the contour crosses itself, or nothing is left.
+        If an open contour has no such side, the contour crosses itself, or nothing is left.
 
     Notes
     -----
-    Every chord is moved sideways; outer corners get a round, inner corners overlap. The chain is
-    cut wherever it crosses itself, and what is nearer to the contour than the allowance is taken
-    away: the rest is the offset. Last, rounds become mitres where those are wanted and fit.
+    Every chord is moved sideways; outer corners are rounded, inner corners overlap. The chain is
+    cut wherever it crosses itself, and parts that are nearer to the contour than the distance are
+    removed. Last, rounds are replaced by mitres where these are wanted and fit.
     """
     distance_m = allowance.distance_m
     if distance_m == 0.0:
@@ -131,11 +131,11 @@ def _raw_offset(
     signed_m: float,
     allowance: Allowance,
 ) -> tuple[FloatArray, IntArray, list[Mitre]]:
-    """Return the chain of moved chords, joined, before anything is cut.
+    """Return the chain of moved chords, joined but not cut.
 
     ``tangents`` are those of the curve at the ends of an open chain, None for a closed one. The
-    second result names the chord of the contour behind each chord of the chain, the third the
-    rounds that may become mitres.
+    second result is the chord of the contour that each chord of the chain belongs to; the third are
+    the rounds that may be replaced by mitres.
     """
     closed = tangents is None
     direction = np.diff(points, axis=0)
@@ -194,7 +194,7 @@ def _corner(
     inner = turn * signed_m > 0.0
     mitre = 1.0 / max(math.cos(turn / 2.0), 1e-9)
     if inner and abs(turn) > _SLIGHT_RAD:
-        # By way of the vertex itself, so that what overlaps is surely too near and cut away.
+        # Through the vertex itself, so that the overlap is certainly too near and is removed.
         return [corner + before, corner, corner + after]
     if inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
         return [corner + (before + after) / 2.0 * mitre**2]
@@ -212,10 +212,10 @@ def _corner(
 def _valid_parts(
     raw: FloatArray, points: FloatArray, closed: bool, distance_m: float
 ) -> list[tuple[FloatArray, IntArray, bool]]:
-    """Return what of the raw chain keeps its distance, joined.
+    """Return the parts of the raw chain that keep the distance, joined to chains.
 
-    Of each chain: its points, which chord of the raw chain each chord is part of, and whether
-    it closes.
+    Each chain is given by its points, the chord of the raw chain that each of its chords is part
+    of, and whether it is closed.
     """
     first, second, at_first, at_second, _ = crossings(raw[:-1], raw[1:], closed)
     parts = stitch_parts(raw, np.arange(len(raw) - 1), closed, (first, second, at_first, at_second))

@@ -1,4 +1,4 @@
-"""Mitres: rounds of an offset that came through whole are brought to a point."""
+"""Mitres, which replace complete rounds at the corners of an offset."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Mitre:
     Parameters
     ----------
     first, last
-        The chords of the raw chain that make the round, in order.
+        First and last chord of the round in the raw chain.
     begin, apex, end
-        (2,) where the round begins, the mitre's point, where the round ends.
+        (2,) beginning of the round, point of the mitre, and end of the round.
     """
 
     first: int
@@ -35,16 +35,17 @@ class Mitre:
 def sharpen(
     points: FloatArray, labels: IntArray, closed: bool, mitres: Sequence[Mitre]
 ) -> tuple[FloatArray, IntArray]:
-    """Return the chain with every whole round replaced by its mitre.
+    """Return the chain with every complete round replaced by its mitre.
 
-    Rounds are resolved first because their distance from the contour tells what is valid; the
-    point of a mitre is further away, and two of them may cross. Those that would run into
-    something stay round.
+    Parts of an offset are valid by their distance from the contour, which is constant on a round
+    but not on a mitre. Mitres therefore replace rounds afterwards, except those that would cross
+    another part of the chain.
 
     Parameters
     ----------
     points, labels
-        (n + 1, 2) the offset, and (n,) which chord of the raw chain each chord is part of.
+        (n + 1, 2) points of the offset, and (n,) chord of the raw chain that each of its chords is
+        part of.
     """
     whole = _whole(points, labels, mitres)
     while True:
@@ -59,7 +60,7 @@ def sharpen(
 def _whole(
     points: FloatArray, labels: IntArray, mitres: Sequence[Mitre]
 ) -> list[tuple[int, int, Mitre]]:
-    """Return first and last chord of every round that was not cut into."""
+    """Return first and last chord of every round that is complete."""
     at = {int(label): k for k, label in enumerate(labels)}
     found = []
     for mitre in mitres:

@@ -1,4 +1,4 @@
-"""Cutting a chain of chords at its crossings, and telling what is too near to a contour."""
+"""Parts of a chain of chords between its crossings, and the test whether they keep a distance."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from threadline.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Part:
-    """A stretch of a chain between two cuts.
+    """A part of a chain between two crossings.
 
-    ``begin`` and ``end`` are the crossings that it runs between: -1 the start and -2 the end of
-    an open chain. ``probe`` is a point well inside the stretch.
+    ``begin`` and ``end`` are the indices of these crossings; -1 is the start and -2 the end of an
+    open chain. ``probe`` is a point well inside the part.
     """
 
     points: FloatArray
@@ -39,16 +39,16 @@ def stitch_parts(
     closed: bool,
     cuts: tuple[IntArray, IntArray, FloatArray, FloatArray],
 ) -> list[Part]:
-    """Return the stretches of ``chain`` between its crossings, in order.
+    """Return the parts of ``chain`` between its crossings, in order.
 
     Parameters
     ----------
     chain, labels
-        (n + 1, 2) points and (n,) a number for each chord.
+        (n + 1, 2) points, and (n,) a number for each chord.
     closed
-        The chain ends where it begins.
+        Whether the chain ends where it begins.
     cuts
-        Of each crossing: the two chords, and where on each.
+        First and second chord of each crossing, and the places on both, from 0 to 1.
     """
     first, second, at_first, at_second = cuts
     chord = np.concatenate([first, second]).astype(np.int64)
@@ -89,7 +89,7 @@ def stitch_parts(
 def clear_of(
     probes: FloatArray, begin: FloatArray, end: FloatArray, distance_m: float
 ) -> NDArray[np.bool_]:
-    """Return (n,) bool: which probes are at least ``distance_m`` from every chord."""
+    """Return (n,) whether each probe is at least ``distance_m`` from every chord."""
     result: NDArray[np.bool_] = _clear_of(probes, begin, end, distance_m)
     return result
 

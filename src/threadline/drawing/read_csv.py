@@ -1,4 +1,4 @@
-"""Drawings from a table: a point a row, with a bulge or a centre for the way to the next point.
+"""Drawings in a table, with a point in each row, and arcs by a bulge or a centre.
 
 The first row names the columns, with their unit: ``x [mm], y [mm], bulge``. Columns are ``x`` and
 ``y``; then, for the segment that leaves the point, ``bulge`` or ``cx``, ``cy`` and ``turn`` (ccw
@@ -42,7 +42,7 @@ def read_csv(content: bytes, file: str, unit: str | None = None) -> Drawing:
     Raises
     ------
     JobError
-        If it is not such a table; with the line.
+        With the line, if it is not such a table.
     """
     text = decode_text(content, file, "table")
     rows = _rows(text, file)

@@ -42,7 +42,7 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
     content, file
         The bytes of the file, and its path.
     unit
-        What one drawing unit is, for a drawing that does not say ($INSUNITS).
+        Unit of a drawing that does not give one ($INSUNITS).
 
     Raises
     ------
@@ -88,10 +88,9 @@ def _beginning_of(entity: Any) -> str:
 
 
 def _refuse_explosion(document: Any, walk: _Walk) -> None:
-    """Refuse a drawing whose blocks, inserted in each other, make more entities than can be read.
+    """Refuse a drawing whose nested blocks make more entities than can be read.
 
-    They are counted block by block and not copy by copy: nine levels of ten make a thousand
-    million.
+    They are counted by multiplication, since nine levels of ten insertions make 1e9 entities.
     """
     counts: dict[str, int] = {}
 
@@ -123,21 +122,21 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
 
 
 class _Said(logging.Handler):
-    """What ezdxf leaves out or mends of a file, which it says to its log only."""
+    """Collects ezdxf's log, the only place where it reports what it leaves out or repairs."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a message, once, and not more than some."""
+        """Keep a message; repeated ones and those after the first few are dropped."""
         text = " ".join(record.getMessage().split())[:_LONGEST_SAID]
         if len(self.texts) < _MAX_SAID and text not in self.texts:
             self.texts.append(text)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Hear what is said within the block, and keep it from the terminal."""
+        """Collect the messages within the block, and keep them from the terminal."""
         log = logging.getLogger("ezdxf")
         before, log.propagate = log.propagate, False
         log.addHandler(self)
@@ -204,10 +203,10 @@ def entity_lines(content: bytes) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True)
 class _Inherited:
-    """What an entity takes from the insert of its block.
+    """What an entity inherits from the insertion of its block.
 
-    Its layer when it is on layer 0, its colour when that is BYBLOCK, and its place: a point p of
-    the block lies at ``matrix @ p + offset``, in m. The map is exact whatever the scales are.
+    It inherits the layer if it is on layer 0, the colour if that is BYBLOCK, and the position: a
+    point p of the block lies at ``matrix @ p + offset``, in m.
     """
 
     layer: str
@@ -225,14 +224,14 @@ class _Walk:
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     hidden: set[str] = field(default_factory=set)
-    invisible: set[str] = field(default_factory=set)  # layers of which that was said
+    invisible: set[str] = field(default_factory=set)  # layers with a warning about it
 
     def place(self, entity: Any) -> Place:
         """Return the place of an entity."""
         return Place(self.file, self._line(entity))
 
     def entities(self, entities: Iterable[Any], inherited: _Inherited, depth: int) -> None:
-        """Take entities, and those of the blocks that they insert."""
+        """Add the strokes of entities, and those of the blocks that they insert."""
         for entity in entities:
             kind = entity.dxftype()
             if kind in _SILENT:
@@ -341,7 +340,7 @@ class _Walk:
         return hidden
 
     def _is_invisible(self, entity: Any, layer: str) -> bool:
-        """Say whether group code 60 hides an entity, and with an insert all that is in it."""
+        """Return whether group code 60 hides an entity; one of an insert hides the whole block."""
         if not int(entity.dxf.get("invisible", 0)):
             return False
         if layer not in self.invisible:

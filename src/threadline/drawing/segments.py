@@ -15,14 +15,14 @@ TURNS = ("ccw", "cw")
 
 
 def bulge_segment(begin: FloatArray, end: FloatArray, bulge: float, line: int) -> Pieces:
-    """Return a chord, or the arc whose bulge is given (tangent of a quarter of its angle)."""
+    """Return the arc of a bulge (tangent of a quarter of its angle), a chord for a bulge of 0."""
     return bulges(np.array([begin, end]), np.array([bulge]), line)
 
 
 def centre_segment(
     begin: FloatArray, end: FloatArray, centre: FloatArray, turn: str, line: int
 ) -> Pieces:
-    """Return the arc around ``centre``; ``begin`` and ``end`` in one place make a full circle.
+    """Return the arc around ``centre``, a full circle where ``begin`` and ``end`` are equal.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Curves as chords, and where a chain of chords crosses itself."""
+"""Curves as chords, and the crossings of a chain of chords with itself."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def flatten(pieces: Pieces, tolerance_m: float) -> tuple[FloatArray, FloatArray,
 
     Notes
     -----
-    A chord of parameter width h is off by at most ``h^2 max|p''| / 8``; the maximum is sampled
-    at 33 places a piece and taken a tenth larger.
+    A chord of parameter width h is at most ``h^2 max|p''| / 8`` away from its curve. The maximum is
+    that of 33 samples of each piece, plus a tenth.
     """
     count = len(pieces)
     index = np.arange(count)
@@ -47,23 +47,23 @@ def flatten(pieces: Pieces, tolerance_m: float) -> tuple[FloatArray, FloatArray,
 def crossings(
     begin: FloatArray, end: FloatArray, closed: bool
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, bool]:
-    """Return the pairs of chords of a chain that cross or touch; neighbours do not count.
+    """Return the pairs of chords of a chain that cross or touch, except neighbours.
 
     Parameters
     ----------
     begin, end
-        (n, 2) m, chord i + 1 begins where chord i ends.
+        (n, 2) ends of the chords in m; chord i + 1 begins where chord i ends.
     closed
-        The last chord is a neighbour of the first.
+        Whether the last chord is a neighbour of the first.
 
     Returns
     -------
     first, second
         (m,) int: chords, ``first < second``.
     at_first, at_second
-        (m,) where on each chord, 0 to 1.
+        (m,) places of the crossings on both chords, 0 to 1.
     complete
-        False when there were more than could be looked at.
+        False if the search was ended early because there were too many pairs.
     """
     # The sweep runs along the axis on which fewer chords overlap.
     shadow = np.abs(end - begin).sum(axis=0) / np.maximum(

@@ -1,4 +1,4 @@
-"""Makers of pieces: from points, bulges, centres, control points and knots."""
+"""Pieces from points, bulges, centres, control points and knots."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def spline(
     weights: FloatArray | None = None,
     line: int = 0,
 ) -> list[Pieces]:
-    """Return the spans of a (rational) B-spline as Bezier curves, exact.
+    """Return the spans of a (rational) B-spline as exact Bezier curves.
 
     Parameters
     ----------

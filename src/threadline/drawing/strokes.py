@@ -1,4 +1,4 @@
-"""What a drawing gives: strokes with layer, colour and line; and reading files within limits."""
+"""Drawings as strokes with layer, colour and line, and the reading of their files within limits."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from threadline.input_files import open_binary
 
 MAX_BYTES = 256 * 1024 * 1024
 MAX_STROKES = 1_000_000
-"""Elements of a drawing that are looked at, copies counted."""
+"""Most elements of a drawing, with copies."""
 MAX_LINES = 200_000
-"""Lines of a drawing, copies counted: each takes 4 kB until it is sewn."""
+"""Most lines of a drawing, with copies; each needs 4 kB of memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,9 +23,9 @@ class Stroke:
     Parameters
     ----------
     pieces
-        m, in the drawing's axes, Y up.
+        Pieces in m, in the drawing's axes, Y up.
     layer, colour
-        As the drawing names them; colours as ``"#rrggbb"``, ``"none"`` without one.
+        Name of its layer, and its colour as ``"#rrggbb"``, ``"none"`` without one.
     """
 
     pieces: Pieces
@@ -40,7 +40,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """An entity that cannot be sewn; an error as soon as its layer and colour are wanted."""
+    """An entity that cannot be sewn: an error if a seam includes its layer and colour."""
 
     message: str
     layer: str
@@ -51,16 +51,16 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawing:
-    """A drawing as read, before anything is chosen from it.
+    """A drawing as it was read, with all its layers and colours.
 
     Parameters
     ----------
     file
-        For messages.
+        Name of the file, for messages.
     strokes
-        In the order of the file.
+        Strokes in the order of the file.
     refusals
-        What is no line: text, images, hatches.
+        Entities without a line to sew: text, images, hatches.
     warnings
         Suspicious things found while reading.
     """
@@ -72,12 +72,12 @@ class Drawing:
 
 
 def read_limited(path: Path, limit: int = MAX_BYTES) -> bytes:
-    """Return the bytes of a file that is there, is no empty drawing and is not too large.
+    """Return the bytes of a file.
 
     Raises
     ------
     JobError
-        Otherwise.
+        If there is no such file, or it has more than ``limit`` bytes, or is an empty drawing.
     """
     place = Place(str(path))
     with open_binary(path) as stream:
@@ -89,7 +89,7 @@ def read_limited(path: Path, limit: int = MAX_BYTES) -> bytes:
             f"the file has more than {limit} bytes", place=place, remedy="Split the drawing."
         )
     if not content.strip() and path.suffix.lower() != ".toml":
-        # An empty seam file is told which table it lacks by its own reader.
+        # For an empty seam file, its own reader names the missing table.
         raise JobError("the file is empty", place=place, remedy="Save the drawing again.")
     return content
 
@@ -120,6 +120,6 @@ def decode_text(content: bytes, file: str, what: str) -> str:
 
 
 def one_line(error: Exception) -> str:
-    """Return what a library's exception says, on one line and not too long."""
+    """Return the message of a library's exception on one line, cut to 200 characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else text[:200] + "..."

@@ -1,1 +1,1 @@
-"""The executor of proved plans, the links to machines, and what keeps both safe."""
+"""Execution of proved plans on a machine, over a link, with guards that stop it safely."""

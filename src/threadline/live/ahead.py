@@ -1,4 +1,4 @@
-"""What an executor has sent ahead: where the run is at each tick, and the rows made of it."""
+"""The part of a run that was sent ahead: its place in the table at each tick, and its rows."""
 
 from __future__ import annotations
 
@@ -15,27 +15,30 @@ from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
 from threadline.signals import Event, TickTable
 
-_KEPT = 4  # ticks that are remembered behind the machine
+_KEPT = 4  # past ticks that are kept
 _LIMIT_COUNTS = 2.0
-"""What rounding to whole counts adds to a row: one at either end."""
+"""Tolerance of the limits, in counts: rounding adds up to one count at either end of a row."""
 
 
 class Ahead:
-    """The run as far as it has been sent, as places along the table at the ticks of the machine.
+    """The part of a run that was sent to the machine, as a place in the table for each tick.
+
+    A place is a number of rows, whole or not (``PathWindow``).
 
     Parameters
     ----------
     table
-        What is run.
+        Table that is run.
     machine
-        Whose limits every row keeps.
+        Machine whose limits every row has to keep.
     pass_stops
-        Whether stops of the program halt nothing.
+        Whether the run goes on at stops of the program.
 
     Attributes
     ----------
     to_rest
-        Whether the rows end at the next rest of the program: a hold that may not leave the path.
+        Whether the rows are to end at the next rest of the program, for a hold that would leave the
+        path anywhere else.
     """
 
     def __init__(self, table: TickTable, machine: Machine, *, pass_stops: bool = False) -> None:
@@ -52,12 +55,12 @@ class Ahead:
 
     @property
     def end(self) -> int:
-        """The tick up to which rows have been sent that are wanted."""
+        """Tick up to which rows were sent, the braking tail not counted."""
         return self._first + len(self._places) - 1
 
     @property
     def place(self) -> float:
-        """Where the run is then."""
+        """Place of the run at the tick ``end``."""
         return float(self._places[-1])
 
     @property
@@ -67,25 +70,25 @@ class Ahead:
 
     @property
     def halt(self) -> Event | None:
-        """The stop or wait at which the rows that were sent end, None where there is none."""
+        """Stop or wait at which the rows that were sent end; None if they end at neither."""
         halt = self._window.halt()
         return halt if halt is not None and self.place >= halt.tick else None
 
     @property
     def rests(self) -> bool:
-        """Whether the rows that were sent end at the rest that was asked for."""
+        """Whether the rows that were sent end at the rest that ``to_rest`` asks for."""
         return self.to_rest and self.place >= self._end_of_path()
 
     def pass_halt(self) -> None:
-        """Let the run go on after the stop or wait at which it stands."""
+        """Go on after the stop or wait at which the run stands."""
         self._window.pass_halt()
 
     def place_at(self, tick: int) -> float:
-        """Return where the run is at a tick that has been sent and is not long past."""
+        """Return the place of the run at a tick for which it is still kept."""
         return float(self._places[np.clip(tick - self._first, 0, len(self._places) - 1)])
 
     def forget(self, tick: int) -> None:
-        """Keep nothing of what is before ``tick``, but for what braking has to know."""
+        """Delete everything before ``tick``, except the few ticks that braking needs."""
         gone = tick - _KEPT - self._first
         if gone > 0:
             gone = min(gone, len(self._places) - 1)
@@ -97,7 +100,7 @@ class Ahead:
     # --- what is sent ----------------------------------------------------------------------
 
     def extend(self, until: int) -> Message:
-        """Return the refill with the rows up to tick ``until``, and the tail that follows them."""
+        """Return the refill with the rows up to tick ``until`` and a braking tail after them."""
         begin, self._before_cut = self.end, None
         self._window.reach(self.place + (until - begin) + MOST_PLACES)
         stop = float(self._end_of_path())
@@ -117,7 +120,7 @@ class Ahead:
         return self._refill(begin, tail)
 
     def cut(self, tick: int) -> Message:
-        """Return the refill that comes to rest along the path, from ``tick`` on."""
+        """Return the refill that brakes along the path from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
         self._before_cut = (self._places, self._rising, self._given)
         self._places = self._places[: tick - self._first + 1]
@@ -129,7 +132,7 @@ class Ahead:
         return self._refill(tick, np.empty(0))
 
     def undo(self) -> bool:
-        """Take back the last cut, which was refused; say whether there was one."""
+        """Undo the last cut, which the machine refused; return whether there was one."""
         if self._before_cut is None:
             return False
         self._places, self._rising, given = self._before_cut
@@ -139,17 +142,17 @@ class Ahead:
         return True
 
     def rest_until(self, tick: int) -> None:
-        """Stand until ``tick``, and go on from there."""
+        """Extend the rest of the run to ``tick``."""
         still = np.full(max(tick - self.end, 0), self.place)
         self._places = np.concatenate([self._places, still])
 
     def start_again(self) -> None:
-        """Let the rate rise from 0 to 1 with the next rows."""
+        """Start from rest: the rate rises from 0 to 1 over the next rows."""
         self._window.reach(self.place + MOST_PLACES)
         self._rising = rise(self._window, self.place, self._limits)
 
     def _end_of_path(self) -> int:
-        """Return the place where rows end for now: a stop, a wait, or the last of them."""
+        """Return the place at which rows end: the next stop, wait or wanted rest, or the end."""
         last = self._window.reach(self.place)
         halt = self._window.halt()
         rest = self._window.next_rest(self.place) if self.to_rest else None
@@ -190,12 +193,12 @@ class Ahead:
         return found
 
     def _check(self, places: FloatArray, counts: FloatArray) -> None:
-        """Refuse rows beyond travel or speed, whatever they come from.
+        """Refuse rows beyond the travel or the speed of an axis.
 
         Raises
         ------
         LimitError
-            Naming the axis; nothing was sent then.
+            With the axis; the rows are then not sent.
         """
         limits, names = self._limits, self._machine.axis_names
         stands = self._window.counts(places) + self._start
@@ -231,5 +234,5 @@ class Ahead:
 
 
 def ticks_in(duration_s: float, machine: Machine) -> int:
-    """Return the ticks of a machine that a duration has, at least 1."""
+    """Return the number of ticks in a duration, rounded up, at least 1."""
     return max(1, ceil(duration_s / float(machine.tick_clock.period_s) - 1e-9))

@@ -1,8 +1,9 @@
-"""Coming to rest along the path and starting again on it, within the limits of every axis.
+"""Braking along the path and starting again on it, within the limits of every axis.
 
-A run goes along its table at a *rate*: rows for each tick, 1 when undisturbed. Braking lets the
-rate fall to 0 along a smooth curve, so that the axes stay on the path and slow down together; the
-rise is its mirror and ends on a whole row, so that from there on the rows are those of the table.
+The *rate* of a run is the number of rows of its table per tick, 1 when undisturbed. To brake, the
+rate falls to 0 along a smooth curve, so that the axes slow down together and stay on the path. To
+start again, it rises along the mirrored curve and ends on a whole row, so that all later rows are
+those of the table.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from threadline.arrays import FloatArray
 from threadline.machine import Machine
 
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
-"""Ticks that braking may take; the first that keeps every limit is taken."""
+"""Durations of braking in ticks that are tried; the first one that keeps every limit is used."""
 MOST_PLACES = ceil(_DURATIONS[-1]) + 2
-"""Rows that braking and rising may have to know of beyond the place where they begin."""
+"""Number of rows beyond its beginning that a braking or a start may read."""
 _ROUNDED = (0.5, 1.0, 2.0, 4.0)
-"""What rows of whole counts add to a position and to its first, second and third difference, which
-are velocity, acceleration and jerk: half a count, and twice that with each difference."""
+"""Largest error, in counts, that rounding to whole counts causes in a position and in its first,
+second and third difference (velocity, acceleration and jerk)."""
 
 
 class Path(Protocol):
-    """What can be gone along."""
+    """Positions of the axes as a function of the place."""
 
     def counts(self, places: FloatArray) -> FloatArray:
         """Return (n, axes) counts at (n,) places."""
@@ -68,15 +69,15 @@ class CountLimits:
         )
 
     def excess(self, counts: FloatArray, own: FloatArray) -> float:
-        """Return by how much a motion exceeds its limits: at most 1 where it keeps them.
+        """Return the largest ratio of a motion to its limits: at most 1 where it keeps them.
 
         Parameters
         ----------
         counts
             (n, axes) positions at consecutive ticks.
         own
-            (m, axes) the rows that they are made from: a table that asks for more than a limit,
-            as historical interpolations do, sets that limit itself.
+            (m, axes) positions of the table that the motion is made from. Where a table itself
+            exceeds a limit, as those of historical interpolations do, its own peak is the limit.
         """
         worst = 0.0
         limits = (self.velocity, self.acceleration, self.jerk)
@@ -88,15 +89,15 @@ class CountLimits:
 
 
 def _fallen(share: FloatArray) -> FloatArray:
-    """Return how far one goes in a share of the time while the rate falls from 1 to 0.
+    """Return the distance after a share of the time while the rate falls from 1 to 0 in time 1.
 
-    The integral of 1 - 3 u^2 + 2 u^3, which begins and ends without a kink; the whole is 1/2.
+    It is the integral of 1 - 3 u^2 + 2 u^3, which begins and ends with slope 0; the whole is 1/2.
     """
     return np.asarray(share - share**3 + 0.5 * share**4)
 
 
 def _risen(share: FloatArray) -> FloatArray:
-    """Return how far one goes while the rate rises from 0 to 1: the mirror of ``_fallen``."""
+    """Return the distance after a share of the time while the rate rises from 0 to 1 in time 1."""
     return np.asarray(share**3 - 0.5 * share**4)
 
 
@@ -108,16 +109,16 @@ def _fall(before: float, place: float, ticks: float) -> FloatArray:
 
 
 def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -> FloatArray:
-    """Return the (n,) places at the ticks after now at which a run comes to rest along its path.
+    """Return the (n,) places at the next ticks, at which a run brakes to rest along its path.
 
     Parameters
     ----------
     path
-        Known for ``MOST_PLACES`` beyond now, or to its end.
+        The path, known for ``MOST_PLACES`` beyond the present place, or to its end.
     before
         Places two ticks ago, one tick ago, and now.
     limits
-        Of the axes. Where no duration keeps them the one that exceeds them least is taken.
+        Limits of the axes. Where no duration keeps them, the one that exceeds them least is used.
     """
     second, first, now = before
     if now <= first:
@@ -137,18 +138,18 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
 
 
 def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
-    """Return the (n,) places at the ticks after now at which a run starts again from rest.
+    """Return the (n,) places at the next ticks, at which a run starts again from rest.
 
-    The last of them is a whole number, and from there on a row is played at each tick.
+    The last of them is a whole number; after it one row of the table is played at each tick.
 
     Parameters
     ----------
     path
-        Known for ``MOST_PLACES`` beyond ``place``, or to its end.
+        The path, known for ``MOST_PLACES`` beyond ``place``, or to its end.
     place
-        Where it rests.
+        Place at which the run rests.
     limits
-        As for ``brake``.
+        Limits of the axes, as for ``brake``.
     """
     best, least = np.empty(0), np.inf
     own = path.counts(np.arange(floor(place), floor(place) + MOST_PLACES + 2, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""What people ask of an executor, from a key, a signal or another thread: a stop ahead of all."""
+"""The queue of an operator's commands to an executor, in which a stop comes first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from threadline.live.states import Cause
 
 
 class Desk:
-    """Takes commands at any time, without any lock, and wakes who waits for them."""
+    """Takes commands from keys, signal handlers and other threads, without a lock.
+
+    It wakes an executor that waits on its ``fileno``.
+    """
 
     def __init__(self) -> None:
         self._asked: deque[Cause] = deque()
@@ -29,9 +32,9 @@ class Desk:
             self._writes.send(b"!")
 
     def take(self) -> Cause | None:
-        """Return what was asked for first, a stop before anything else; None for nothing.
+        """Return the next command, a stop before any other; None where there is none.
 
-        What was asked for before a stop is dropped with it: a resume that waits must not undo it.
+        A stop drops all commands before it, so that a waiting resume cannot undo it.
         """
         if self._stop:
             self._stop = False
@@ -40,16 +43,16 @@ class Desk:
         return self._asked.popleft() if self._asked else None
 
     def fileno(self) -> int:
-        """Return the number to wait on."""
+        """Return the file descriptor that is readable while commands wait."""
         return self._reads.fileno()
 
     def woken(self) -> None:
-        """Forget what has woken it."""
+        """Clear the signal of waiting commands."""
         with suppress(OSError):
             while self._reads.recv(4096):
                 pass
 
     def close(self) -> None:
-        """Let go of what it waits with."""
+        """Close its sockets."""
         self._reads.close()
         self._writes.close()

@@ -1,7 +1,7 @@
-"""The executor: it owns one machine, takes proved plans, and sees to it that every run can stop.
+"""The executor of one machine: it sends the rows of a proved plan so that the machine can stop.
 
-It sends rows at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
-the next refill replaces that tail: whoever dies, the machine comes to rest within its limits.
+Rows are sent at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
+the next one replaces it: if the executor or the link fails, the machine comes to rest by the tail.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from threadline.signals import Ended, Event, TickTable
 DEPTH_S = 0.1
 """Rows are sent no further ahead than this, s."""
 LEASE_S = 0.25
-"""A jog goes on no longer than this after somebody has said that he is there, s."""
+"""Time in s after which a jog ends unless the operator has renewed it."""
 SETTLE_S = 0.5
-"""How long the machine is recorded after the last row, s: as long as it is simulated."""
-_STEPPED_S = 60.0  # silence of a machine whose time waits for us
+"""Time in s for which the machine is recorded after the last row, as in a simulation."""
+_STEPPED_S = 60.0  # longest silence, in s, of a machine whose time waits for the executor
 _LEAD_S = 0.02
-"""How far ahead of the last report a stop begins in real time, s: what is under way then."""
+"""Time in s from the last report to the beginning of a stop: reports are that old in real time."""
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
 
@@ -46,11 +46,11 @@ class Executor:
     machine
         The machine that the link must lead to.
     desk
-        Where commands come from.
+        Queue of the operator's commands.
     sink
-        Who keeps what happens.
+        Receiver of samples, events and changes of state.
     speed
-        Seconds of the machine in a second; 1 is real time.
+        Seconds of the machine's time in a second; 1 is real time.
     """
 
     def __init__(
@@ -82,14 +82,14 @@ class Executor:
     # --- commands before a run -------------------------------------------------------------
 
     def connect(self) -> None:
-        """Hear who is at the other end.
+        """Receive the greeting of the machine.
 
         Raises
         ------
         LinkFaultError
-            If nobody answers.
+            If the machine does not answer.
         CommandError
-            If it is another machine, or speaks another protocol.
+            If it is another machine, or has another version of the protocol.
         """
         simulated = self.far_end.greet()
         self._sink.begin(self.far_end.channels, simulated)
@@ -100,18 +100,18 @@ class Executor:
         self.far_end.enable()
 
     def disable(self) -> None:
-        """Switch the drives off, where nothing moves; home before the next run."""
+        """Switch the drives off, at rest only; the machine must be homed before the next run."""
         self._go(Cause.DISABLE)
         self._homed = False
         self.far_end.disable()
 
     def reset(self) -> None:
-        """Leave a fault: the drives are off then, nothing moves and nothing is homed.
+        """Leave a fault, with the drives off; the machine must be homed then.
 
         Raises
         ------
         CommandError
-            If there is no fault, or the link is gone: that takes a new one.
+            If there is no fault, the machine still brakes, or the link is gone.
         """
         if self._link.lost:
             raise CommandError("the link is gone", remedy="Connect again.")
@@ -122,11 +122,11 @@ class Executor:
         self.far_end.disable()
 
     def close(self) -> None:
-        """Leave the machine: it brakes by what it holds, if it moves."""
+        """End the connection; a machine that moves plays its braking tail."""
         self.far_end.leave()
 
     def home(self) -> None:
-        """Let the machine find where it is."""
+        """Home the machine."""
         self._go(Cause.HOME)
         self._stands = self.far_end.home()
         self._homed = True
@@ -140,11 +140,11 @@ class Executor:
         Parameters
         ----------
         table
-            The rows.
+            Table that is run.
         pass_stops
-            Go on at stops of the program without waiting for anybody.
+            Whether the run goes on at stops of the program without an answer.
         hold_at_rest
-            A hold runs on to the next rest of the program: elsewhere it would leave the path.
+            Whether a hold waits for the next rest of the program, so as not to leave the path.
 
         Raises
         ------
@@ -160,17 +160,17 @@ class Executor:
         self._set_out(Cause.START, ahead, table.start_counts)
 
     def jog(self, axis: str, velocity: float) -> None:
-        """Move an axis until somebody lets go, or does not say for ``LEASE_S`` that he is there.
+        """Move an axis until ``let_go``, or until it was not renewed for ``LEASE_S``.
 
         Parameters
         ----------
         axis, velocity
-            Which, and how fast, m/s or rad/s; at most the manual feed of the machine.
+            Name of the axis, and its speed in m/s or rad/s, at most the manual feed.
 
         Raises
         ------
         CommandError
-            If the machine is not idle, or the axis or the speed is none for a jog.
+            If the machine is not idle, has no such axis, or the speed is above the manual feed.
         """
         next_state(self.state, Cause.JOG)
         self._lease_until = self._lease
@@ -179,12 +179,12 @@ class Executor:
         )
 
     def renew(self) -> None:
-        """Say that whoever jogs is still there: the lease counts from now.
+        """Renew a jog for another ``LEASE_S`` from now.
 
         Raises
         ------
         CommandError
-            If nothing is jogged: a lease that has run out is not renewed.
+            If there is no jog, or it has ended already.
         """
         if self.state is not State.JOGGING:
             raise CommandError(
@@ -193,7 +193,7 @@ class Executor:
         self._lease_until = self.tick + self._lease
 
     def let_go(self) -> None:
-        """End a jog: brake now, not after what is held."""
+        """End a jog: brake at once."""
         if self.state is State.JOGGING:
             self._brake()
 
@@ -209,13 +209,13 @@ class Executor:
 
     @property
     def time_s(self) -> float:
-        """Of the machine since the beginning of the run."""
+        """Time of the machine since the beginning of the run, in s."""
         return self.tick * float(self._machine.tick_clock.period_s)
 
     # --- a run -----------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Wait for the machine or for a command, and do what is due; ``over`` ends it."""
+        """Wait for a report or a command and act on it; to be called until ``over`` is True."""
         if self._owes_go:  # the machine's time waits for us: what was asked comes before it
             self.obey()
             self._owes_go = False
@@ -242,7 +242,7 @@ class Executor:
             self._lost("the link is gone")
 
     def obey(self) -> None:
-        """Do what was asked for at the desk; what is not possible now is told and left."""
+        """Execute the commands of the desk; one that is not possible is recorded and dropped."""
         while (cause := self._desk.take()) is not None:
             try:
                 self._command(cause)
@@ -268,7 +268,7 @@ class Executor:
         self._sink.state(self.tick, self.state, cause, text)
 
     def _brake(self) -> None:
-        """Replace what the machine holds by coming to rest along the path."""
+        """Replace the rows that the machine holds by a braking along the path."""
         ahead = self._ahead
         if ahead is not None and self._rest is None and ahead.end > self.tick:
             self._link.send(ahead.cut(self.tick + self._lead))
@@ -323,7 +323,7 @@ class Executor:
             self._fault(f"the machine refused a {what}: {why}")
 
     def _go_on(self, now: Mapping[str, float], *, standing: bool) -> None:
-        """Do what is due after a report: extend the rows, stand at a halt, end."""
+        """Act on a report: extend the rows, stand at a halt, or end the run."""
         ahead = self._ahead
         if ahead is None:
             return
@@ -355,7 +355,7 @@ class Executor:
             self._link.send(ahead.extend(self.tick + self._depth))
 
     def _goes(self, ahead: Ahead) -> bool:
-        """Say whether rows are to be sent: of a run, and of one on its way to a rest."""
+        """Return whether rows are to be sent: in a run, and in a hold on its way to a rest."""
         return self.state is State.RUNNING or (
             self.state is State.HOLDING and ahead.to_rest and not ahead.rests
         )
@@ -381,14 +381,14 @@ class Executor:
             self._go(Cause.COMPLETED)
 
     def _fault(self, text: str) -> None:
-        """Brake for a fault: what the machine holds is replaced by coming to rest."""
+        """Go to the state of a fault, and brake."""
         self.ended = (Ended.FAULT, text)
         self._homed = False
         self._go(Cause.FAULT, text)
         self._brake()
 
     def _lost(self, text: str) -> None:
-        """Record that the machine cannot be heard: it brakes by what it holds."""
+        """Record that the link is lost; the machine plays its braking tail."""
         self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
         self._go(Cause.FAULT, text)
         fault = Event(tick=self.tick, kind="fault", operation=-1, name=text)
@@ -396,5 +396,5 @@ class Executor:
 
 
 def _met(halt: Event | None, now: Mapping[str, float]) -> bool:
-    """Say whether the run stands at a wait whose input is there."""
+    """Return whether ``halt`` is a wait and its input has the value waited for."""
     return halt is not None and halt.kind == "wait" and now.get(halt.name) == halt.value

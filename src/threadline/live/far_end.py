@@ -1,4 +1,4 @@
-"""The machine at the other end of a link: what it is asked before a run, and what it reports."""
+"""The executor's side of a link: requests to the machine, and blocks made of its reports."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ANSWER_S = 60.0  # a machine may have to be built first
 
 
 class FarEnd:
-    """Asks the machine for one thing after another, and makes blocks of what it reports.
+    """Sends requests to the machine one by one, and turns its reports into blocks of a recording.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class FarEnd:
     Attributes
     ----------
     channels
-        What it reports, once it has greeted.
+        Channels that the machine reports; empty until it has greeted.
     """
 
     def __init__(self, link: Connection, machine: Machine) -> None:
@@ -35,14 +35,14 @@ class FarEnd:
         self.channels: tuple[Channel, ...] = ()
 
     def greet(self) -> bool:
-        """Hear who is there; return whether it is simulated.
+        """Receive the greeting of the machine; return whether it is simulated.
 
         Raises
         ------
         LinkFaultError
-            If nobody answers.
+            If the machine does not answer.
         CommandError
-            If it is another machine, or speaks another protocol.
+            If it is another machine, or has another version of the protocol.
         """
         hello = self._expect("hello").head
         self.channels = channels_told(hello, self._machine)
@@ -58,16 +58,16 @@ class FarEnd:
         self._link.send(Message("disable"))
 
     def home(self) -> IntArray:
-        """Let the machine find where it is, and return that, in counts."""
+        """Home the machine, and return its (axes,) position in counts."""
         self._link.send(Message("home"))
         return np.array(self._expect("homed").head["position"], dtype=np.int64)
 
     def leave(self) -> None:
-        """Say that nobody will send anything any more."""
+        """Tell the machine that the executor leaves."""
         self._link.send(Message("leave"))
 
     def reported(self, report: Message, until: int | None) -> RecordingBlock:
-        """Return samples and events of a report; no samples from the tick ``until`` on."""
+        """Return the samples of a report, those before the tick ``until``, and its events."""
         first = int(report.head["tick"])
         last = None if until is None else max(until - first, 0)
         samples = {
@@ -77,7 +77,7 @@ class FarEnd:
         return self._block(first, samples, *(event_of(told) for told in report.head["events"]))
 
     def silent(self, tick: int, event: Event) -> RecordingBlock:
-        """Return an event at a tick of which nothing was reported."""
+        """Return a block with an event and without samples."""
         return self._block(tick, {channel.name: np.empty(0) for channel in self.channels}, event)
 
     def _block(self, first: int, samples: dict[str, FloatArray], *events: Event) -> RecordingBlock:

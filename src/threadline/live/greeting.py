@@ -1,4 +1,4 @@
-"""How a machine greets: who it is, and which channels it tells."""
+"""The greeting of a machine: its name and hash, its clock, and its channels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from threadline.signals import Channel, ChannelKind, Clock
 
 
 def greeting(machine: Machine, channels: tuple[Channel, ...]) -> dict[str, Any]:
-    """Return what a simulated machine greets with."""
+    """Return the head of a simulated machine's greeting."""
     return {
         "protocol": PROTOCOL,
         "machine": machine.name,
@@ -30,12 +30,12 @@ def greeting(machine: Machine, channels: tuple[Channel, ...]) -> dict[str, Any]:
 
 
 def channels_told(told: Mapping[str, Any], machine: Machine) -> tuple[Channel, ...]:
-    """Return the channels of the machine that has greeted.
+    """Return the channels in a greeting.
 
     Raises
     ------
     CommandError
-        If it is another machine than ``machine``, or speaks another protocol.
+        If the greeting is that of another machine than ``machine``, or of another protocol.
     """
     if told["protocol"] != PROTOCOL:
         raise CommandError(

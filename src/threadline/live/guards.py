@@ -1,4 +1,4 @@
-"""What is looked at before a run, and in every report of it: the first that trips is a fault."""
+"""Guards of a run: checks of every report, the first of which that fails is a fault."""
 
 from __future__ import annotations
 
@@ -15,41 +15,42 @@ from threadline.plant.closed_loop import answers_of
 from threadline.signals import TickTable
 
 FOLLOWING_M = 1e-3
-"""Following error that is allowed beside twice the lag of the model, m; rotary axes at their
-radius."""
+"""Following error in m that is allowed in addition to twice the lag of the model; rotary axes at
+their radius."""
 LATE_IN_A_ROW = 3
 LATE_PERIODS = 5.0
-"""So many reports late in a row trip, and one that is late by so many of its periods."""
-_TRAVEL_M = 2e-3  # the loop may pass the end of travel by this
-_JUMP = 3.0  # times the fastest that the axis may go: no motion, an encoder that lost its place
+"""A fault is this number of consecutive late reports, and a report late by this number of periods.
+"""
+_TRAVEL_M = 2e-3  # distance by which the loop may pass an end of travel
+_JUMP = 3.0  # an encoder that moves at more than this times the axis' speed limit has a fault
 _JUMP_COUNTS = 4.0
 
 
 @dataclass(slots=True)
 class _Axis:
-    """An axis, and what is remembered of it."""
+    """An axis with its limits, and the state of its guards."""
 
     name: str
     lag_s: float  # of its loop, by the model
-    room: float  # of FOLLOWING_M, m or rad
-    count: float  # m or rad
-    fastest: float  # per tick, m or rad
+    room: float  # FOLLOWING_M in m or rad
+    count: float  # size of a count, m or rad
+    fastest: float  # speed limit, m or rad per tick
     low: float
     high: float
     reverses_by_zero: bool
-    memory: int  # ticks after which nothing is left of a motion
-    speeds: deque[tuple[int, float]] = field(default_factory=deque)  # tick, fastest of a report
+    memory: int  # number of ticks for which a reference acts on the load
+    speeds: deque[tuple[int, float]] = field(default_factory=deque)  # tick and top speed of reports
     last: dict[str, float] = field(default_factory=dict)  # the last sample of each channel
     still: tuple[float, float] = (0.0, 0.0)  # encoder and command when the encoder last moved
 
 
 class Guards:
-    """Watches a run.
+    """Checks the reports of one run.
 
     Parameters
     ----------
     machine
-        Whose limits, loops and switches they are.
+        Machine with the limits, loops and switches.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -85,16 +86,16 @@ class Guards:
     def trip(
         self, tick: int, samples: Mapping[str, FloatArray], late: bool, late_periods: float
     ) -> str:
-        """Return what has tripped, for people; empty where nothing has.
+        """Return the text of the fault in a report; empty where there is none.
 
         Parameters
         ----------
         tick
-            Of the first sample.
+            Tick of the first sample.
         samples
-            (n,) of each channel at consecutive ticks.
+            (n,) samples of each channel at consecutive ticks.
         late, late_periods
-            Whether they came late, and by how many periods of the report.
+            Whether the report came late, and by how many of its periods.
         """
         self._late = self._late + 1 if late else 0
         if late_periods >= LATE_PERIODS:
@@ -155,12 +156,12 @@ class Guards:
 
 
 def refuse_start_elsewhere(machine: Machine, stands: IntArray, table: TickTable) -> None:
-    """Refuse a run that does not begin where the machine stands.
+    """Refuse a run that does not begin at the present position of the machine.
 
     Raises
     ------
     CommandError
-        Naming the first axis that stands elsewhere, and where both are.
+        With the first axis that is elsewhere, and both positions.
     """
     scale, names = machine.counts_per_unit, machine.axis_names
     for k, (here, begins) in enumerate(zip(stands, table.start_counts, strict=True)):

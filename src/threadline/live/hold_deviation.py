@@ -1,7 +1,8 @@
-"""How far a hold leaves the path: where motors are told more than the path, another rate shows it.
+"""The distance from the path at which a hold would stand.
 
-Feed-forward tells motors what makes loads follow at the full rate, and a shaper what makes them
-swing less. At rest the loads stand where the motors do, which is beside the path.
+With feed-forward or a shaper the commands are not the path itself: they are made so that the loads
+follow it at the full rate. In a hold the loads come to rest at the commanded positions, which lie
+beside the path.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from threadline.plan import Plan
 from threadline.signals import tick_table
 from threadline.verdict import Spec
 
-_AROUND_S = 2.0  # of the path, before and after: what shaping and smoothing move in time
-_FINER = 4  # points of the path for each tick: half a step of the axis is all that this adds
+_AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
+_FINER = 4  # points of the path for each tick
 _AT_ONCE = 1 << 13
 
 
 def hold_deviation_m(plan: Plan) -> float:
-    """Return the largest distance from the planned path to where a hold would stand, m.
+    """Return the largest distance in m from the planned path to the position of a hold.
 
-    Rotary axes count at their radius. 0 where motors are told the path itself. Memory is bounded.
+    Rotary axes are taken at their radius. It is 0 where the commands are the path itself.
     """
     motion = plan.motion
     if motion.timed is None:
@@ -47,6 +48,9 @@ def hold_deviation_m(plan: Plan) -> float:
 
 
 def hold_limit_m(spec: Spec) -> float:
-    """Return how far a hold may leave the path, m: the limit of ``contour_error``, if there is."""
+    """Return the largest allowed distance of a hold from the path: the limit of ``contour_error``.
+
+    It is in m, and infinite without such a limit.
+    """
     limits = [c.limit for c in spec.criteria if c.name == "contour_error" and c.limit is not None]
     return min(limits, default=float("inf"))

@@ -1,7 +1,7 @@
-"""An axis moved by hand: from state to state within its limits, never out of its travel.
+"""Jogs: an axis moved by hand, within its limits and its travel.
 
-Speeding up and braking are ruckig's state-to-state moves: time-optimal within velocity,
-acceleration and jerk. Everything is in counts and ticks.
+Accelerating and braking are state-to-state moves of ruckig, time-optimal within velocity,
+acceleration and jerk. All numbers are in counts and ticks.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _KEPT = 4  # ticks that are remembered behind the machine
 
 @dataclass(frozen=True, slots=True)
 class _At:
-    """Where the axis is, counts, and how it moves, counts per tick and tick^2."""
+    """Position of the axis in counts, and its velocity and acceleration per tick and tick^2."""
 
     position: float
     velocity: float
@@ -31,23 +31,23 @@ class _At:
 
 
 class JogAhead:
-    """A jog as far as it has been sent, tick by tick.
+    """The part of a jog that was sent to the machine, as a state for each tick.
 
     Parameters
     ----------
     machine
-        Whose limits are kept.
+        Machine whose limits are kept.
     stands
-        (axes,) counts where it begins.
+        (axes,) position at the beginning, in counts.
     axis
-        Which axis is moved.
+        Name of the axis that moves.
     velocity
-        How fast, m/s or rad/s; its sign is the direction.
+        Velocity in m/s or rad/s; its sign is the direction.
 
     Raises
     ------
     CommandError
-        If there is no such axis, or it is told to go faster than its manual feed.
+        If there is no such axis, or the velocity is above its manual feed.
     """
 
     def __init__(self, machine: Machine, stands: IntArray, axis: str, velocity: float) -> None:
@@ -76,20 +76,20 @@ class JogAhead:
         self._states = [_At(float(stands[self._column]), 0.0, 0.0)]
         self._before_cut: tuple[list[_At], float] | None = None
         self.why = ""
-        """Why it ends before anybody let go; empty where it does not."""
+        """Reason of an end before the operator let go; empty where there is none."""
 
     @property
     def end(self) -> int:
-        """The tick up to which rows have been sent that are wanted."""
+        """Tick up to which rows were sent, the braking tail not counted."""
         return self._first + len(self._states) - 1
 
     @property
     def complete(self) -> bool:
-        """Whether it has come to rest, as far as it was sent."""
+        """Whether the rows that were sent end at rest."""
         return self._target == 0.0 and self._states[-1].velocity == 0.0
 
     def forget(self, tick: int) -> None:
-        """Keep nothing of what is before ``tick``."""
+        """Delete the states before ``tick``."""
         gone = min(tick - _KEPT - self._first, len(self._states) - 1)
         if gone > 0:
             self._states = self._states[gone:]
@@ -110,7 +110,7 @@ class JogAhead:
         return self._refill(begin, self._braking(self._states[-1])[1:])
 
     def cut(self, tick: int) -> Message:
-        """Return the refill that comes to rest from ``tick`` on."""
+        """Return the refill that brakes from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
         self._before_cut = (self._states, self._target)
         kept = self._states[: tick - self._first + 1]
@@ -118,7 +118,7 @@ class JogAhead:
         return self._refill(tick, [])
 
     def undo(self) -> bool:
-        """Take back the last cut, which was refused; say whether there was one."""
+        """Undo the last cut, which the machine refused; return whether there was one."""
         if self._before_cut is None:
             return False
         (self._states, self._target), self._before_cut = self._before_cut, None
@@ -159,7 +159,10 @@ class JogAhead:
 
 
 def manual_feed(machine: Machine) -> FloatArray:
-    """Return the (axes,) fastest speed by hand, counts per tick: the operator's, else a tenth."""
+    """Return the (axes,) largest speeds of jogs in counts per tick.
+
+    They are the operator's manual feed, or a tenth of the axes' limits without one.
+    """
     most = CountLimits.of(machine).velocity
     feed = None if machine.operator is None else machine.operator.manual_feed
     return np.minimum(most, 0.1 * most if feed is None else feed.si)

@@ -1,4 +1,4 @@
-"""Who keeps what a run tells, and the one who keeps it in memory."""
+"""Sinks, which receive what happens in a run, and one that keeps it in memory."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from threadline.signals import Channel, Recording, RecordingBlock, Stream
 
 
 class Sink(Protocol):
-    """Who keeps what happens."""
+    """The receiver of what happens in a run."""
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Keep the description of what follows."""
+        """Receive the channels of the blocks that follow."""
 
     def block(self, block: RecordingBlock) -> None:
-        """Keep samples, and the events among them."""
+        """Receive samples and events."""
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
-        """Keep that the executor went to a state."""
+        """Receive a change of the executor's state."""
 
 
 class Kept:
@@ -41,19 +41,19 @@ class Kept:
         self.log: list[tuple[int, State, Cause, str]] = []
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Keep the description of what follows."""
+        """Keep the channels."""
         self._channels, self._simulated = channels, simulated
 
     def block(self, block: RecordingBlock) -> None:
-        """Keep samples, and the events among them."""
+        """Keep a block."""
         self.blocks.append(block)
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
-        """Keep that the executor went to a state."""
+        """Keep a change of state."""
         self.log.append((tick, state, cause, text))
 
     def recording(self, plan: Plan, told: Mapping[str, str] | None = None) -> Recording:
-        """Return what was recorded of a plan; ``told`` is said of it besides its options."""
+        """Return the recording of a plan; its origin is the plan's options and ``told``."""
         return Recording(
             channels=self._channels,
             blocks=Stream.of(self.blocks),

@@ -1,4 +1,4 @@
-"""A window on the rows of a tick table: where the axes are at any place along it.
+"""A window on the rows of a tick table, which gives the positions of the axes at any place of it.
 
 A place is a number of rows, whole or not: at place 7.25 a quarter of row 7 has been travelled.
 """
@@ -14,21 +14,21 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.signals import Event, TickBlock, TickTable
 
 HALTS = frozenset(("stop", "wait"))
-"""Kinds of events at which a run stands until somebody or something answers."""
+"""Kinds of events at which a run stands until the operator or an input answers."""
 
 REST_S = 0.05
-"""Time without a count of any axis that makes a rest, s: less may be an axis that turns slowly."""
+"""Shortest rest in s without a count of any axis: slow axes, too, pause between two counts."""
 
 
 class PathWindow:
-    """The rows around the place where a run is, read as they are needed and forgotten behind.
+    """The rows around the present place of a run, read as they are needed and deleted later.
 
     Parameters
     ----------
     table
-        What is run; it is read once.
+        Table that is run; it is read once.
     pass_stops
-        Whether stops of the program halt nothing.
+        Whether the run goes on at stops of the program.
     """
 
     def __init__(self, table: TickTable, *, pass_stops: bool = False) -> None:
@@ -43,7 +43,7 @@ class PathWindow:
         self._all = False
 
     def reach(self, place: float) -> int:
-        """Read on until ``place`` is known; return the last place that is, the end or beyond."""
+        """Read rows up to ``place``, if there are as many; return the last place that is known."""
         while not self._all and self._last < place:
             block = next(self._blocks, None)
             if block is None:
@@ -65,7 +65,7 @@ class PathWindow:
         return self._all
 
     def forget(self, place: float) -> None:
-        """Keep nothing before ``place``."""
+        """Delete the rows before ``place``."""
         gone = min(int(place) - self._first, len(self._operation))
         if gone > 0:
             self._travelled = self._travelled[gone:].copy()
@@ -89,16 +89,16 @@ class PathWindow:
         return np.rint(self.counts(places)).astype(np.int64)
 
     def operations(self, places: FloatArray) -> IntArray:
-        """Return (n,) operations of the rows that are under way at (n,) places."""
+        """Return the (n,) operations of the rows at (n,) places."""
         if not len(self._operation):
             return np.zeros(len(places), dtype=np.int64)
         at = places.astype(np.int64) - self._first
         return self._operation[np.clip(at, 0, len(self._operation) - 1)]
 
     def next_rest(self, place: float) -> int | None:
-        """Return the first row from ``place`` on at which nothing moves; None where none is known.
+        """Return the first row of the next rest from ``place`` on; None where none is known.
 
-        A rest has no count of any axis for ``REST_S``.
+        In a rest no axis has a count for ``REST_S``.
         """
         begin = max(int(place) - self._first, 0)
         still = (np.diff(self._travelled[begin:], axis=0) == 0).all(axis=1)
@@ -110,24 +110,24 @@ class PathWindow:
         return int(found[0]) + begin + self._first if len(found) else None
 
     def halt(self) -> Event | None:
-        """Return the next stop or wait that is known of and not passed."""
+        """Return the next stop or wait in the known rows that was not passed, or None."""
         return next((event for event in self._events if event.kind in self._halting), None)
 
     def pass_halt(self) -> None:
-        """Let the next stop or wait be passed."""
+        """Pass the next stop or wait."""
         halt = self.halt()
         if halt is not None:
             self._events.remove(halt)
 
     def take_events(self, place: float) -> tuple[Event, ...]:
-        """Return the events up to ``place``, but for stops and waits; each is given once."""
+        """Return the events up to ``place``, without stops and waits, and remove them."""
         due = [e for e in self._events if e.tick <= place and e.kind not in HALTS]
         if due:
             self._events = [e for e in self._events if e.tick > place or e.kind in HALTS]
         return tuple(due)
 
     def put_back(self, events: Sequence[Event]) -> None:
-        """Let events be given again."""
+        """Add events that ``take_events`` had removed."""
         self._events = sorted([*events, *self._events], key=_tick)
 
 

@@ -1,4 +1,4 @@
-"""Faults that the simulated machine can be told to have, to see what the guards make of them."""
+"""Faults that can be injected into the simulated machine, for tests of the guards."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class SimFault:
     Parameters
     ----------
     kind
-        One of ``KINDS``. Encoders, reversals and switches fail in what the executor is told: the
-        simulated loops keep their own readings. A lost link plays what the machine holds; without
-        power it says nothing any more.
+        One of ``KINDS``. Faults of encoders, reversals and switches change the reports to the
+        executor alone; the simulated loops keep their true readings. After a lost link the machine
+        plays the rows that it holds; without power it plays and reports nothing.
     tick
-        When.
+        Tick at which the fault begins.
     where
-        The axis or the switch, empty where it is of neither.
+        Name of the axis or switch; empty for a fault of neither.
     """
 
     kind: str
@@ -44,12 +44,16 @@ class SimFault:
     def told(
         self, first: int, samples: dict[str, FloatArray], machine: Machine, stuck: dict[str, float]
     ) -> None:
-        """Change the samples of a report that begins at tick ``first`` as the fault does.
+        """Change the samples of a report that begins at tick ``first``, in place.
 
         Parameters
         ----------
+        samples
+            (n,) samples of each channel.
+        machine
+            The machine, for the scale of an encoder.
         stuck
-            What an encoder said when it stuck, which it goes on saying.
+            Reading of each stuck encoder, by its axis; it is added when the encoder sticks.
         """
         name = next(iter(samples), "")
         at = max(self.tick - first, 0)
@@ -67,11 +71,11 @@ class SimFault:
             samples[f"{self.where}.voltage"][at:] = np.resize([1.0, -1.0], len(samples[name]) - at)
 
     def silences(self, tick: int) -> bool:
-        """Say whether nothing is heard of the machine any more at ``tick``."""
+        """Return whether the machine sends no more messages from ``tick`` on."""
         return self.kind in {"lost-link", "power-loss"} and tick >= self.tick
 
     def late(self, tick: int) -> float:
-        """Return by how many periods the report that begins at ``tick`` is late."""
+        """Return the lateness of the report that begins at ``tick``, in periods of a report."""
         if tick < self.tick:
             return 0.0
         if self.kind == "late-ticks":
@@ -80,7 +84,7 @@ class SimFault:
 
 
 def parse_fault(text: str, machine: Machine) -> SimFault:
-    """Return the fault that ``"stuck-encoder:X@1.2 s"`` names.
+    """Return the fault that a text like ``"stuck-encoder:X@1.2 s"`` describes.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The simulated machine at the far end of a link: the twin, playing what it holds, tick by tick.
+"""The simulated machine at the far end of a link: a twin that plays rows tick by tick.
 
-It knows nothing of jobs and plans. It holds rows that end in a braking tail and plays one row at
-each tick; each refill replaces what is held from a tick on. Where refills stop, it plays the tail
-and stands. A real machine behind the same messages does the same.
+It knows nothing of jobs and plans. It holds rows that end in a braking tail, and plays one row at
+each tick. A refill replaces the rows from a tick on; without refills the tail is played, and the
+machine stands. A real machine has to act in the same way on the same messages.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from threadline.signals import Ended, Event, RecordingBlock, TickBlock
 from threadline.twin import Session
 
 LATE = 0.5
-"""Share of its period by which a tick may come later than it is due."""
+"""Share of the period by which a report may come later than it is due."""
 
 
 class SimMachine:
@@ -32,13 +32,13 @@ class SimMachine:
     Parameters
     ----------
     machine
-        What is simulated.
+        The machine that is simulated.
     start_counts
-        (axes,) where it stands when it is switched on, which is its home.
+        (axes,) position when it is switched on, in counts; it is its home, too.
     tell
         Called with each message to the executor.
     fault
-        What goes wrong, if anything does.
+        Injected fault, or None.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class SimMachine:
 
     @property
     def silenced(self) -> str:
-        """The fault by which nothing is heard of it any more, empty while it is heard."""
+        """Kind of the fault because of which it sends no messages; empty without one."""
         fault = self._fault
         return fault.kind if fault is not None and fault.silences(self.tick) else ""
 
@@ -84,12 +84,12 @@ class SimMachine:
 
     @property
     def wanted(self) -> int:
-        """How many rows it holds that are not the spare tail."""
+        """Number of rows that it holds, without the braking tail."""
         return max(0, self._wanted_until - self.tick)
 
     @property
     def standing(self) -> bool:
-        """Whether nothing is held any more: the command stands still."""
+        """Whether it holds no more rows, so that the commands stand still."""
         return not self._rows
 
     @property
@@ -98,11 +98,11 @@ class SimMachine:
         return self._begun
 
     def greet(self) -> None:
-        """Say who it is."""
+        """Send the greeting."""
         self._say("hello", **greeting(self._machine, self._session.channels))
 
     def take(self, message: Message) -> None:
-        """Do what the executor says; refuse what is not possible now."""
+        """Act on a message of the executor, or refuse it."""
         answer = self._answers.get(message.kind)
         if answer is None:
             self._say("refused", what=message.kind, why="it is unknown here")
@@ -132,7 +132,7 @@ class SimMachine:
             self._say("refused", what="home", why="the drives are off")
 
     def _begin(self, _message: Message) -> None:
-        """Take up a run: the clock starts anew where the machine stands."""
+        """Begin a run: the clock starts at 0, at the present position."""
         if not (self._enabled and self._homed and self.standing) or self.starved:
             self._say("refused", what="begin", why="it is not enabled, homed and at rest")
             return
@@ -144,7 +144,7 @@ class SimMachine:
         self._number += 1
 
     def _refill(self, message: Message) -> None:
-        """Replace what is held from a tick on; refuse what does not fit what was played."""
+        """Replace the rows from a tick on; refuse rows that do not continue those before them."""
         first, wanted = int(message.head["first"]), int(message.head["wanted"])
         counts, operation = message.arrays["counts"], message.arrays["operation"]
         if why := self._unfit(first, message.arrays["at"]):
@@ -183,19 +183,19 @@ class SimMachine:
         self.left = True
 
     def _go(self, _message: Message) -> None:
-        """Nothing: it says that time may go on."""
+        """Do nothing: the message only lets time go on (see ``sim_process``)."""
 
     # --- what it does ----------------------------------------------------------------------
 
     def play(self, ticks: int, late_by: float = 0.0) -> None:
-        """Go on for some ticks, and report them.
+        """Simulate a number of ticks, and report them.
 
         Parameters
         ----------
         ticks
-            How many.
+            Number of ticks.
         late_by
-            By how many periods of all of them together they come late.
+            Lateness of the report, as a multiple of the time of all these ticks.
         """
         first = self.tick
         parts: list[RecordingBlock] = []
@@ -205,7 +205,7 @@ class SimMachine:
         self._report(first, parts, late_by)
 
     def _row_block(self, room: int) -> RecordingBlock:
-        """Play rows that are held, ``room`` at most."""
+        """Play at most ``room`` of the rows that are held."""
         n = min(room, len(self._rows))
         taken = [self._rows.popleft() for _ in range(n)]
         counts = np.array([row for row, _ in taken], dtype=np.int64)

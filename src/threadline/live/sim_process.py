@@ -1,8 +1,8 @@
 """The process of the simulated machine, and the link to it.
 
-At real time each tick has its instant; one that comes more than half a period late is counted,
-and the ticks after it are not hurried. At any other speed the machine's time goes on only when the
-executor has answered its last report, so that a busy computer changes nothing in what happens.
+In real time each report is due at an instant; one that comes more than half of its period late is
+counted, and the following ones are not hurried. At any other speed the machine's time goes on only
+after the executor has answered the last report, so that the load of the computer changes nothing.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from threadline.machine import Machine
 
 REAL_TIME = 1.0
 _WAKE_S = 0.005
-"""A Python loop is woken no more often than this: shorter ticks are played several at a time."""
+"""Shortest period of reports in s; several shorter ticks are played at a time."""
 _SEND_S = 2.0
-"""A message that cannot be sent for so long, s: the other side no longer reads."""
+"""Time in s after which a message that cannot be sent means that the other side is gone."""
 _JOIN_S = 10.0
 _CHILD = "from threadline.live.sim_process import be_machine; be_machine()"
-"""Not a fork, which would share what is open, nor a spawned one, which would run the main program
-of whoever calls anew."""
+"""Program of the child process. A forked process would share open files with its parent, and a
+process of ``multiprocessing`` would run the main program of the caller again."""
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
-    """Return how many ticks the simulated machine plays between two reports."""
+    """Return the number of ticks in a report of the simulated machine."""
     period_s = float(machine.tick_clock.period_s)
     return max(1, ceil((_WAKE_S if speed == REAL_TIME else 5 * _WAKE_S) / period_s - 1e-9))
 
@@ -45,18 +45,18 @@ def group_ticks(machine: Machine, speed: float) -> int:
 def sim_link(
     machine: Machine, start_counts: IntArray, speed: float, fault: SimFault | None = None
 ) -> Iterator[Connection]:
-    """Start a simulated machine in a process of its own, and give the link to it.
+    """Start a simulated machine in a process of its own, and yield the link to it.
 
     Parameters
     ----------
     machine
-        What is simulated.
+        The machine that is simulated.
     start_counts
-        (axes,) where it stands when it is switched on.
+        (axes,) position when it is switched on, in counts.
     speed
-        Its seconds in a second: 1 is real time; 0 is as fast as it can.
+        Seconds of its time in a second: 1 is real time, 0 is as fast as possible.
     fault
-        What goes wrong with it.
+        Injected fault, or None.
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
@@ -84,7 +84,7 @@ def sim_link(
 
 
 def be_machine() -> None:
-    """Be the simulated machine that the parent of this process describes."""
+    """Serve as the simulated machine that the parent process describes through a pipe."""
     told = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
     serve(socket.socket(fileno=int(sys.argv[1])), *told)
 
@@ -96,7 +96,7 @@ def serve(
     speed: float,
     fault: SimFault | None = None,
 ) -> None:
-    """Be the simulated machine at ``end`` until the executor leaves or is gone."""
+    """Serve as a simulated machine at the socket ``end`` until the executor leaves or is gone."""
     # A key or a signal is for the executor, which brakes: this process is the machine.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
@@ -112,7 +112,7 @@ def serve(
             _in_step(connection, simulated, group, period_s / speed if speed else 0.0)
         while (
             not simulated.standing and simulated.silenced != "power-loss"
-        ):  # nobody is there any more: brake and stand
+        ):  # the executor is gone: play the braking tail
             simulated.play(group)
     connection.close()
 
@@ -136,7 +136,7 @@ def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s
 def _in_real_time(
     connection: Connection, simulated: SimMachine, group: int, period_s: float
 ) -> None:
-    """Play a group of ticks at each of its instants."""
+    """Play a group of ticks at each instant at which one is due."""
     due: float | None = None
     while not (connection.lost or simulated.left):
         wait_s = None if due is None else due - time.monotonic()

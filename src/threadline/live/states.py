@@ -1,6 +1,6 @@
-"""The states of an executor, and every transition that there is.
+"""The states of an executor, and all transitions between them.
 
-What is not in ``TRANSITIONS`` is refused and changes nothing. ``docs/safety.md`` prints the table.
+A cause without a transition is refused and changes nothing. ``docs/safety.md`` prints the table.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from threadline.errors import CommandError
 
 
 class State(StrEnum):
-    """What the executor of one machine is doing."""
+    """State of the executor of one machine."""
 
-    DISABLED = "disabled"  # the drives are off, or nobody knows
-    ENABLED = "enabled"  # the drives hold; where the axes are is not known yet
+    DISABLED = "disabled"  # the drives are off, or their state is not known
+    ENABLED = "enabled"  # the drives are on; the positions of the axes are not known yet
     HOMING = "homing"
     IDLE = "idle"  # homed, at rest, ready
     JOGGING = "jogging"
@@ -25,7 +25,7 @@ class State(StrEnum):
 
 
 class Cause(StrEnum):
-    """What makes it go from state to state: commands of people, and what machines report."""
+    """Cause of a transition: a command of the operator, or something that is reported."""
 
     ENABLE = "enable"
     DISABLE = "disable"
@@ -56,7 +56,7 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
     (_S.RUNNING, _C.COMPLETED): _S.IDLE,
     (_S.RUNNING, _C.HOLD): _S.HOLDING,
     (_S.HOLDING, _C.RESUME): _S.RUNNING,
-    # A stop is taken in every state; where nothing moves, nothing changes.
+    # A stop is accepted in every state; at rest it changes nothing.
     (_S.DISABLED, _C.STOP): _S.DISABLED,
     (_S.ENABLED, _C.STOP): _S.ENABLED,
     (_S.IDLE, _C.STOP): _S.IDLE,
@@ -68,20 +68,20 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
     (_S.FAULT, _C.STOP): _S.FAULT,
     (_S.STOPPING, _C.AT_REST): _S.IDLE,
     (_S.STOPPING, _C.AT_REST_UNHOMED): _S.ENABLED,
-    # So is a fault.
+    # A fault is accepted in every state.
     **{(state, _C.FAULT): _S.FAULT for state in _S},
-    # Drives go off only where nothing moves, and a reset moves nothing and homes nothing.
+    # Drives are switched off only at rest. After a reset the machine has to be homed.
     (_S.ENABLED, _C.DISABLE): _S.DISABLED,
     (_S.IDLE, _C.DISABLE): _S.DISABLED,
     (_S.FAULT, _C.RESET): _S.DISABLED,
 }
-"""From a state, by a cause, to a state."""
+"""State that follows a state and a cause."""
 
 MOVING = frozenset({_S.HOMING, _S.JOGGING, _S.RUNNING, _S.HOLDING, _S.STOPPING})
 """States in which the machine may be moving."""
 
 COMMANDS = frozenset(_C) - {_C.HOMED, _C.AT_REST, _C.AT_REST_UNHOMED, _C.COMPLETED, _C.FAULT}
-"""Causes that a person gives; the others are reported."""
+"""Causes that are commands of the operator; the others are reported."""
 
 
 def next_state(state: State, cause: Cause) -> State:
@@ -90,7 +90,7 @@ def next_state(state: State, cause: Cause) -> State:
     Raises
     ------
     CommandError
-        If there is no such transition; the state is then as it was.
+        If there is no such transition.
     """
     found = TRANSITIONS.get((state, cause))
     if found is None:

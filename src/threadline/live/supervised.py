@@ -1,4 +1,4 @@
-"""A job run on a machine: the proof checked, the machine started, the run watched to its end."""
+"""Runs of proved jobs on a machine, from the check of the proof to the end of the run."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from threadline.verdict import Spec
 def check_runnable(
     proof_file: Path, plan: Plan, spec: Spec, override: str | None
 ) -> tuple[TickTable, ProofFile]:
-    """Return the rows that may be run: those that the proof is a proof of, and none else.
+    """Return the table of a plan and its proof, if the proof allows the plan to be run.
 
     Parameters
     ----------
     proof_file
-        The proof; it is read and its hashes are compared with the plan here.
+        File of the proof, whose hashes are compared with the plan.
     plan, spec
-        What is to be run, and what it is asked to keep.
+        The plan, and the specification that it was judged by.
     override
-        Why a plan that is out of specification is run in spite of that; None where it is not.
+        Reason to run a plan that is out of specification; None to run only one that is not.
 
     Raises
     ------
     ProofError
-        If it is no proof of this, or is out of specification and nothing overrides that.
+        If the proof is of another plan, or is out of specification and ``override`` is None.
     OptionError
-        If nothing has to be overridden, or the machine is not one whose rows can be sent.
+        If there is an override for a plan in specification, or no link can run the machine.
     """
     table = tick_table(plan.commands)
     check_machine_runs(plan.machine)
@@ -71,7 +71,7 @@ def check_machine_runs(machine: Machine) -> None:
     Raises
     ------
     OptionError
-        Naming what it is commanded by.
+        If the machine has no axes, or a drive of it is given positions.
     """
     if not machine.axes or machine.position_sources:
         raise OptionError(
@@ -82,18 +82,17 @@ def check_machine_runs(machine: Machine) -> None:
 
 
 def check_halts(plan: Plan, *, answered: bool) -> None:
-    """Refuse a job that would stand somewhere for ever; reads the commands once.
+    """Refuse a job that would wait forever; reads the whole commands once.
 
     Parameters
     ----------
     answered
-        Whether somebody, or an option, answers the stops of the program.
+        Whether the operator, or an option, answers the stops of the program.
 
     Raises
     ------
     PlanError
-        Naming the line: of a wait for an input that the machine lacks, of a stop that nobody
-        answers.
+        With the line of a wait for an input that the machine lacks, or of a stop without answer.
     """
     table = tick_table(plan.commands)
     rows = table.tick_count()
@@ -145,9 +144,11 @@ def run_table(
     Parameters
     ----------
     table
-        What ``check_runnable`` returned.
-    link
-        To the machine.
+        Table that ``check_runnable`` returned.
+    machine, link
+        The machine, and the link to it.
+    desk, sink, speed
+        See ``Executor``.
     pass_stops, hold_at_rest
         See ``Executor.start``.
     watch
@@ -156,7 +157,7 @@ def run_table(
     Returns
     -------
     tuple
-        How it ended, why, and the ticks that came late.
+        How the run ended, the reason, and the number of late ticks.
     """
     with link as connection:
         executor = Executor(connection, machine, desk, sink, speed=speed)

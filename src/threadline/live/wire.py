@@ -33,16 +33,16 @@ _EVENT_KINDS = get_args(EventKind)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """What one side tells the other.
+    """A message from one side of a link to the other.
 
     Parameters
     ----------
     kind
-        What it is about.
+        Sort of the message, such as ``"refill"``.
     head
-        Its values, of JSON.
+        Values that JSON can hold, by name.
     arrays
-        Its arrays, of int64 or float64, by name.
+        Arrays of int64 or float64, by name.
     """
 
     kind: str
@@ -72,7 +72,7 @@ def decoded(content: bytes) -> Message:
     Raises
     ------
     LinkFaultError
-        If it is none.
+        If the bytes are not a message.
     """
     try:
         (size,) = struct.unpack_from("<I", content)
@@ -95,7 +95,7 @@ def decoded(content: bytes) -> Message:
 
 
 def event_told(event: Event) -> list[Any]:
-    """Return an event as it stands in the head of a message."""
+    """Return an event as the list that stands for it in the head of a message."""
     return [event.tick, event.kind, event.operation, event.name, event.value]
 
 
@@ -105,7 +105,7 @@ def event_of(told: Any) -> Event:
     Raises
     ------
     LinkFaultError
-        If it is none.
+        If ``told`` is not an event.
     """
     try:
         tick, kind, operation, name, value = told
@@ -133,12 +133,12 @@ class Connection:
         self.lost = False  # the other side is gone
 
     def fileno(self) -> int:
-        """Return the number to wait on; a message may be here already, see ``waiting``."""
+        """Return the file descriptor of the socket; a message may wait already (``waiting``)."""
         return self._socket.fileno()
 
     @property
     def waiting(self) -> bool:
-        """Whether a whole message has been read and not been taken."""
+        """Whether a whole message was read that ``receive`` has not returned yet."""
         return len(self._bytes) >= 4 and len(self._bytes) >= 4 + self._length()
 
     def _length(self) -> int:
@@ -148,14 +148,14 @@ class Connection:
         return int(length)
 
     def send(self, message: Message) -> None:
-        """Send a message; where the other side is gone, ``lost`` says so and nothing is raised."""
+        """Send a message; if the other side is gone, ``lost`` becomes True without an error."""
         try:
             self._socket.sendall(message.encoded())
         except OSError:
             self.lost = True
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
-        """Return the next message; None when none came in time, or when the other side is gone.
+        """Return the next message; None if none came in time, or the other side is gone.
 
         Raises
         ------
@@ -182,6 +182,6 @@ class Connection:
         return bool(select.select([self._socket], [], [], waited)[0])
 
     def close(self) -> None:
-        """Close it: the other side finds it lost."""
+        """Close the socket."""
         self.lost = True
         self._socket.close()

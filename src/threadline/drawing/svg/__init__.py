@@ -1,4 +1,4 @@
-"""SVG drawings, read strictly: what is not understood is refused, never left out in silence."""
+"""SVG drawings, read strictly: a construct that is not understood is refused and not ignored."""
 
 from threadline.drawing.svg.read_svg import read_svg
 

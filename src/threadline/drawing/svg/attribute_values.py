@@ -1,4 +1,4 @@
-"""Numbers, lengths, transforms and colours as an SVG writes them."""
+"""Numbers, lengths, transforms and colours in the notation of SVG."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PIXELS = {
     "pt": 96.0 / 72.0,
     "pc": 16.0,
 }
-"""CSS pixels to a unit; a number alone is pixels."""
+"""CSS pixels in each unit; a number without unit is in pixels."""
 _LENGTH_REMEDY = "Write it in mm, cm, in, pt, pc, px or %, like 12.5mm, without a blank."
 _FUNCTION = re.compile(r"([a-zA-Z]+)\s*\(([^()]*)\)\s*,?\s*")
 _ANGLES = {"deg": 1.0, "rad": math.degrees(1.0), "grad": 0.9, "turn": 360.0}
@@ -50,12 +50,12 @@ def shown(text: str) -> str:
 
 
 def pixels(key: str, written: str, whole: float = math.nan) -> float:
-    """Return a length in pixels; ``whole`` is what 100 % is, NaN where a share has no meaning.
+    """Return a length in pixels; ``whole`` is that of 100 %, NaN where a share has no meaning.
 
     Raises
     ------
     ValueRefused
-        If it is not one.
+        If the text is not a length.
     """
     match = _LENGTH.fullmatch(written.strip())
     value = math.nan
@@ -69,7 +69,7 @@ def pixels(key: str, written: str, whole: float = math.nan) -> float:
 
 
 def numbers(text: str) -> list[float]:
-    """Return numbers parted by blanks, commas or nothing but a sign.
+    """Return numbers that are separated by blanks, commas or only a sign.
 
     Raises
     ------
@@ -94,13 +94,13 @@ def transform(written: str, in_style: bool = False) -> FloatArray:
     Parameters
     ----------
     in_style
-        Lengths are in px and angles in deg, rad, grad or turn, as style sheets have them; in an
-        attribute both are numbers alone.
+        Whether the text is from a style, where lengths and angles have units; in an attribute they
+        are numbers alone, in pixels and degrees.
 
     Raises
     ------
     ValueRefused
-        If it is not one.
+        If the text is not a list of transforms.
     """
     result = np.eye(3)
     if written.strip() in ("", "none"):
@@ -176,7 +176,7 @@ def colour(written: str) -> str:
     Raises
     ------
     ValueRefused
-        If it is none that is known.
+        If the text is not a known colour.
     """
     text = written.strip()
     if text.startswith("url("):

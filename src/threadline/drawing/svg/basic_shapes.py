@@ -1,4 +1,4 @@
-"""The basic shapes of an SVG as subpaths, begun and run through as SVG 1.1, chapter 9, says."""
+"""The basic shapes of SVG as subpaths, with start and direction by SVG 1.1, chapter 9."""
 
 from __future__ import annotations
 

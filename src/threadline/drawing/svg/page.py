@@ -1,4 +1,4 @@
-"""The page of an SVG: how large a pixel of the drawing is, and where the page's lower edge lies."""
+"""The page of an SVG: the size of a pixel of the drawing, and the page's lower edge."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Page:
     viewport
         Width and height in the drawing's own units, NaN without one.
     warnings
-        What was assumed.
+        Warnings about a size that was assumed.
     """
 
     matrix: FloatArray
@@ -49,12 +49,12 @@ def svg_page(tree: Tree, unit: str | None) -> Page:
     Parameters
     ----------
     unit
-        What one pixel is, for a drawing that states no physical size.
+        Unit that a pixel stands for in a drawing that states no physical size.
 
     Raises
     ------
     JobError
-        If its size is no size, or contradicts the unit given.
+        If the drawing's size cannot be read, or contradicts the given unit.
     """
     attributes, place = tree.root.attributes, tree.place(tree.root)
     try:

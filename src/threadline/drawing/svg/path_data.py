@@ -1,4 +1,4 @@
-"""The data of a path, as the grammar of SVG 1.1 (8.3) has it, and the shapes as pieces."""
+"""The data of paths, by the grammar of SVG 1.1 (8.3), and subpaths as pieces."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class Subpath:
-    """Segments between two moves: control points each (2, 3 or 4), or an arc.
+    """The segments between two moves: each has 2, 3 or 4 control points, or is an arc.
 
-    An arc is its centre, its two half axes, the angle at which it begins and how far it goes.
+    An arc is given by its centre, its two half axes, the angle of its beginning and its sweep.
     """
 
     segments: list[tuple[Point, ...] | tuple[Point, Point, Point, float, float]] = field(
@@ -83,7 +83,7 @@ def path_subpaths(data: str) -> list[Subpath]:
     Raises
     ------
     ValueRefused
-        If it is not what the grammar allows, with the character; browsers would draw a part.
+        With the character, if the data is not what the grammar allows; browsers would draw a part.
     """
     reader = _Reader(data)
     if data.strip() not in ("", "none"):
@@ -93,7 +93,7 @@ def path_subpaths(data: str) -> list[Subpath]:
 
 
 class _Reader:
-    """A place in the data, and the state of the pen."""
+    """The position in the data, and the state of the pen."""
 
     def __init__(self, data: str) -> None:
         self.data = data
@@ -198,7 +198,7 @@ class _Reader:
         self.here, self.last = end, upper
 
     def _mirrored(self, control: Point, family: str) -> Point:
-        """Return the reflected control point, or this one after a command of another family."""
+        """Return the reflected control point, or the pen's place after another sort of command."""
         if not self.last or self.last not in family:
             return self.here
         return (2.0 * self.here[0] - control[0], 2.0 * self.here[1] - control[1])

@@ -38,18 +38,18 @@ def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
     content, file
         The bytes of the file, and its name for messages.
     unit
-        What one pixel is, for a drawing that states no physical size.
+        Unit that a pixel stands for in a drawing that states no physical size.
 
     Raises
     ------
     JobError
-        If it is no SVG, is unsafe to read, holds what is not understood, or contradicts the unit
-        given; with the line.
+        With the line, if the file is no SVG, is unsafe to read, has a construct that is not
+        understood, or contradicts the given unit.
 
     Notes
     -----
-    SVG counts Y downwards from the upper edge; here the part lies as it looks on the screen. A
-    drawing is read as SVG 1.1 and CSS 2.1 have it, at time 0, without scripts.
+    In SVG, Y points down from the upper edge; the result is as the drawing looks on the screen. The
+    drawing is read by SVG 1.1 and CSS 2.1, at time 0, without scripts.
     """
     tree = svg_tree(content, file)
     page = svg_page(tree, unit)
@@ -65,7 +65,7 @@ def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """What an element has from those around it: its axes, inherited values, layer, clipping."""
+    """What an element inherits: its axes, property values, layer and clipping."""
 
     matrix: FloatArray
     inherited: Mapping[str, str]
@@ -76,7 +76,7 @@ class _Here:
 
 @dataclass(slots=True)
 class _Walk:
-    """Goes through the elements as they are drawn, clones in their places."""
+    """Visits the elements in the order in which they are drawn, with clones."""
 
     tree: Tree
     page: Page
@@ -87,7 +87,7 @@ class _Walk:
     cached: dict[int, dict[str, tuple[str, bool]]] = field(default_factory=dict)
 
     def element(self, element: Element, outside: _Here, depth: int) -> None:
-        """Draw an element, and what is in it."""
+        """Add the strokes of an element and its children."""
         name = element.name
         if " " in name or (name in _NEVER_DRAWN and not (name == "symbol" and outside.clone)):
             return
@@ -109,7 +109,7 @@ class _Walk:
             ) from error
 
     def _enter(self, element: Element, outside: _Here, depth: int) -> _Here | None:
-        """Return what holds within an element; None where it is not drawn at all."""
+        """Return what the children of an element inherit; None where it is not drawn."""
         if id(element) not in self.cached:
             self.cached[id(element)] = self.styles.declared(element)
         declared = self.cached[id(element)]
@@ -224,7 +224,7 @@ class _Walk:
 
 
 def _about(own: FloatArray, origin: str, viewport: tuple[float, float]) -> FloatArray:
-    """Return a transform carried out about an origin of the view box."""
+    """Return a transform about an origin in the view box."""
     parts = origin.split()
     words = {"left": "0%", "top": "0%", "center": "50%", "right": "100%", "bottom": "100%"}
     if len(parts) == 3 and parts[2] in ("0", "0px"):

@@ -1,4 +1,4 @@
-"""What an element looks like: presentation attributes, style sheets and style attributes."""
+"""Styles of elements, from presentation attributes, style sheets and style attributes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ READ = (
     "display", "visibility", "stroke", "fill", "color", "transform", "transform-origin",
     "clip-path", "mask",
 )  # fmt: skip
-"""The properties that decide what is sewn, and where."""
+"""Properties that determine what is sewn, and where."""
 INHERITED = {"visibility": "visible", "stroke": "none", "fill": "black", "color": "black"}
-"""What a child has from its parent, and what the root has."""
+"""Properties that a child inherits from its parent, with the values of the root."""
 _INITIAL = {
     **INHERITED, "display": "inline", "transform": "none", "transform-origin": "0 0",
     "clip-path": "none", "mask": "none",
@@ -37,7 +37,7 @@ Strength = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A selector (compounds from the right, each with how it hangs on the next) and its word."""
+    """A selector, as its compounds from right to left with their combinators, and a declaration."""
 
     compounds: tuple[tuple[str, str], ...]
     weight: tuple[int, int, int]
@@ -47,19 +47,20 @@ class _Rule:
 
 
 class Styles:
-    """The declared values of elements; what inherits is up to the caller."""
+    """The values that styles declare for elements, before inheritance."""
 
     def __init__(self, tree: Tree) -> None:
         self._tree = tree
         self._rules = [rule for sheet in tree.sheets for rule in _sheet(tree, sheet)]
 
     def declared(self, element: Element) -> dict[str, tuple[str, bool]]:
-        """Return each property that is set on ``element``: its text, and if a style set it.
+        """Return each property that is set on ``element``: its text, and whether a style sets it.
 
         Raises
         ------
         JobError
-            If a style cannot be read, or sets what is not read from styles; with the line.
+            With the line, if a style cannot be read, or sets a property that is read as an
+            attribute only.
         """
         best: dict[str, tuple[Strength, str, bool]] = {}
 
@@ -94,14 +95,16 @@ class Styles:
 
 
 def resolved(key: str, written: str | None, parent: str) -> str:
-    """Return the value of a property, with what is said of inheritance carried out.
+    """Return the value of a property after inheritance.
 
     Parameters
     ----------
+    key
+        Name of the property.
     written
-        None where nothing is set.
+        Declared value; None without one.
     parent
-        What the parent has.
+        Value of the parent.
     """
     word = None if written is None else written.strip().lower()
     inherits = key in INHERITED
@@ -135,7 +138,7 @@ def _declarations(text: str) -> Iterator[tuple[str, str, bool]]:
 
 
 def _split(text: str) -> Iterator[str]:
-    """Yield what stands between semicolons that are in no quotes and no brackets."""
+    """Yield the texts between semicolons outside quotes and brackets."""
     begin = depth = 0
     for token in _TOKEN.finditer(text):
         depth += {"(": 1, ")": -1}.get(token[0], 0)

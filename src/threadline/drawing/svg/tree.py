@@ -1,4 +1,4 @@
-"""The elements of an SVG with their lines; what is dangerous is refused before it is built."""
+"""The elements of an SVG with their lines; dangerous constructs are refused while it is parsed."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _PLAIN = "Save the drawing as plain SVG."
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """An element: its name (without the SVG namespace), attributes, line, and what is in it.
+    """An element: its name (without the SVG namespace), attributes, line and children.
 
-    ``parent`` is None for the root; ``text`` is kept of style sheets alone.
+    ``parent`` is None for the root; ``text`` is kept for style sheets only.
     """
 
     name: str
@@ -65,8 +65,8 @@ def svg_tree(content: bytes, file: str) -> Tree:
     Raises
     ------
     JobError
-        If it is not well-formed XML, no SVG, declares entities, nests or clones without end, or
-        has its styles in another file; with the line.
+        With the line, if the file is not well-formed XML or no SVG, declares entities, has its
+        styles in another file, or nests or clones elements too deeply.
     """
     text = decode_text(content, file, "SVG drawing")
     # What is left of a declaration would name an encoding that the text no longer has.
@@ -169,7 +169,7 @@ def _below(tree: Tree, element: Element) -> Iterator[Element]:
 
 
 def _refuse_endless_clones(tree: Tree) -> None:
-    """Refuse clones of themselves, and clones of clones without end."""
+    """Refuse elements that are clones of themselves, and too many clones of clones."""
     sizes: dict[int, int] = {}
     order: list[tuple[Element, bool]] = [(tree.root, False)]
     open_elements: set[int] = set()

@@ -1,4 +1,4 @@
-"""Stitches that shorten where the drawn line bends, so that none of it is left unsewn."""
+"""Stitches that are shorter where the drawn line bends, so that they stay close to it."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from threadline.drawing.arclength import ArcTable
 from threadline.jobs.seam.legs import Leg
 from threadline.jobs.seam.settings import Accelerations, Stitching
 
-_PARTS = 8  # places in the least stitch at which the line is looked at
+_PARTS = 8  # samples of the line in the length of the least stitch
 _FEWEST, _MOST = 64, 2_000_000
 _GROWTH = 1.08
-_SHARE = 0.5  # of the tolerance by which all stitches of a leg may be longer than planned
+_SHARE = 0.5  # share of the tolerance by which all stitches of a leg may be longer than planned
 
 
 def bow_m(arc_m: FloatArray, chord_m: FloatArray) -> FloatArray:
-    """Return how far a curve of length ``arc_m`` bows out of its chord, at most.
+    """Return the largest distance from its chord that a curve of length ``arc_m`` can have.
 
-    The farthest point of all curves of that length between the ends lies on the ellipse that has
-    the ends as its foci. Of a circle's arc it is 15 % more than the rise.
+    The farthest points of all curves of that length between the ends lie on the ellipse with the
+    ends as its foci. For an arc of a circle the result is 15 % more than its rise.
     """
     return np.asarray(0.5 * np.sqrt(np.maximum(arc_m - chord_m, 0.0) * (arc_m + chord_m)))
 
@@ -39,16 +39,21 @@ def bent_stitches(
 
     Parameters
     ----------
+    table, leg, closed
+        The contour, the leg of it, and whether the contour is closed.
+    settings, accelerations
+        Stitching, and accelerations of the head.
     rests
-        The head rests at the beginning, at the end; only with a needle of constant speed.
+        Whether the head rests at the beginning, and at the end; for a needle of constant speed.
 
     Notes
     -----
-    At each place of the leg the longest stitch about it is found that is no longer than wanted
-    and out of which the line bows no further than the settings allow; none is shorter than the
-    least. Times the needle's speed that is a speed of the head, which then changes no faster than
-    the accelerations allow; the stitches are what it covers in each turn of the needle. All of
-    them together are scaled to a whole number; they grow by half of the tolerance at most.
+    For each place of the leg the longest stitch around it is found that is not longer than wanted
+    and out of which the line does not bow more than the settings allow; it is at least the least
+    stitch. That length times the needle's speed is a speed of the head, which is then reduced until
+    it changes no faster than the accelerations. The stitches are the distances that the head covers
+    in each turn of the needle. Last, they are scaled so that their number is whole; they grow by at
+    most half of the tolerance.
     """
     whole = leg.length_m
     spacing = settings.least_m / _PARTS
@@ -90,8 +95,8 @@ def _longest(points: FloatArray, step: float, settings: Stitching) -> FloatArray
     found = np.full(count, wanted)
     going: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
     arc, chord, bow = (np.zeros(count) for _ in range(3))
-    # What is possible grows with the reach a little at a time; in between it is taken as straight,
-    # which makes stitches shorter rather than longer.
+    # The reach of a stitch grows in small steps, and between two of them values are interpolated
+    # linearly, which gives shorter stitches rather than longer ones.
     reach, most = 0, math.ceil(math.hypot(wanted, 2.0 * limit) / (2.0 * step))
     while reach < most and going.any():
         reach = min(most, max(reach + 1, math.ceil(reach * _GROWTH)))
@@ -119,7 +124,7 @@ def _reached(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> FloatArray:
-    """Return ``longest``, less where the head could not get faster or slower in time."""
+    """Return ``longest``, reduced where the head could not change its speed in time."""
     up, down = (2.0 * a / settings.needle_speed_hz**2 for a in accelerations)
     squared = longest**2
     if rests[0]:

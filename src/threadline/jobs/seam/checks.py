@@ -1,4 +1,4 @@
-"""What is suspicious about a seam, and what cannot be sewn on this machine."""
+"""Checks of a seam: warnings about it, and errors where a machine cannot sew it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def head_accelerations_m_s2(
 ) -> tuple[Accelerations, list[str]]:
     """Return the accelerations that a seam is planned with, and warnings about them.
 
-    What is set, else the two-stitch rule; no more than the weaker axis can.
+    They are those of the settings, or of the two-stitch rule without, but no more than the limit of
+    the weaker axis.
     """
     rule = ramp_acceleration_m_s2(settings.speed_m_s, settings.stitch_length_m)
     up = settings.acceleration_m_s2 or rule
@@ -69,7 +70,7 @@ def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
 
 
 def corner_warnings(sewn: SewnContour, machine_acceleration_m_s2: float) -> list[str]:
-    """Return a warning when the needle runs on through corners that this rounds too far."""
+    """Return a warning where interpolated motion misses corners by more than the placement."""
     settings = sewn.settings
     if settings.motion != "interpolated" or settings.needle != "constant":
         return []
@@ -88,7 +89,7 @@ def corner_warnings(sewn: SewnContour, machine_acceleration_m_s2: float) -> list
 
 
 class StitchCheck:
-    """Collects what the stitches of a seam get wrong, in one pass over them."""
+    """Collects the faults of a seam's stitches in one pass over them."""
 
     def __init__(self, sewn: SewnContour, axes: tuple[str, str], machine: Machine) -> None:
         self.sewn = sewn
@@ -106,7 +107,7 @@ class StitchCheck:
         LimitError
             If a stitch lies outside the travel of an axis.
         JobError
-            If the line bows further out of a stitch than the placement.
+            If the line bows out of a stitch by more than the placement.
         """
         self._travel(block.points, np.append(block.line[:1], block.line))
         settings = self.sewn.settings
@@ -125,7 +126,7 @@ class StitchCheck:
             self.short.append((block.leg.length_m, where))
 
     def _unsewn(self, block: StitchBlock) -> None:
-        """Refuse stitches that leave what is drawn unsewn."""
+        """Refuse stitches out of which the drawn line bows by more than the placement."""
         settings, file = self.sewn.settings, self.sewn.place.file
         k = int(np.argmax(block.bulge_m))
         if block.bulge_m[k] > settings.placement_m:

@@ -1,4 +1,4 @@
-"""Which strokes of a drawing make which seam, and the contours that they join to."""
+"""The seams of a drawing: their strokes, joined to contours."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def seam_contours(
     Raises
     ------
     JobError
-        If it holds what cannot be sewn, or nothing at all.
+        If the seam has an entity that cannot be sewn, or none at all.
     """
     file = drawing.file
     for refusal in drawing.refusals:

@@ -1,4 +1,4 @@
-"""Where a contour has corners: turns that no stitch could follow, however they are drawn."""
+"""The corners of a contour: turns within less than a stitch, however they are drawn."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from threadline.drawing.arclength import ArcTable
 from threadline.drawing.curves import Pieces
 from threadline.jobs.seam.settings import Stitching
 
-_EDGE = 0.05  # share of a turn that is left out at each end of it, when its length is taken
+_EDGE = 0.05  # share of a turn that is left out at each end when its length is measured
 _CHORD_RAD = math.radians(30.0)  # twelve sides to a circle
 _CHORD_STITCHES = 2.0
 _FINE_M = 1e-7
@@ -22,18 +22,18 @@ _SAMPLES = np.linspace(0.0, 1.0, 33)
 
 
 def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatArray, FloatArray]:
-    """Return where the contour has corners, and by how much it turns there.
+    """Return the places of the corners of a contour, and their angles.
 
     A corner is a turn by at least the angle of the settings within the least stitch: a joint, a
-    fillet, a chamfer or the tip of a hairpin. What takes longer is a bend, and so are joints of
-    chords that stand for a bend: three or more within two stitches each, to the same side by
-    alike angles of 30 degrees at most.
+    fillet, a chamfer or the tip of a hairpin. A longer turn is a bend. So are three or more joints
+    at most two stitches apart that turn to the same side by similar angles of at most 30 degrees:
+    these are chords of a bend.
 
     Returns
     -------
     at_m, turn_rad
         (n,) lengths along the contour, increasing, and angles in (0, pi]. The start of a closed
-        contour counts, that of an open one does not.
+        contour may be a corner, the ends of an open one are not.
     """
     if len(table.pieces) == 1 and table.pieces.is_line[0]:
         return np.empty(0), np.empty(0)
@@ -131,9 +131,9 @@ def tight_turns(
     Parameters
     ----------
     at_m, turn_rad
-        (n,) places along the line, not decreasing, and by how much it turns there, signed.
+        (n,) places along the line, not decreasing, and signed angles by which it turns there.
     least_rad, within_m
-        A corner turns by so much; its turn is no longer than that. A longer turn is a bend.
+        Least angle and greatest length of a corner.
     """
     total = np.concatenate([[0.0], np.cumsum(turn_rad)])
     last = np.searchsorted(at_m, at_m + within_m, side="right") - 1
@@ -147,7 +147,7 @@ def tight_turns(
             clusters.append([k, int(last[k])])
     found = []
     for begin, end in clusters:
-        # What hardly turns at its ends does not belong to it.
+        # Ends that hardly turn do not belong to the corner.
         share = np.cumsum(turn_rad[begin : end + 1]) / (total[end + 1] - total[begin] or 1.0)
         inner = np.flatnonzero((share >= _EDGE) & (np.append(0.0, share[:-1]) <= 1.0 - _EDGE))
         if not len(inner):
@@ -162,10 +162,10 @@ def tight_turns(
 def drawn_as_chords(
     at_m: FloatArray, turn_rad: FloatArray, within_m: float, most_rad: float
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether each joint is one of a bend drawn as chords, and no corner.
+    """Return (n,) whether each joint belongs to a bend that is drawn as chords.
 
-    Such joints follow each other within ``within_m``, turn to the same side by no more than
-    ``most_rad``, and by alike angles; there are three or more of them.
+    Three or more such joints follow each other within ``within_m``, and turn to the same side by
+    similar angles of at most ``most_rad``.
     """
     count = len(at_m)
     alike = np.zeros(max(count - 1, 0), dtype=np.bool_)

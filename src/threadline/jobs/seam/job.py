@@ -1,4 +1,4 @@
-"""A drawing and how to sew it -> a job of one move a stitch."""
+"""The job of a seam, with one move per stitch, from a drawing and its settings."""
 
 from __future__ import annotations
 
@@ -53,16 +53,16 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
     Returns
     -------
     Job
-        A move a stitch, each with the time of one turn of the needle as its feed, and tags:
+        A job with one move per stitch, whose feed is the time of one turn of the needle. Tags are
         ``kind`` (travel, sew, lock), ``seam``, ``contour`` and ``stitch`` (counted from 0),
-        ``exempt`` and ``corner`` (0 or 1), ``needle_s`` (since the needle first went down in
-        the contour), ``length_m`` and ``target_m``, and the stretch of the contour that it
-        covers, ``from_m`` to ``to_m``.
+        ``exempt`` and ``corner`` (0 or 1), ``needle_s`` (time since the first stitch of the
+        contour), ``length_m`` and ``target_m``, and ``from_m`` and ``to_m``, the stretch of the
+        contour that the stitch covers.
 
     Raises
     ------
     JobError
-        If the file cannot be read, or holds what cannot be sewn.
+        If the file cannot be read, or has an entity that cannot be sewn.
     LimitError
         If a stitch lies outside the travel.
     """

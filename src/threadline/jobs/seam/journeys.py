@@ -1,8 +1,8 @@
-"""How the head goes to where a contour begins, when the seam file does not say.
+"""Default speed of the head's travel to the start of a contour, and default rest after it.
 
-A springy machine swings after a journey: a speed v that ends at once leaves ``v / w`` in a mode of
-``w`` rad/s. The speed is taken so that this is half of the placement in the slowest mode, and the
-head then rests until a tenth of the placement is left in every mode.
+After the travel the machine swings: a speed v that ends at once leaves an amplitude of ``v / w`` in
+a mode of ``w`` rad/s. The default speed is the one that leaves half of the placement in the slowest
+mode. The default rest is the time after which a tenth of the placement is left in every mode.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ _SWING, _LEFT = 0.5, 0.1
 def with_journeys(
     settings: Stitching, modes: tuple[Oscillation, ...], fastest_m_s: float
 ) -> Stitching:
-    """Return ``settings`` with speed and rest of a journey where they were left out.
+    """Return ``settings`` with defaults for the speed and rest of travels that were left out.
 
     Parameters
     ----------
+    settings
+        Stitching of the seam.
     modes
-        Of the machine; one without modes goes as fast as it can and does not rest.
+        Modes of the machine. Without any, the head travels as fast as it can and does not rest.
     fastest_m_s
-        What the machine can do.
+        Largest speed of the machine.
     """
     omegas = [2.0 * math.pi * mode.frequency_hz for mode in modes]
     speed = settings.travel_speed_m_s
@@ -45,5 +47,5 @@ def with_journeys(
 
 
 def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
-    """Return the modes of the axes with their motors held."""
+    """Return the modes of the axes with their motors held still."""
     return tuple(mode for axis in axes for mode in locked_modes(machine, axis))

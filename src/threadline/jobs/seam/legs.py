@@ -1,4 +1,4 @@
-"""Legs of a seam: from corner to corner, with the lock stitches sewn forth and back."""
+"""Legs of a seam from corner to corner, and those of the lock stitches, sewn forth and back."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.jobs.seam.settings import Stitching
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """A stretch without corners, sewn in one go.
+    """A stretch of a contour without corners.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Leg:
         Angle of the corner at each end; None where the head rests: at the ends of the seam and
         where a lock turns back.
     lock
-        Part of the lock stitches.
+        Whether the leg is part of the lock stitches.
     """
 
     begin_m: float
@@ -104,7 +104,7 @@ def _lock_length(stitches: int, key: str, leg: Leg, settings: Stitching, place: 
 
 
 def _lock(here_m: float, there_m: float) -> list[Leg]:
-    """Return the two legs there and back again."""
+    """Return the two legs from one place to another and back; none where they are equal."""
     if here_m == there_m:
         return []
     ends = [(here_m, there_m), (there_m, here_m)]

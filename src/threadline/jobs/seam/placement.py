@@ -1,4 +1,4 @@
-"""Where on a leg the needle goes down: stitches of even length, a stitch in every corner."""
+"""Places of the stitches on a leg: even lengths, with a stitch in every corner."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadline.jobs.seam.legs import Leg
 from threadline.jobs.seam.settings import Accelerations, Stitching
 
 EXEMPT = 2  # stitches on each side of a corner that need not keep their length
-_SHARE = 0.5  # of the tolerance; the rest is left to the machine
+_SHARE = 0.5  # share of the tolerance that is used; the rest is left to the machine
 _ROUNDS = 30
 
 
@@ -30,21 +30,20 @@ def stitch_lengths(
     settings
         Stitch length and needle speed.
     accelerations
-        Of the head at the ends where it rests.
+        Accelerations of the head, where it starts from a rest and where it comes to one.
     rests
-        The head rests at the beginning, at the end.
+        Whether the head rests at the beginning, and at the end.
 
     Notes
     -----
     With a needle of constant speed N a leg of n stitches takes n/N. A head that rests at r of
-    its ends and accelerates with a runs at v = N l' in between and covers
-    :math:`n l' - r l'^2 N^2/(2a)`, with each end's own a where they differ; n is
-    chosen so that l' is nearest to the wanted length (``stitch_count``), and
-    the stitch in which the head ramps comes out as long as the ramp makes it: 1/4, 3/4 of l'
-    under the two-stitch rule.
+    its ends, accelerates with a, and moves at v = N l' in between covers
+    :math:`n l' - r l'^2 N^2/(2a)`, with the a of each end where they differ. The number n is chosen
+    so that l' is nearest to the wanted length (``stitch_count``). A stitch in which the head
+    accelerates has the length of the ramp: 1/4 and 3/4 of l' under the two-stitch rule.
 
-    A leg of few stitches cannot have them all within the tolerance; then those in the middle
-    take half of the tolerance and the four exempt ones the rest.
+    On a leg of few stitches not all can be within the tolerance. Those in the middle then differ by
+    half of the tolerance, and the four exempt ones take the rest.
     """
     wanted = settings.stitch_length_m
     count = stitch_count(length_m, settings, accelerations, rests)
@@ -69,10 +68,10 @@ def stitch_lengths(
 def stitch_count(
     length_m: float, settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]
 ) -> int:
-    """Return how many stitches a leg has, so that at speed they are nearest to the wanted length.
+    """Return the number of stitches of a leg for which they are nearest to the wanted length.
 
-    On a leg so short that the head never reaches its speed they are the longest that there are:
-    more of them would be shorter still.
+    On a leg so short that the head never reaches its speed it is the least possible number, since
+    more stitches would be still shorter.
     """
     wanted = settings.stitch_length_m
     loss = _loss(settings, accelerations, rests)
@@ -85,13 +84,13 @@ def stitch_count(
 
 
 def _loss(settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]) -> float:
-    """Return what ramps at the rests take off a leg, for each m^2 of a stitch at speed, 1/m."""
+    """Return, in 1/m, the distance lost by the ramps at rests over the squared stitch length."""
     inverse = sum(rest / a for rest, a in zip(rests, accelerations, strict=True))
     return settings.needle_speed_hz**2 * inverse / 2.0
 
 
 def exempt_mask(count: int) -> NDArray[np.bool_]:
-    """Return (count,) bool: the two stitches at each end of a leg."""
+    """Return (count,) whether each stitch is one of the two at either end of a leg."""
     index = np.arange(count)
     return (index < EXEMPT) | (index >= count - EXEMPT)
 
@@ -111,7 +110,10 @@ def _ramped(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> FloatArray:
-    """Return what the head covers in each needle period of a trapezoid of speed."""
+    """Return the (count,) distances that the head covers in each turn of the needle.
+
+    Its speed is a trapezoid over time.
+    """
     time = np.arange(count + 1, dtype=np.float64)
     covered = time * even_m
     for rest, si, clock in zip(rests, accelerations, (time, count - time), strict=True):
@@ -134,7 +136,7 @@ def place_leg(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return where on the contour each stitch of the leg begins and ends.
+    """Return the places on the contour at which the stitches of a leg begin and end.
 
     Returns
     -------
@@ -147,8 +149,8 @@ def place_leg(
 
     Notes
     -----
-    Stitches are alike as far as the line lets them; where it would bow too far out of them they
-    shorten (``bends``).
+    Stitches have even lengths, unless the line would bow out of them by more than the settings
+    allow; then they are shorter at bends (``bends``).
     """
     even = _even(table, leg, closed, settings, accelerations, rests)
     if even is not None:
@@ -174,9 +176,9 @@ def _even(
 
     Notes
     -----
-    A stitch is the chord, not the arc. Where the contour bends so much that the two differ, the
-    stitches are moved until the chords have the wanted proportions: the arcs are divided by the
-    ratio of chord to wanted length, again and again, which halves the error or better each time.
+    The length of a stitch is that of its chord and not of its arc. Where the two differ, the arcs
+    are divided by the ratio of chord to wanted length. This is repeated, and each time at least
+    halves the error, until the chords have the wanted proportions.
     """
     whole = leg.length_m
     chord_sum = whole
@@ -214,5 +216,5 @@ def _measure(
 
 
 def wrap(at_m: FloatArray, length_m: float) -> FloatArray:
-    """Return lengths along a closed contour, brought back to its first lap."""
+    """Return lengths along a closed contour modulo its length."""
     return np.asarray(np.mod(at_m, length_m))

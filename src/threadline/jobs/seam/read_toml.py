@@ -1,4 +1,4 @@
-"""Seam files (``.seam.toml``): which drawing, which seams of it, and how they are sewn."""
+"""Seam files (``.seam.toml``): the drawing, the seams of it, and their settings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEFAULT_GAP_M = 1e-5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeamChoice:
-    """Which strokes make a seam, and what is set for it alone; None takes every layer or colour."""
+    """The layer and colour of a seam's strokes, None for every one, and settings of its own."""
 
     name: str
     layer: str | None = None
@@ -34,10 +34,10 @@ class SeamChoice:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeamFile:
-    """What a seam file says.
+    """The content of a seam file.
 
-    ``drawing`` is the name of a drawing, or the contours of the file itself. ``by`` tells what
-    makes a seam when no ``choices`` are given: ``layer``, ``colour`` or ``all``.
+    ``drawing`` is the name of a drawing, or the contours in the file itself. Without ``choices``,
+    each ``layer`` or ``colour`` is a seam, or ``all`` strokes are one, as ``by`` says.
     """
 
     drawing: str | Drawing
@@ -52,12 +52,12 @@ class SeamFile:
 
 
 def read_seam_file(content: bytes, file: str) -> SeamFile:
-    """Return what the seam file says.
+    """Return the content of a seam file.
 
     Raises
     ------
     JobError
-        If it is not TOML or not a seam file; with the line.
+        With the line, if the file is not TOML or not a seam file.
     """
     text = decode_text(content, file, "seam file")
     try:

@@ -1,4 +1,4 @@
-"""How a seam is sewn: every setting with its unit, its default and what it means."""
+"""The settings of a seam, each with its unit, range, default and meaning."""
 
 from __future__ import annotations
 
@@ -18,59 +18,60 @@ EXAMPLE = (
 )
 
 LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ = 1e-3, 1000.0
-"""The needle speeds that a seam may ask for."""
+"""Lowest and highest needle speed of a seam."""
 
 MOST_SETTLE_S = 60.0
-"""The longest rest before the needle, and for a trim, that a seam may ask for."""
+"""Longest rest before a contour and for a trim."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stitching:
-    """How a seam is sewn.
+    """The settings of a seam.
 
     Parameters
     ----------
     stitch_length_m, needle_speed_hz
-        What is wanted: m a stitch, stitches a second.
+        Wanted length of the stitches, and number of stitches a second.
     tolerance
-        Share of the stitch length by which a stitch may be off; two stitches on each side of a
-        corner, of a reversal and of the ends are exempt.
+        Share of the stitch length by which a stitch may differ from it; two stitches on each side
+        of a corner, of a reversal and of the ends are exempt.
     placement_m
-        How far off the seam the head may be; with a slowed needle and interpolated motion it
-        sets the speed in the corner.
+        Allowed distance of the head from the seam. With a slowed needle and interpolated motion it
+        determines the speed at corners.
     bow_m, least_stitch_m
-        Stitches shorten where the drawn line would bow further than this out of them, down to
-        the least stitch; None for half of the placement. A least stitch that is longer than the
-        stitches counts as one of these.
+        Where the drawn line would bow out of the stitches by more than ``bow_m`` (half of the
+        placement when None), they are shorter, but not shorter than the least stitch or than the
+        wanted length, whichever is less.
     corner_angle_rad
         A turn of at least this angle within the least stitch is a corner: it gets a stitch.
     motion
-        ``interpolated``: the next leg begins while the last one ends, the corner is rounded;
+        ``interpolated``: the next leg begins while the last one ends, which rounds the corner;
         ``discrete``: the head rests in each corner.
     needle
         ``constant`` speed, or ``slowed`` with the head, so that stitches keep their length.
     acceleration_m_s2
-        Of the head along the seam; None for the two-stitch rule, ``v^2 / (2 stitch length)``.
+        Acceleration of the head along the seam; None for the two-stitch rule,
+        ``v^2 / (2 stitch length)``.
     deceleration_m_s2
-        The same where it comes to rest or slows down; as the acceleration when None.
+        Deceleration of the head along the seam; equal to the acceleration when None.
     needle_acceleration_hz_s
-        Most that the sewing motor can do, stitch/s^2; infinite when it is not the limit.
+        Largest acceleration of the sewing motor, stitch/s^2; infinite when it is no limit.
     allowance_m, side, join, mitre_limit
         Distance of the stitches from the drawn line: ``inside`` or ``outside`` a closed contour,
         ``left`` or ``right`` of an open one; corners ``mitre`` or ``round``; a mitre longer than
         ``mitre_limit`` allowances is rounded.
     lock_start, lock_end
-        Stitches sewn forth and back to lock the thread.
+        Number of stitches sewn forth and back to lock the thread.
     start_m, end_m
-        Where along the contour to begin and to end; None for the whole of it.
+        Lengths along the contour at which the seam begins and ends; None for the whole contour.
     reverse
-        Sew the contour against the direction in which it was drawn.
+        Whether the contour is sewn against the direction in which it was drawn.
     travel_speed_m_s, settle_s
-        How fast the head goes to where a contour begins, and how long it then rests until the
-        needle goes down; None for what the machine's slowest modes call for (see ``journeys``),
-        infinite (``"fastest"``) for as fast as the machine can.
+        Speed of the head on its way to a contour, and its rest there before the first stitch. When
+        None, they follow from the machine's slowest modes (see ``journeys``). An infinite speed
+        (``"fastest"``) is the largest of the machine.
     trim_s
-        How long the head rests at the end of a contour while the thread is trimmed.
+        Rest at the end of a contour while the thread is trimmed.
     """
 
     stitch_length_m: float
@@ -100,17 +101,17 @@ class Stitching:
 
     @property
     def bow_limit_m(self) -> float:
-        """How far the drawn line may bow out of a stitch."""
+        """Allowed distance of the drawn line from the chord of a stitch."""
         return 0.5 * self.placement_m if self.bow_m is None else self.bow_m
 
     @property
     def least_m(self) -> float:
-        """Length down to which stitches shorten."""
+        """Least length of the stitches at bends."""
         return min(self.least_stitch_m, self.stitch_length_m)
 
     @property
     def allowance(self) -> Allowance:
-        """How the stitches run beside the drawn line."""
+        """Offset of the stitches from the drawn line."""
         return Allowance(self.allowance_m, self.side, self.join, self.mitre_limit)
 
     @property
@@ -120,7 +121,7 @@ class Stitching:
 
 
 class Accelerations(NamedTuple):
-    """Of the head along the seam, m/s^2: where it gets faster, and where it slows down."""
+    """Acceleration (``up``) and deceleration (``down``) of the head along the seam, m/s^2."""
 
     up: float
     down: float
@@ -172,16 +173,16 @@ STITCHING_KEYS = tuple(_SETTINGS)
 
 
 def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: Place) -> Stitching:
-    """Return the stitching that ``settings`` describe.
+    """Return the settings of a seam from their texts.
 
     Parameters
     ----------
     settings
-        By the names of ``STITCHING_KEYS``; lengths and the like as text with a unit.
+        Values by the names of ``STITCHING_KEYS``, quantities as text with a unit.
     places
-        Where each was written, for messages.
+        Place of each in its file, for errors.
     place
-        Where one that is missing would stand.
+        Place for the error of one that is missing.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A contour being sewn: its stitches, leg by leg, computed afresh at every reading."""
+"""The stitches of a contour, leg by leg, which are computed anew at every reading."""
 
 from __future__ import annotations
 
@@ -27,25 +27,27 @@ class StitchBlock:
 
     Parameters
     ----------
+    leg
+        The leg.
     points
-        (n + 1, 2) m: where the needle goes down; the first is where the leg before ended.
+        (n + 1, 2) places of the needle in m; the first is the end of the leg before.
     lengths_m
-        (n,) chords.
+        (n,) lengths of the chords.
     times_s
-        (n,) one turn of the needle each.
+        (n,) time of each turn of the needle.
     exempt
-        (n,) bool: the two next to a corner or a rest.
+        (n,) whether a stitch is one of the two next to a corner or a rest.
     target_m
-        (n,) lengths that are wanted: that of the settings, less where a bend shortens stitches.
+        (n,) wanted lengths: that of the settings, less where a bend shortens stitches.
     at_m
-        (n + 1,) where the needle goes down, along the contour as it is sewn: backwards in a lock
-        that turns back, and past its length in a second lap.
+        (n + 1,) places of the needle as lengths along the contour: they decrease where a lock turns
+        back, and exceed the length of the contour in a second lap.
     bulge_m
-        (n,) how far the contour bows out of the chord, at most.
+        (n,) largest distance that the contour can have from the chord.
     line
-        (n,) int: line of the drawing that the stitch ends on.
+        (n,) int: line in the file of the entity on which the stitch ends.
     rests
-        The head rests at the end of the leg.
+        Whether the head rests at the end of the leg.
     """
 
     leg: Leg
@@ -62,20 +64,22 @@ class StitchBlock:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SewnContour:
-    """A contour with all that decides its stitches.
+    """A contour with everything that determines its stitches.
 
     Parameters
     ----------
     seam
         Name of the seam.
     place
-        Where the contour begins in the drawing.
+        Place in the drawing of the beginning of the contour.
     table, closed
-        The curve, in the axes of the machine.
+        The curve in the axes of the machine, and whether it is closed.
     legs
-        In the order of sewing.
+        Legs in the order of sewing.
+    settings
+        Settings of the seam.
     accelerations
-        Of the head along the seam.
+        Accelerations of the head along the seam.
     """
 
     seam: str
@@ -92,13 +96,13 @@ class SewnContour:
         Raises
         ------
         JobError
-            If a stitch goes nowhere: a loop that is too small.
+            If a stitch has no length because a loop is too small, or the head is too slow.
         """
         for leg in self.legs:
             yield self._block(leg)
 
     def start(self) -> FloatArray:
-        """Return the (2,) point where the needle first goes down, m."""
+        """Return the (2,) place of the first stitch, m."""
         at_m = np.array([self.legs[0].begin_m])
         on_m = wrap(at_m, self.table.length_m) if self.closed else at_m
         point: FloatArray = self.table.points(on_m)[0]
@@ -167,7 +171,7 @@ class SewnContour:
 def sewn_contour(
     contour: Contour, seam: str, file: str, settings: Stitching, accelerations: Accelerations
 ) -> SewnContour:
-    """Return ``contour`` ready to be sewn.
+    """Return ``contour`` with its legs and settings.
 
     Raises
     ------

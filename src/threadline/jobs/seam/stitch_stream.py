@@ -1,4 +1,4 @@
-"""The stitches of a seam as operations, one by one with tags or in runs of arrays."""
+"""The stitches of seams as operations, one by one or in runs of arrays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _RUN = 4096
 
 
 class StitchStream(OperationStream):
-    """A job's worth of contours: travel, sew, the stitches with their tags, trim, for each."""
+    """The operations of a job's contours: for each of them travel, its stitches, and a trim."""
 
     __slots__ = ()
 
@@ -78,7 +78,7 @@ def _rest(contour: SewnContour, block: StitchBlock) -> Iterator[Operation]:
 
 
 def _feeds(contour: SewnContour, times_s: FloatArray) -> Iterator[tuple[int, Feed]]:
-    """Yield each feed and the stitch from which on it counts."""
+    """Yield each feed with the index of the first stitch to which it applies."""
     if contour.settings.needle == "constant":
         yield 0, Feed(FeedMode.INVERSE_TIME, contour.settings.needle_speed_hz)
         return

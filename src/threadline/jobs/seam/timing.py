@@ -1,7 +1,7 @@
-"""When the needle goes down if it slows with the head, so that stitches keep their length.
+"""Times of stitches for a needle that slows down with the head, so that they keep their length.
 
-The sewing motor turns once a stitch, so head speed v and needle speed v / length go together, and
-the smaller of what the head and the motor can do bounds them both.
+The sewing motor turns once a stitch. Head speed v and needle speed v / length are therefore
+coupled, and the lower of the limits of head and motor applies to both.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from threadline.sizing import corner_error_m
 def end_speed_m_s(
     turn_rad: float | None, settings: Stitching, accelerations: Accelerations
 ) -> float:
-    """Return the speed at which a leg may end: 0 at a rest, what the placement allows in a corner.
+    """Return the largest speed in m/s at the end of a leg: 0 at a rest.
 
-    In interpolated motion the corner is passed by ``v^2 sin(turn / 2) / (4 a)``, or what
-    ``corner_error_m`` says where acceleration and deceleration differ.
+    At a corner of interpolated motion it is the speed at which the corner is missed by the
+    placement (``corner_error_m``).
     """
     if turn_rad is None or settings.motion == "discrete":
         return 0.0
@@ -46,13 +46,13 @@ def stitch_times_s(
     bend_1_m
         (n + 1,) curvature of the seam where the stitches begin and end; the head goes no faster
         there than ``sqrt(a / curvature)``, a being the smaller of the accelerations.
-    accelerations
-        Of the head; the needle's limit is in the settings.
+    settings, accelerations
+        Settings of the seam, with the limit of the needle, and accelerations of the head.
     ends_m_s
         Speeds at the two ends of the leg.
     short
-        (n,) bool: stitches that a bend shortens; the head is so much slower there that the needle
-        keeps to its speed.
+        (n,) whether a bend shortens a stitch; the head is slower there, so that the needle does not
+        exceed its speed.
 
     Notes
     -----
