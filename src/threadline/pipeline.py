@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.errors import OptionError
+from threadline.errors import MachineError, OptionError, RecordingError
 from threadline.foreign_messages import nearest
 from threadline.jobs import read_job
 from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.kinds.rejects import rejects
+from threadline.kinds.unanswered import answering, unanswered
 from threadline.machine import Machine
 from threadline.machine.radii import with_radii
-from threadline.machine.variants import drawn, one_at_a_time, uncertain
+from threadline.machine.variants import drawn, ends_then_drawn, uncertain
 from threadline.options import Options
 from threadline.plan import Plan
 from threadline.signals import Commands, Recording, RecordingBlock
@@ -315,15 +315,26 @@ def prove_plan(
     machine = plan.machine if actual is None else actual
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
     recordings = kind.days(plan.commands, machine, trials.repeats, random)
-    others: Sequence[Recording] = ()
+    parts = np.empty((0, 0))
     if trials.machines and trials.wished is None:
-        others = kind.others(plan.commands, machine, _parts(machine, trials.machines), random)
-    judged = (*recordings, *others)
-    if progress is not None:
-        recordings = [_watched(one, plan, progress) for one in recordings]
-        others = [_watched(one, plan, progress) for one in others]
+        _check_uncertain(machine)
+        parts = ends_then_drawn(machine, trials.machines, VARIANT_SEED)
+    others = kind.others(plan.commands, machine, parts, random) if len(parts) else ()
+
+    def told(these: Sequence[Recording]) -> Sequence[Recording]:
+        return these if progress is None else [_watched(one, plan, progress) for one in these]
+
     judge = Judge(plan, spec)
-    verdict = judge.verdict(recordings, others)
+    try:
+        verdict = judge.verdict(told(recordings), told(others))
+    except (MachineError, RecordingError):
+        if not len(parts):
+            raise
+        # A machine as drawn may never come to the end: the others are judged without it.
+        others, why = answering(kind, plan.commands, machine, parts, random)
+        verdict = judge.verdict(told(recordings), told(others))
+        stuck = unanswered(len(parts), why)
+        verdict = replace(verdict, results=(*verdict.results, stuck), machines=len(parts))
     if trials.wished is not None:
         _check_uncertain(machine)
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
@@ -335,7 +346,7 @@ def prove_plan(
         recording=replace(kind.simulate(plan.commands, machine), origin=origin),
         verdict=verdict,
         spec=spec,
-        judged=judged,
+        judged=(*recordings, *others),
         runs=trials.repeats,
         actual=actual,
     )
@@ -350,13 +361,6 @@ def try_plan(
     if trials == NOMINAL or failed:
         return nominal
     return prove_plan(plan, spec, None, trials, actual)
-
-
-def _parts(machine: Machine, count: int) -> FloatArray:
-    """Return (count, n) shares of the tolerances: each at either end alone, then all drawn."""
-    _check_uncertain(machine)
-    ends = one_at_a_time(machine)[:count]
-    return np.concatenate([ends, drawn(machine, VARIANT_SEED, np.arange(count - len(ends)))])
 
 
 def _check_uncertain(machine: Machine) -> None:

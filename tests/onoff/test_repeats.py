@@ -10,10 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline import pipeline
 from threadline.cli.main import main
+from threadline.errors import RecordingError
 from threadline.jobs import read_job
 from threadline.kinds import kind_of
+from threadline.kinds.retold import retold
 from threadline.machine import load_machine
+from threadline.machine.variants import uncertain, variant
 from threadline.options import Options
 from threadline.pipeline import Trials, plan_job, prove_plan, simulate
 from threadline.plan import Plan
@@ -137,3 +141,41 @@ def test_what_means_nothing_to_it_is_refused(capsys: pytest.CaptureFixture[str])
     for more in (["--interpolation", "linear"], ["--feed", "1 mm/s"], ["--shaper", "zvd"]):
         code, out, err = run(capsys, *words, *more)
         assert (code, out, err.count("\n")) == (2, "", 1)
+
+
+def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A slow piston stops short of a switch that stands farther out: that is no error of input."""
+    machine = load_machine("letter-placer")
+    plan = plan_job(read_job(CYCLE, machine), machine, Options())
+    names = [one.numbers[0] for one in uncertain(machine)]
+    parts = np.zeros((3, len(names)))
+    parts[0, names.index("contacts.x_is_right.at")] = -1.0
+    for name, end in (
+        ("contacts.x_is_right.at", 1.0),
+        ("cylinders.X.speed", -1.0),
+        ("cylinders.X.forward.flows.x_right_a1", -1.0),
+    ):
+        parts[2, names.index(name)] = end
+    alone = []
+    for row in parts:
+        try:
+            own = variant(machine, row)
+            for _ in kind_of(own).simulate(retold(plan.commands, own), own):
+                pass
+            alone.append("")
+        except RecordingError as error:
+            alone.append(error.message)
+    stuck = [why for why in alone if why]
+    assert len(stuck) == 1 and "'x_is_right' did not become on" in stuck[0]
+
+    monkeypatch.setattr(pipeline, "ends_then_drawn", lambda *_: parts)
+    spec = load_spec(None, machine)
+    verdict = prove_plan(plan, spec, trials=Trials(repeats=2, machines=3)).verdict
+    told = verdict.result("unanswered")
+    assert (told.measured, told.status) == (pytest.approx(1 / 3), Status.FAILED)
+    assert told.note == f"1 of 3 machines within the tolerances never end: {stuck[0]}"
+    assert verdict.machines == 3 and not verdict.passed
+    # What the others come to is told all the same.
+    assert verdict.result("residual_vibration").measured is not None

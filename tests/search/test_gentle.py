@@ -80,8 +80,11 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
     assert len(result.best.found.intervals) == 3
 
 
-def test_no_more_than_all_of_the_limits_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of them are the ladder's best; a quarter of a rung below is better, more is none."""
+@pytest.mark.parametrize(("wanted", "rung"), [(-0.25, 1.0), (-0.75, 0.5)])
+def test_the_ladder_is_left_to_either_side(
+    monkeypatch: pytest.MonkeyPatch, wanted: float, rung: float
+) -> None:
+    """Best is a quarter of a rung below the ladder's best, or above it; more than all is none."""
     tried: list[float] = []
 
     def found(*arguments: object, **_: object) -> Fastest:
@@ -96,7 +99,7 @@ def test_no_more_than_all_of_the_limits_is_tried(monkeypatch: pytest.MonkeyPatch
         )
 
     def duration(_job: object, _machine: object, options: Options, _found: object) -> float:
-        return 1.0 + abs(log2(options.limit_share) + 0.25)
+        return 1.0 + abs(log2(options.limit_share) - wanted)
 
     monkeypatch.setattr(gentle, "fastest_feed", found)
     monkeypatch.setattr(gentle, "_duration_s", duration)
@@ -105,7 +108,8 @@ def test_no_more_than_all_of_the_limits_is_tried(monkeypatch: pytest.MonkeyPatch
     job = read_job(Path(__file__).parents[2] / "examples" / "x-180.prg", machine)
     result = fastest_job(job, machine, load_spec(None, machine), Options())
     assert max(tried) == 1.0
-    assert result.best.share == round(2.0**-0.25, 6)
-    # Once past the best the ladder is left: one rung further down, and none below that.
-    below = [share for share in tried if 0.5 < share < 1.0]
-    assert min(below) == pytest.approx(2.0**-0.5, abs=1e-5)
+    assert rung in tried
+    assert result.best.share == round(2.0**wanted, 6)
+    # Once past the best no more is tried: two rungs between, or one where the way up finds it.
+    between = sorted({share for share in tried if 0.5 < share < 1.0})
+    assert between[0] == pytest.approx(2.0 ** (-0.5 if wanted > -0.5 else -0.75), abs=1e-5)
