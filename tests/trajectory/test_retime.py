@@ -48,6 +48,30 @@ def test_a_wider_tolerance_is_faster_and_is_kept():
     assert sorted(durations, reverse=True) == durations and durations[-1] < 0.8 * durations[0]
 
 
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]],
+        [[0.0, 0.0], [0.1, 0.1], [0.10001, 0.1]],
+        [[0.0, 0.0], [1e-9, 1e-9], [1e6, 0.0], [1e6, 1e-6], [0.1, 0.1]],
+    ],
+)
+@pytest.mark.parametrize("tolerance", [1e-3, 0.2, 100.0])
+def test_the_motion_ends_at_the_last_point_whatever_the_tolerance(points, tolerance):
+    """Also where points lie nearer to each other than the tolerance can tell apart."""
+    motion = retime(points, 1.0, 5.0, 50.0, tolerance)
+    span = np.abs(points).max()
+    # Digits of the largest coordinate.
+    assert np.abs(motion(motion.duration_s)[0] - points[-1]).max() <= 1e-15 * span
+    assert np.abs(motion(0.0)[0] - points[0]).max() <= 1e-15 * span
+
+
+def test_a_path_far_shorter_than_its_tolerance_takes_the_straight_way():
+    """Jerk-limited from rest to rest: T = 4 (h / 2 j)^(1/3); the barrier ends 0.3 % above it."""
+    motion = retime([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]], 1.0, 5.0, 50.0, 100.0)
+    assert motion.duration_s == pytest.approx(4.0 * (0.1 / 100.0) ** (1 / 3), rel=5e-3)
+
+
 def test_one_point_and_equal_points_are_no_motion():
     assert retime([[1.0, 2.0]], 1.0, 1.0).duration_s == 0.0
     assert retime([[1.0, 2.0]] * 5, 1.0, 1.0, 1.0).duration_s == 0.0

@@ -53,15 +53,17 @@ def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
 
 
 @njit(cache=True)
-def _away(places, near_m):  # type: ignore[no-untyped-def]
+def _away(places, stops, near_m):  # type: ignore[no-untyped-def]
     """Return (n,) whether each of (n + 1, axes) places after the first one is kept.
 
-    A place is kept if it is farther than ``near_m`` from the last place that was kept.
+    A place is kept if it is farther than ``near_m`` from the last place that was kept. One of the
+    ``stops`` (n,) is kept unless it is that place: the motion rests where the program says.
     """
     away = np.zeros(len(places) - 1, dtype=np.bool_)
     last = 0
     for k in range(1, len(places)):
-        if np.abs(places[k] - places[last]).max() > near_m:
+        least_m = COINCIDENT_M if stops[k - 1] else near_m
+        if np.abs(places[k] - places[last]).max() > least_m:
             away[k - 1] = True
             last = k
     return away
@@ -88,8 +90,8 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
     Parameters
     ----------
     near_m
-        Vertices no farther than this from the last one that was kept are left out. Distances are
-        the largest difference of an axis, at the tool.
+        Vertices no farther than this from the last one that was kept are left out, but for those
+        at which the motion rests. Distances are the largest difference of an axis, at the tool.
     """
     radius = programmed.radius_m
     last: Vertices | None = None
@@ -101,7 +103,8 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
             line=block.line,
         )
         before = block.positions[:1] if last is None else last.positions
-        new = _away(np.concatenate([before, block.positions]) * radius, near_m)
+        places = np.concatenate([before, block.positions]) * radius
+        new = _away(places, block.rest > 0, near_m)
         if last is None:
             new[0] = True
         # Which distinct vertex each row stands at; -1 is the last one of the block before.
