@@ -15,6 +15,7 @@ from threadline.shaping.onoff.flow_levels import (
     least_scans,
     shortest_flow_command,
 )
+from threadline.shaping.onoff.valves import Valves
 
 SCAN_S = 0.01
 POLE = -0.154 + 18.27j
@@ -24,7 +25,7 @@ BAND = np.linspace(0.8, 1.2, 21)
 def flow_move(most: float, band: np.ndarray = BAND, dwell: int = 2) -> FlowMove:
     return FlowMove(
         on_scans=46.5,
-        flows=(0.63, 0.37),
+        valves=Valves(flows=(0.63, 0.37)),
         dwell_scans=dwell,
         turns=np.exp(POLE * band * SCAN_S),
         most=np.full(len(band), most),

@@ -23,6 +23,7 @@ from threadline.search import mismatch
 from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.levels import gapped, left_ringing, stepped, time_optimal_s
 from threadline.search.move_list import move_list, overlapped
+from threadline.targets.schedule_moves import AT_ONCE
 from threadline.verdict import Spec, load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
@@ -72,13 +73,16 @@ def integrated(ticks: tuple[int, ...], levels: tuple[float, ...]) -> float:
 def test_closed_form_is_what_an_integrator_finds(
     ticks: tuple[int, ...], levels: tuple[float, ...]
 ) -> None:
-    assert abs(left_ringing(ticks, levels, TURN)) == pytest.approx(
+    assert abs(left_ringing(ticks, levels, TURN, AT_ONCE)) == pytest.approx(
         integrated(ticks, levels), abs=1e-8
     )
 
 
 def test_candidates_cover_the_distance_and_keep_the_dwell() -> None:
-    made = gapped(47, 2, TURN, 0.1, 10) + stepped(47, 2, TURN, 0.1, [(0.507, 0.493)])
+    made = [
+        *gapped(47, 2, TURN, 0.1, 10, AT_ONCE),
+        *stepped(47, 2, TURN, 0.1, [(0.507, 0.493)], AT_ONCE),
+    ]
     assert {c.levels[0] for c in made} == {1.0, 0.507}
     for command in made:
         spans = np.diff(command.ticks)
@@ -86,7 +90,7 @@ def test_candidates_cover_the_distance_and_keep_the_dwell() -> None:
         assert float(spans @ command.levels[:-1]) == pytest.approx(47.0, abs=1e-9)
         assert abs(command.left) <= 0.1
         assert command.left == pytest.approx(
-            left_ringing(command.ticks, command.levels, TURN), abs=1e-12
+            left_ringing(command.ticks, command.levels, TURN, AT_ONCE), abs=1e-12
         )
 
 
@@ -373,7 +377,7 @@ def test_moves_of_two_cylinders_at_once_are_refused_with_their_line(
 
 def test_every_tenth_scan_of_a_quick_controller_is_looked_at() -> None:
     """The same commands as on a scan ten times as long, ten times as many scans each."""
-    coarse = gapped(47, 2, TURN, 0.1, 10)
-    fine = gapped(470, 20, TURN**0.1, 0.1, 100, step=10)
+    coarse = gapped(47, 2, TURN, 0.1, 10, AT_ONCE)
+    fine = gapped(470, 20, TURN**0.1, 0.1, 100, AT_ONCE, step=10)
     assert [tuple(10 * t for t in c.ticks) for c in coarse] == [c.ticks for c in fine]
     assert coarse

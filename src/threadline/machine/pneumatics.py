@@ -20,6 +20,10 @@ from threadline.machine.quantity import Quantity, Units
 Length = Annotated[Quantity, Units(("m",), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
 """A delay or lag of compressed air, of at most 100 s; one second is long."""
+REST_LAGS = 4.0
+"""So many lags after the flow has ended a cylinder has come to rest within 2 %."""
+TIMES = (".delay", ".opens", ".closes")
+"""How the paths of times end that are instants of a simulation."""
 InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
@@ -77,10 +81,17 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Way:
-    """One direction of a cylinder: the valve that selects it, and its flow controls."""
+    """One direction of a cylinder: the valve that selects it, and its flow controls.
+
+    ``opens`` and ``closes`` pass between the command of one of these valves and its flow, and
+    between the command that ends it and the end of the flow; what is common to both may stand in
+    the ``delay`` of the cylinder. None is at once.
+    """
 
     valve: str
     flows: dict[str, Fraction] = Field(min_length=1)
+    opens: ShortTime | None = None
+    closes: ShortTime | None = None
 
     def levels(self) -> dict[tuple[str, ...], float]:
         """Return every set of open flow controls with its level, the empty set included."""
@@ -90,6 +101,20 @@ class Way:
             for size in range(len(names) + 1)
             for chosen in combinations(names, size)
         }
+
+    @property
+    def opens_s(self) -> float:
+        """How much later than commanded its valves open."""
+        return 0.0 if self.opens is None else self.opens.si
+
+    @property
+    def closes_s(self) -> float:
+        """How much later than commanded they close."""
+        return 0.0 if self.closes is None else self.closes.si
+
+    def least_hold_s(self, plc: Plc) -> float:
+        """Return the shortest time between two switchings of one of its valves."""
+        return max(plc.dwell.si, self.opens_s, self.closes_s)
 
     @property
     def level_tolerance(self) -> float:
@@ -150,6 +175,10 @@ class Cylinder:
     def way(self, forward: bool) -> Way:
         """Return the valve and flow controls of one direction."""
         return self.forward if forward else self.back
+
+    def rest_s(self, forward: bool) -> float:
+        """Return how long after its last switching it has come to rest."""
+        return self.way(forward).closes_s + self.delay.si + REST_LAGS * self.lag.si
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

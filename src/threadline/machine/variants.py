@@ -21,6 +21,7 @@ from threadline.errors import OptionError
 from threadline.machine.load import place_in
 from threadline.machine.model import NUMBERED, Machine
 from threadline.machine.numbers import is_whole, number_at, with_numbers
+from threadline.machine.pneumatics import TIMES
 from threadline.machine.quantity import Quantity
 from threadline.machine.tolerances import matches, quantities
 
@@ -182,7 +183,7 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
     for column, number in zip(table.T, numbers, strict=True):
         for path in number.numbers:
             quantity = number_at(machine, path)
-            if path.endswith(".delay"):
+            if path.endswith(TIMES):
                 found[path] = np.array([float(_delay(quantity, part)) for part in column])
             else:
                 found[path] = quantity.si + column * quantity.tolerance_si

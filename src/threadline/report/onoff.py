@@ -106,7 +106,8 @@ def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) ->
         duration_ticks=move.last_tick - move.first_tick + round(0.2 / commands.clock.period_s),
         events=(),
     )
-    calm_s = cylinder.delay.si + 8.0 * cylinder.lag.si
+    late_s = cylinder.way(move.forward).closes_s + cylinder.delay.si
+    calm_s = late_s + 8.0 * cylinder.lag.si
     period_s = float(commands.clock.period_s)
     found = []
     for scan in scans.tolist():
@@ -114,7 +115,7 @@ def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) ->
         shut_s = scan * period_s
         recording = simulate_switching(alone, machine, options)
         size = ringing_m(recording, move.axis, shut_s + calm_s, pole)
-        found.append(size * np.exp(-pole.real * (calm_s - cylinder.delay.si)))
+        found.append(size * np.exp(-pole.real * (calm_s - late_s)))
     return np.array(found)
 
 

@@ -15,9 +15,10 @@ from threadline.plant.pneumatic import step_ringing
 from threadline.search.levels import LevelCommand, time_optimal_s
 from threadline.search.move_commands import MoveCommands, step_scans
 from threadline.search.move_list import with_choices
+from threadline.shaping.onoff.valves import Valves
 from threadline.signals import ChannelKind
-from threadline.targets.schedule import REST_LAGS, ScheduledMove
-from threadline.targets.schedule_moves import levels_text
+from threadline.targets.schedule import ScheduledMove
+from threadline.targets.schedule_moves import levels_text, valves_of
 from threadline.verdict import Spec
 from threadline.verdict.switch_run import SwitchRun
 
@@ -108,9 +109,15 @@ class CycleForecast:
         self._tried: set[tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]] = set()
         commands = MoveCommands(job, machine, self._scan_s, self._turns(machine, axes))
         self._commands = [
-            [command.on(self._turn[move.axis]) for command in commands.of(move, limit)]
+            [
+                command.on(self._turn[move.axis], self._valves(move))
+                for command in commands.of(move, limit)
+            ]
             for move, limit in zip(base.moves, self._limits, strict=True)
         ]
+
+    def _valves(self, move: ScheduledMove) -> Valves:
+        return valves_of(self._machine.cylinders[move.axis].way(move.forward), self._scan_s)
 
     def _turns(self, machine: Machine, axes: set[str]) -> dict[str, complex]:
         """Return the factor on the complex ringing of each cylinder in one scan."""
@@ -223,7 +230,7 @@ class CycleForecast:
             return None
         period_s = 2.0 * np.pi / ringing.pole.imag
         cylinder = self._machine.cylinders[axis]
-        begin_s = move.end_s + cylinder.delay.si + REST_LAGS * cylinder.lag.si
+        begin_s = move.end_s + cylinder.rest_s(move.planned.forward)
         end_s = min([*later, begin_s + period_s, float(frame[0][-1])])
         if end_s - begin_s < _LEAST_SEEN * period_s:
             return None
@@ -251,14 +258,16 @@ class CycleForecast:
     def told(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
         """Return every move with what was chosen for it; as it is unshaped without a cycle."""
         lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
-        optimal: dict[tuple[str, int], float] = {}
+        optimal: dict[tuple[str, bool, int], float] = {}
         rows = []
         for index, move in enumerate(self._base.moves):
             scans = move.levels.ticks[-1]
-            key = move.axis, scans
+            key = move.axis, move.forward, scans
             if key not in optimal:
                 pole = self._ringing[move.axis].pole
-                optimal[key] = time_optimal_s(scans * self._scan_s, pole)
+                longer_s = self._valves(move).longer * self._scan_s
+                flow_s = scans * self._scan_s + longer_s
+                optimal[key] = time_optimal_s(flow_s, pole) - longer_s
             command = None if cycle is None else cycle.commands[index]
             rows.append(
                 MoveChoice(

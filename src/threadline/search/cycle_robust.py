@@ -31,7 +31,7 @@ from threadline.shaping.onoff.flow_levels import (
     shortest_flow_command,
 )
 from threadline.targets.schedule import ScheduledMove
-from threadline.targets.schedule_moves import levels_text
+from threadline.targets.schedule_moves import levels_text, valves_of
 from threadline.verdict import Criterion, Judge, Spec, Status, Verdict
 
 MEASURE = "residual_vibration"
@@ -232,8 +232,8 @@ class _Search:
         made: dict[tuple[object, ...], tuple[int, list[FlowCommand]]] = {}
         self._made: list[tuple[int, list[FlowCommand]]] = []
         for index, move in enumerate(self._base.moves):
-            flows = tuple(machine.cylinders[move.axis].way(move.forward).flows.values())
-            key = move.axis, tuple(f.si for f in flows), move.levels.wanted_m, self._limit_m(index)
+            valves = valves_of(machine.cylinders[move.axis].way(move.forward), self._scan_s)
+            key = move.axis, valves, move.levels.wanted_m, self._limit_m(index)
             if key not in made:
                 made[key] = self._commands(index)
             self._made.append(made[key])
@@ -260,10 +260,12 @@ class _Search:
         move = self._base.moves[index]
         assert self._machine.plc is not None
         cylinder = self._machine.cylinders[move.axis]
+        way = cylinder.way(move.forward)
+        hold_s = way.least_hold_s(self._machine.plc)
         return FlowMove(
             on_scans=move.levels.wanted_m / (cylinder.speed.si * self._scan_s),
-            flows=tuple(f.si for f in cylinder.way(move.forward).flows.values()),
-            dwell_scans=max(math.ceil(self._machine.plc.dwell.si / self._scan_s - 1e-9), 1),
+            valves=valves_of(way, self._scan_s),
+            dwell_scans=max(math.ceil(hold_s / self._scan_s - 1e-9), 1),
             turns=self._turns[move.axis],
             most=share * self._limit_m(index) / self._amplitude_m[move.axis],
         )

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.shaping.onoff.valves import Valves
 
 _LONGEST_PERIODS = 1.6
 """Longest first stretch of a command of three levels, in periods."""
@@ -44,12 +45,14 @@ class LevelCommand:
         """Duration in scans."""
         return self.ticks[-1]
 
-    def on(self, turn: complex) -> LevelCommand:
+    def on(self, turn: complex, valves: Valves) -> LevelCommand:
         """Return the same command with what it leaves ringing on a machine with another mode."""
-        return replace(self, left=left_ringing(self.ticks, self.levels, turn))
+        return replace(self, left=left_ringing(self.ticks, self.levels, turn, valves))
 
 
-def left_ringing(ticks: Sequence[int], levels: Sequence[float], turn: complex) -> complex:
+def left_ringing(
+    ticks: tuple[int, ...], levels: tuple[float, ...], turn: complex, valves: Valves
+) -> complex:
     """Return the complex ringing that a command leaves at its last switching, in full steps.
 
     Parameters
@@ -59,25 +62,32 @@ def left_ringing(ticks: Sequence[int], levels: Sequence[float], turn: complex) -
     turn
         Factor on the complex ringing in one scan: ``exp(pole * scan_s)``.
     """
-    heights = np.diff(levels, prepend=0.0)
-    to_go = ticks[-1] - np.asarray(ticks, dtype=np.float64)
-    return complex(np.sum(heights * np.exp(np.log(turn) * to_go)))
+    at, heights = valves.switchings(ticks, levels)
+    return complex(np.sum(heights * np.exp(np.log(turn) * (ticks[-1] - at))))
 
 
 def gapped(
-    on: int, dwell: int, turn: complex, most: float, total: int, step: int = 1
+    on_scans: float,
+    dwell: int,
+    turn: complex,
+    most: float,
+    total: int,
+    valves: Valves,
+    step: int = 1,
 ) -> list[LevelCommand]:
     """Return on/off commands with one or two gaps that leave at most ``most`` ringing.
 
-    They are on for ``on`` scans in all and off for ``total``; each stretch and each gap takes at
-    least ``dwell`` scans. Places and sizes of gaps are tried at every ``step``-th scan.
+    Their flow lasts ``on_scans`` scans in all and they are off for ``total``; each stretch and each
+    gap takes at least ``dwell`` scans. Places and sizes of gaps are tried every ``step`` scans.
     """
+    log = np.log(turn)
+    one, two = (round(on_scans - count * valves.longer) for count in (2, 3))
+    tables = [*_one_gap(one, dwell, total, step), *_two_gaps(two, dwell, total, step)]
     found = []
-    log, end = np.log(turn), on + total
-    first = np.arange(dwell, on - dwell + 1, step)
-    for edges in _one_and_two(first, on, total, np.arange(dwell, total - dwell + 1, step)):
+    for edges in tables:
+        late = np.tile([valves.opens, valves.closes], edges.shape[1] // 2)
         heights = np.tile([1.0, -1.0], edges.shape[1] // 2)
-        left = np.exp(log * (end - edges)) @ heights
+        left = np.exp(log * (edges[:, -1:] - edges - late)) @ heights
         for row in np.flatnonzero(np.abs(left) <= most):
             ticks = edges[row].tolist()
             levels = tuple(float(v) for v in np.tile([1.0, 0.0], len(ticks) // 2))
@@ -85,38 +95,52 @@ def gapped(
     return found
 
 
-def _one_and_two(first: IntArray, on: int, total: int, gaps: IntArray) -> Iterator[IntArray]:
-    """Yield (n, edges) switchings of commands with one gap, then with two, ``total`` in all."""
-    end = on + total
-    if not len(first):
-        return
-    zero = np.zeros_like(first)
-    yield np.column_stack((zero, first, first + total, zero + end))
-    if not len(gaps):
+def _one_gap(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
+    """Yield (n, 4) switchings of commands with one gap of ``total`` scans, where there are any."""
+    first = np.arange(dwell, on - dwell + 1, step)
+    if len(first):
+        zero = np.zeros_like(first)
+        yield np.column_stack((zero, first, first + total, zero + on + total))
+
+
+def _two_gaps(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
+    """Yield (n, 6) switchings of commands with two gaps of ``total`` scans together."""
+    first = np.arange(dwell, on - dwell + 1, step)
+    gaps = np.arange(dwell, total - dwell + 1, step)
+    if not len(first) or not len(gaps):
         return
     a, b, gap = (v.ravel() for v in np.meshgrid(first, first, gaps, indexing="ij"))
     fits = a + b <= on - first[0]
     a, b, gap = a[fits], b[fits], gap[fits]
-    begin = np.zeros_like(a)
+    begin, end = np.zeros_like(a), on + total
     second = a + gap
     yield np.column_stack((begin, a, second, second + b, second + b + total - gap, begin + end))
 
 
 def stepped(
-    on: int, dwell: int, turn: complex, most: float, pairs: Sequence[tuple[float, float]]
+    on_scans: float,
+    dwell: int,
+    turn: complex,
+    most: float,
+    pairs: Sequence[tuple[float, float]],
+    valves: Valves,
 ) -> list[LevelCommand]:
     """Return commands of three levels, ``pairs`` at the ends, that leave at most ``most`` ringing.
 
-    The unshaped command has level 1 for ``on`` scans. First and last stretch are equally long, at
-    least ``dwell`` scans, and the two levels of a pair add up to 1: so the distance is the same.
+    The flow of the unshaped command has level 1 for ``on_scans`` scans. First and last stretch are
+    equally long, at least ``dwell`` scans, and the two levels of a pair add up to 1: so the
+    distance is the same.
     """
     found = []
     longest = int(_LONGEST_PERIODS * period_scans(turn))
     for begin, end in pairs:
+        levels = (begin, 1.0, end, 0.0)
+        nominal = round(on_scans)
+        whole = valves.covered((0, 1, nominal, nominal + 1), levels)
+        on = nominal + round(on_scans - whole)
         for span in range(dwell, min(on - dwell, longest) + 1):
             ticks = (0, span, on, on + span)
-            levels = (begin, 1.0, end, 0.0)
-            left = left_ringing(ticks, levels, turn)
+            left = left_ringing(ticks, levels, turn, valves)
             if abs(left) <= most:
                 found.append(LevelCommand("levels", ticks, levels, left))
     return found

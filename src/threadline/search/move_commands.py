@@ -13,8 +13,9 @@ from threadline.options import Options
 from threadline.pipeline import plan_job
 from threadline.search.levels import LevelCommand, gapped, left_ringing, period_scans, stepped
 from threadline.search.move_list import with_choices
+from threadline.shaping.onoff.valves import Valves
 from threadline.targets.schedule import ScheduledMove
-from threadline.targets.schedule_moves import Levels
+from threadline.targets.schedule_moves import Levels, valves_of
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd")
 """Shapers that are tried for every move; others take longer than gaps or levels made for it."""
@@ -50,30 +51,36 @@ class MoveCommands:
             How much may ring after the move, in units of a full step.
         """
         assert self._machine.plc is not None
-        turn, on = self._turn[move.axis], move.levels.ticks[-1]
+        turn = self._turn[move.axis]
+        cylinder = self._machine.cylinders[move.axis]
+        way = cylinder.way(move.forward)
+        valves = valves_of(way, self._scan_s)
+        on_scans = move.levels.wanted_m / (cylinder.speed.si * self._scan_s)
         most = min(_OVER * limit, 1e6)
-        dwell = max(int(np.ceil(self._machine.plc.dwell.si / self._scan_s - 1e-9)), 1)
-        found = self._shaped(move, turn, most)
+        hold_s = way.least_hold_s(self._machine.plc)
+        dwell = max(int(np.ceil(hold_s / self._scan_s - 1e-9)), 1)
+        found = self._shaped(move, turn, most, valves)
         if np.isfinite(limit):
             step = step_scans(turn)
             for total in range(dwell, int(np.ceil(period_scans(turn))) + 1, step):
-                found += gapped(on, dwell, turn, most, total, step)
+                found += gapped(on_scans, dwell, turn, most, total, valves, step)
                 # These suffice whatever rang before: longer ones gain nothing.
                 if sum(abs(c.left) <= 0.5 * limit for c in found) >= _ENOUGH:
                     break
-            way = self._machine.cylinders[move.axis].way(move.forward)
             between = sorted({v for v in way.levels().values() if 0.0 < v < 1.0 - 1e-9})
             pairs = [(a, b) for a in between for b in between if abs(a + b - 1.0) < 1e-9]
-            found += stepped(on, dwell, turn, most, pairs)
+            found += stepped(on_scans, dwell, turn, most, pairs, valves)
         return _thinned(found)
 
-    def _shaped(self, move: ScheduledMove, turn: complex, most: float) -> list[LevelCommand]:
+    def _shaped(
+        self, move: ScheduledMove, turn: complex, most: float, valves: Valves
+    ) -> list[LevelCommand]:
         found = []
         for name in SHAPERS:
             own = self._plan_with(move.axis, name).get(move.operation)
             if own is None:
                 continue  # its valves cannot make that command
-            left = left_ringing(own.ticks, own.levels, turn)
+            left = left_ringing(own.ticks, own.levels, turn, valves)
             if abs(left) <= most:
                 found.append(LevelCommand(name, own.ticks, own.levels, left))
         return found

@@ -69,7 +69,7 @@ def overlapped(job: Job, machine: Machine) -> Job:
         if isinstance(operation, Move):
             moved = _moved(job.axes, position, operation.target)
             if OVERLAP not in operation.tags and REST not in operation.tags and len(moved) == 1:
-                rest_s = _least_rest_s(job, operations, index, moved[0], machine)
+                rest_s = _least_rest_s(job, operations, index, position, moved[0], machine)
                 if rest_s is not None:
                     kept = replace(operation, tags={**operation.tags, REST: rest_s})
             position = operation.target
@@ -84,7 +84,12 @@ def _moved(
 
 
 def _least_rest_s(
-    job: Job, operations: list[Operation], index: int, axis: str, machine: Machine
+    job: Job,
+    operations: list[Operation],
+    index: int,
+    begin: tuple[float, ...],
+    axis: str,
+    machine: Machine,
 ) -> float | None:
     """Return the rest that ``overlapped`` leaves after a move; None where it stays as it is.
 
@@ -102,7 +107,9 @@ def _least_rest_s(
             if contact.cylinder == axis and contact.at is not None and after.value:
                 left_m = abs(end_m - contact.at.si)
                 to_go = cylinder.speed.si * cylinder.lag.si / max(left_m, _LEAST_LEFT_M)
-                rests.append(cylinder.delay.si + cylinder.lag.si * math.log(max(to_go, 1.0)))
+                way = cylinder.way(end_m > dict(zip(job.axes, begin, strict=True))[axis])
+                shut_s = way.closes_s + cylinder.delay.si
+                rests.append(shut_s + cylinder.lag.si * math.log(max(to_go, 1.0)))
         elif isinstance(after, Move):
             others = _moved(job.axes, move.target, after.target)
             guarded = bool(rests) and bool(others) and axis not in others

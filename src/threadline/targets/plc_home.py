@@ -16,7 +16,7 @@ from threadline.machine import Machine
 from threadline.machine.pneumatics import Way
 from threadline.targets.plc_net import NetPlace
 from threadline.targets.plc_watch import switches_of
-from threadline.targets.schedule import REST_LAGS, Scheduled
+from threadline.targets.schedule import Scheduled
 
 HOMING = "homing"
 _AMPLE = 2.0
@@ -44,7 +44,7 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
         level, flows = slowest(cylinder.back)
         on = (*air, cylinder.back.valve, *flows)
         speed = level * cylinder.speed.si
-        calm_s = cylinder.delay.si + REST_LAGS * cylinder.lag.si
+        calm_s = cylinder.rest_s(forward=False)
         late_s = _AMPLE * (cylinder.stroke.si / speed + calm_s) + _SPARE_S
         places.append(
             _place(after + len(places) + 1, on, now_ms + round(1000 * late_s), (name, True))

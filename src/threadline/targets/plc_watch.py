@@ -17,7 +17,7 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Contact
 from threadline.targets.plc_net import NetPlace, PetriNet
-from threadline.targets.schedule import REST_LAGS, Scheduled, ScheduledMove
+from threadline.targets.schedule import Scheduled, ScheduledMove
 
 _EARLIEST = 0.5  # of the time that the commanded speed alone needs
 _AMPLE = 2.0  # times the time that leaving takes with dead time and lags
@@ -128,7 +128,8 @@ def _watch(
         start_m = ways[0].begin_m if ways else 0.0
         return Watch(axis=axis, begin_m=start_m, end_m=start_m)
     way, cylinder = begun[-1], machine.cylinders[axis]
-    calm_ms = 1000.0 * (cylinder.delay.si + REST_LAGS * cylinder.lag.si)
+    calm_ms = 1000.0 * cylinder.rest_s(way.move.forward)
+    opens_ms = 1000.0 * cylinder.way(way.move.forward).opens_s
     rest_tick = way.move.last_tick + math.ceil(calm_ms / scan_ms - 1e-9)
     awaited = place.wait is not None and machine.contacts[place.wait[0]].cylinder == axis
     going = place.begin_tick < rest_tick or (
@@ -144,10 +145,10 @@ def _watch(
         away_m = abs(contact.at.si - way.begin_m)
         if last and not first:
             reached = _commanded_ms(way.move, away_m - contact.at.tolerance_si, scan_ms)
-            early = min(early, _EARLIEST * (1000.0 * cylinder.delay.si + reached))
+            early = min(early, _EARLIEST * (1000.0 * cylinder.delay.si + opens_ms + reached))
         elif first and not last:
             reached = _commanded_ms(way.move, away_m + contact.at.tolerance_si, scan_ms)
-            gone = max(gone, _AMPLE * (calm_ms + reached))
+            gone = max(gone, _AMPLE * (calm_ms + opens_ms + reached))
     return Watch(
         axis=axis,
         begin_m=way.begin_m,

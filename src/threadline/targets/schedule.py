@@ -26,6 +26,7 @@ from threadline.targets.schedule_moves import (
     move_levels,
     open_flows,
     shortest_ticks,
+    valves_of,
     written_levels,
 )
 from threadline.targets.schedule_options import shaping_of
@@ -33,8 +34,6 @@ from threadline.targets.schedule_options import shaping_of
 ON_OFF = "on-off"
 """What plans of on/off machines give as their interpolation."""
 _SAME_M = 1e-9
-REST_LAGS = 4.0
-"""So many lags after the last switching a cylinder has come to rest within 2 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,7 +244,12 @@ class _Builder:
                 moving.append(axis)
                 ends.append(self._stroke(index, axis, distance, source, how))
         self._check_interlocks(moving, before, source)
-        self.on_its_way |= {a for a in moving if self._calm_s(a) > float(how.get(REST, math.inf))}
+        self.on_its_way |= {
+            axis
+            for axis in moving
+            if self.machine.cylinders[axis].rest_s(self.position[axis] > before[axis])
+            > float(how.get(REST, math.inf))
+        }
         self.tick = max(ends)
 
     def _check_interlocks(
@@ -291,11 +295,7 @@ class _Builder:
                 f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
                 f"set the flow to {self._whole(levels):.6g} m/s to meet it"
             )
-        return last + self._ticks(float(how.get(REST, self._calm_s(axis))))
-
-    def _calm_s(self, axis: str) -> float:
-        cylinder = self.machine.cylinders[axis]
-        return cylinder.delay.si + REST_LAGS * cylinder.lag.si
+        return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
 
     def _whole(self, levels: Levels) -> float:
         """Return the speed at which the same scans cover the distance that was asked for."""
@@ -311,19 +311,21 @@ class _Builder:
         """
         cylinder = self.machine.cylinders[axis]
         assert self.machine.plc is not None
-        tick_s, need = float(self.clock.period_s), self.machine.plc.dwell.si
         way, shaping = cylinder.way(distance > 0), self.shaping.get(axis)
+        tick_s, need = float(self.clock.period_s), way.least_hold_s(self.machine.plc)
         if "shaper" in how:
             shaping = _shaping_of(self.machine, str(how["shaper"]), source).get(axis)
-        shortest: tuple[str, int] = ("", 0)
+        valves, shortest = valves_of(way, tick_s), ("", 0)
         for dwell_s in (0.0, need):
             if "levels" in how:
                 text = str(how["levels"])
                 levels = written_levels(
-                    text, abs(distance), cylinder.speed.si, tick_s, source.place
+                    text, abs(distance), cylinder.speed.si, tick_s, source.place, valves
                 )
             else:
-                levels = move_levels(abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s)
+                levels = move_levels(
+                    abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s, valves
+                )
             chosen = [open_flows(v, way, self.machine, source.place) for v in levels.levels]
             shortest = min(
                 ((flow, shortest_ticks(flow, chosen, levels.ticks)) for flow in way.flows),

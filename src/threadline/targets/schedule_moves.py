@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import Place, PlanError, UnitError
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Way
@@ -19,8 +20,11 @@ from threadline.shaping import (
     realise,
 )
 from threadline.shaping.designs import DEFAULT_TOLERANCE
+from threadline.shaping.onoff.valves import Valves
 from threadline.units import parse_quantity
 
+AT_ONCE = Valves(flows=(1.0,))
+"""Valves whose flow follows each command at once."""
 _LEAST_TOLERANCE = 0.005
 """Levels closer than this are one: no flow control is set more exactly."""
 
@@ -88,17 +92,20 @@ def move_levels(
     tick_s: float,
     shaping: AxisShaping | None,
     dwell_s: float = 0.0,
+    valves: Valves = AT_ONCE,
 ) -> Levels:
     """Return the levels that cover ``distance_m``, a positive length, at ``speed_m_s`` per level.
 
-    ``dwell_s`` keeps the impulses of the shaper apart.
+    ``dwell_s`` keeps the impulses of the shaper apart. Where ``valves`` close later than they open,
+    each stretch of flow is longer than its command, and the commands are shorter.
 
     Raises
     ------
     PlanError
         If the distance is shorter than a scan.
     """
-    on = round(distance_m / (speed_m_s * tick_s))
+    on_scans = distance_m / (speed_m_s * tick_s)
+    on = round(on_scans - valves.longer)
     if on < 1:
         raise PlanError(
             f"a move of {distance_m * 1e3:g} mm takes less than a scan of {tick_s * 1e3:g} ms at "
@@ -111,6 +118,27 @@ def move_levels(
     if shaping is not None and len(shaping.shaper.times_s) > 1:
         realised = _on_the_scan(shaping, tick_s, dwell_s)
         ticks, amplitudes = realised.ticks, realised.shaper.amplitudes
+    at, levels = _convolved(on, ticks, amplitudes)
+    covered = float(on)
+    if not valves.at_once:
+        # How often each valve opens is known with the command alone; it moves with its length.
+        on = max(on + round(on_scans - valves.covered(at, levels)), 1)
+        at, levels = _convolved(on, ticks, amplitudes)
+        covered = valves.covered(at, levels)
+    return Levels(
+        ticks=at,
+        levels=levels,
+        wanted_m=distance_m,
+        commanded_m=covered * tick_s * speed_m_s,
+        speed_m_s=speed_m_s,
+        realised=realised,
+    )
+
+
+def _convolved(
+    on: int, ticks: tuple[int, ...], amplitudes: FloatArray
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return ticks and levels of ``on`` scans of level 1, convolved with impulses."""
     steps: dict[int, float] = {}
     for tick, amplitude in zip(ticks, amplitudes, strict=True):
         steps[tick] = steps.get(tick, 0.0) + float(amplitude)
@@ -118,18 +146,16 @@ def move_levels(
     at = sorted(steps)
     levels = np.cumsum([steps[tick] for tick in at])
     kept = [i for i in range(len(at)) if abs(steps[at[i]]) > 1e-12]
-    return Levels(
-        ticks=tuple(at[i] for i in kept),
-        levels=tuple(float(levels[i]) for i in kept),
-        wanted_m=distance_m,
-        commanded_m=on * tick_s * speed_m_s,
-        speed_m_s=speed_m_s,
-        realised=realised,
-    )
+    return tuple(at[i] for i in kept), tuple(float(levels[i]) for i in kept)
 
 
 def written_levels(
-    text: str, distance_m: float, speed_m_s: float, tick_s: float, place: Place
+    text: str,
+    distance_m: float,
+    speed_m_s: float,
+    tick_s: float,
+    place: Place,
+    valves: Valves = AT_ONCE,
 ) -> Levels:
     """Return the levels that a move list writes out: ``"1 for 180 ms, 0 for 60 ms, ..."``.
 
@@ -173,12 +199,20 @@ def written_levels(
             place=place,
             remedy="Leave out the last 0.",
         )
-    commanded_m = float(np.dot(np.diff([*ticks, now]), levels)) * tick_s * speed_m_s
+    covered = (
+        float(np.dot(np.diff([*ticks, now]), levels))
+        if valves.at_once
+        else valves.covered((*ticks, now), (*levels, 0.0))
+    )
+    commanded_m = covered * tick_s * speed_m_s
     if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
         raise PlanError(
             f"levels cover {commanded_m * 1e3:.2f} mm of {distance_m * 1e3:.2f} mm",
             place=place,
-            remedy="Level times duration must add up to distance over speed.",
+            remedy="Level times duration must add up to distance over speed."
+            if valves.at_once
+            else "Level times duration must add up to distance over speed, and each stretch of "
+            f"flow is {valves.longer * tick_s * 1e3:g} ms longer than its command.",
         )
     return Levels(
         ticks=(*ticks, now),
@@ -208,6 +242,15 @@ def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realise
         ControllerLimits(tick_s=tick_s, dwell_s=dwell_s),
         relative=shaping.relative,
         tolerance=shaping.tolerance,
+    )
+
+
+def valves_of(way: Way, tick_s: float) -> Valves:
+    """Return the flow controls of one sense, in scans."""
+    return Valves(
+        flows=tuple(flow.si for flow in way.flows.values()),
+        opens=way.opens_s / tick_s,
+        closes=way.closes_s / tick_s,
     )
 
 

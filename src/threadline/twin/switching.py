@@ -11,7 +11,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError, RecordingError
 from threadline.machine import Machine
-from threadline.machine.pneumatics import Cylinder
+from threadline.machine.pneumatics import TIMES
 from threadline.plant.values import Values
 from threadline.signals import (
     Channel,
@@ -34,6 +34,7 @@ from threadline.twin.switching_run import (
     WAIT,
     Orders,
     begin,
+    flows_of,
     run,
     units_of,
 )
@@ -152,14 +153,6 @@ def _channels(commands: SwitchSchedule, machine: Machine) -> Iterator[Channel]:
     yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
 
 
-def _level(cylinder: Cylinder, flows: Mapping[str, float], on: Mapping[str, int]) -> float:
-    total = 0.0
-    for way, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0)):
-        if on[way.valve]:
-            total += sign * sum(flows[name] for name in way.flows if on[name])
-    return total
-
-
 def _orders(
     commands: SwitchSchedule, machine: Machine, options: SwitchOptions, values: Values
 ) -> Orders:
@@ -168,26 +161,18 @@ def _orders(
     def number(path: str, own: float) -> float:
         return float(values.replaced[path][0]) if path in values.replaced else own
 
-    level = np.zeros((len(commands.ticks) + 1, len(machine.cylinders)))
-    known: dict[tuple[int, ...], list[float]] = {}
-    flows = [
-        {
-            name: number(f"cylinders.{axis}.{sense}.flows.{name}", flow.si)
-            for sense in ("forward", "back")
-            for name, flow in cylinder.way(sense == "forward").flows.items()
-        }
-        for axis, cylinder in machine.cylinders.items()
-    ]
-    for row, states in enumerate(map(tuple, commands.levels.tolist()), start=1):
-        if states not in known:
-            on = dict(zip(commands.outputs, states, strict=True))
-            known[states] = [
-                _level(cylinder, own, on)
-                for own, cylinder in zip(flows, machine.cylinders.values(), strict=True)
-            ]
-        level[row] = known[states]
+    axes = list(machine.cylinders)
+    most = max(len(flows_of(cylinder)) for cylinder in machine.cylinders.values())
+    flowing = np.zeros((len(commands.ticks) + 1, len(axes), most))
+    for column, (axis, cylinder) in enumerate(machine.cylinders.items()):
+        for place, (valve, flow, sign) in enumerate(flows_of(cylinder)):
+            sense = "forward" if sign > 0.0 else "back"
+            own = cylinder.way(sign > 0.0).flows[flow].si
+            size = sign * number(f"cylinders.{axis}.{sense}.flows.{flow}", own)
+            columns = [commands.outputs.index(valve), commands.outputs.index(flow)]
+            flowing[1:, column, place] = size * commands.levels[:, columns].all(axis=1)
     waits = [event for event in commands.events if event.kind == "wait"]
-    names, axes = list(machine.contacts), list(machine.cylinders)
+    names = list(machine.contacts)
     closes, at, above = [], [], []
     for name, contact in machine.contacts.items():
         inside = contact.cylinder is not None and contact.kind != "light-grid"
@@ -197,16 +182,16 @@ def _orders(
         above.append(contact.beyond != "below")
     given = options.inputs or {}
     period_s = commands.clock.period_s
-    late = {axis: f"cylinders.{axis}.delay" for axis in axes}
-    delays = {axis: number(path, 0.0) for axis, path in late.items() if path in values.replaced}
-    units = units_of(machine, period_s, SAMPLE_S, delays)
+    late = {k: number(k, 0.0) for k in values.replaced if k.endswith(TIMES)}
+    units = units_of(machine, period_s, SAMPLE_S, late)
 
     def whole(numbers: list[int] | list[bool]) -> IntArray:
         return np.array(numbers, dtype=np.int64).reshape(len(numbers))
 
     return Orders(
         ticks=np.array(commands.ticks, dtype=np.int64),
-        level=level,
+        level=flowing.sum(axis=2),
+        flowing=flowing,
         wait_tick=whole([event.tick for event in waits]),
         wait_contact=whole([names.index(event.name) for event in waits]),
         wait_value=whole([bool(event.value) for event in waits]),
@@ -222,7 +207,8 @@ def _orders(
         step_s=float(SAMPLE_S),
         scan=units.scan,
         sample=units.sample,
-        late=units.late,
+        opened=units.opened,
+        shut=units.shut,
         share=units.share,
     )
 
@@ -243,7 +229,7 @@ def _read(
         if name in contacts:
             progress.free[contacts.index(name)] = value
     room = max(_SAMPLES, orders.scan // orders.sample + 2)
-    columns = PER_CYLINDER * len(orders.late) + len(orders.contact_cylinder)
+    columns = PER_CYLINDER * len(orders.share) + len(orders.contact_cylinder)
     out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
     over = np.empty((len(waits), 2), dtype=np.int64)
     # Before the first row everything is off, and the operation is the first one.

@@ -1,7 +1,8 @@
 """Runs the PLC and its cylinders scan by scan: compiled; commands arrive at exact instants.
 
 Time is counted in integers: for the machine in a unit of which scan and sample are whole
-multiples, for each cylinder in a finer one of which its dead time is a whole multiple, too.
+multiples, for each cylinder in a finer one of which its dead time and the times of its valves are
+whole multiples, too.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.numbers import exact_time_s
+from threadline.machine.pneumatics import Cylinder
+from threadline.machine.quantity import Quantity
 from threadline.twin.switching_cylinder import (
     SPEED,
     Bank,
@@ -33,6 +36,8 @@ TICK, SCAN, STALL, ROW, WAIT, PHASE, LEFT, SAMPLE, LATER, PLC_STATE = 0, 1, 2, 3
 PER_CYLINDER = 4
 """Columns of a sample for each cylinder: stroke, stroke that the valves ask for, level, frame."""
 _MOST_UNIT = 1 << 50
+_SHUT = 1e-12
+"""A level below it is what rounding leaves of flows that add up to nothing."""
 NEVER = 1e300
 
 
@@ -44,6 +49,9 @@ class Orders(NamedTuple):
     ticks, level
         (R,) scan from which each row holds; (R + 1, C) level of each cylinder, first with all
         outputs off, then in each row.
+    flowing
+        (R + 1, C, F): what each flow control adds to the level, with the sign of its sense; 0
+        while it is shut, or the valve before it.
     wait_tick, wait_contact, wait_value, wait_given
         (W,) scan, contact and expected value of each wait, and whether the caller has set that
         contact.
@@ -56,12 +64,16 @@ class Orders(NamedTuple):
         Instant at which the light grid is broken, period of a scan, and of a sample, s.
     scan, sample
         Their periods in units of the machine.
-    late, share
-        (C,) dead time of each cylinder in its own units, and its units in one of the machine.
+    opened, shut
+        (C, F) in units of each cylinder: from a command to the flow that follows it, when a flow
+        control or its valve opens, and when it closes; the cylinder's dead time included.
+    share
+        (C,) how many units of each cylinder the machine's unit has.
     """
 
     ticks: IntArray
     level: FloatArray
+    flowing: FloatArray
     wait_tick: IntArray
     wait_contact: IntArray
     wait_value: IntArray
@@ -77,7 +89,8 @@ class Orders(NamedTuple):
     step_s: float
     scan: int
     sample: int
-    late: IntArray
+    opened: IntArray
+    shut: IntArray
     share: IntArray
 
 
@@ -93,9 +106,12 @@ class Progress(NamedTuple):
     asked
         (C,) stroke of each cylinder if it followed its valves at once, m.
     arrival, coming
-        (C, R + 3) instants at which levels arrive at each cylinder, and these levels.
+        (C, F (R + 3)) instants and changes of the level that are under way to each cylinder, in
+        the order of their instants.
     queue
-        (C, 2) how many levels have been sent, and how many have arrived.
+        (C, 2) how many changes have been sent, and how many have arrived.
+    told, last
+        (C, F) what each flow control was told to add to the level, and when that arrives.
     """
 
     plc: IntArray
@@ -104,58 +120,86 @@ class Progress(NamedTuple):
     arrival: IntArray
     coming: FloatArray
     queue: IntArray
+    told: FloatArray
+    last: IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Periods and dead times of a machine as integers; see ``Orders``."""
+    """Periods, dead times and valve times of a machine as integers; see ``Orders``."""
 
     scan: int
     sample: int
-    late: IntArray
+    opened: IntArray
+    shut: IntArray
     share: IntArray
 
 
 def units_of(
-    machine: Machine, scan_s: Fraction, sample_s: Fraction, delays_s: Mapping[str, float]
+    machine: Machine, scan_s: Fraction, sample_s: Fraction, times_s: Mapping[str, float]
 ) -> Units:
-    """Return scan, sample and dead times in units in which they are whole.
+    """Return scan, sample, dead times and those of valves in units in which they are whole.
 
     Parameters
     ----------
-    delays_s
-        Dead times, s, of cylinders in which a variant differs from the machine.
+    times_s
+        Times in which a variant differs from the machine, by their path in its file.
 
     Raises
     ------
     MachineError
-        If a scan or a dead time has so many digits that no 64-bit count holds it.
+        If a scan or one of the times has so many digits that no 64-bit count holds it.
     """
     whole = lcm(scan_s.denominator, sample_s.denominator)
-    late, share = [], []
-    for name, cylinder in machine.cylinders.items():
-        delay = cylinder.delay.exact_s or Fraction(0)
-        if name in delays_s:
-            delay = exact_time_s(delays_s[name])
-        own = lcm(whole, delay.denominator)
-        if own * max(scan_s, sample_s, delay, Fraction(1)) > _MOST_UNIT:
+    most = max(len(flows_of(cylinder)) for cylinder in machine.cylinders.values())
+    opened, shut = np.zeros((2, len(machine.cylinders), most), dtype=np.int64)
+    share = []
+
+    def exact(path: str, own: Quantity | None) -> Fraction:
+        if path in times_s:
+            return exact_time_s(times_s[path])
+        return Fraction(0) if own is None or own.exact_s is None else own.exact_s
+
+    for row, (name, cylinder) in enumerate(machine.cylinders.items()):
+        where = f"cylinders.{name}"
+        delay = exact(f"{where}.delay", cylinder.delay)
+        after = [
+            (
+                delay + exact(f"{where}.{sense}.opens", way.opens),
+                delay + exact(f"{where}.{sense}.closes", way.closes),
+            )
+            for sense, way in (("forward", cylinder.forward), ("back", cylinder.back))
+            for _ in way.flows
+        ]
+        times = [one for both in after for one in both]
+        own = lcm(whole, *(one.denominator for one in times))
+        if own * max(scan_s, sample_s, *times, Fraction(1)) > _MOST_UNIT:
             raise MachineError(
                 f"cylinders.{name}: a dead time of {float(delay):.6g} s and a scan of "
                 f"{float(scan_s):.6g} s have no common step above 1e-15 s",
                 place=machine.place,
                 remedy="Give them with fewer digits.",
             )
-        late.append(int(delay * own))
+        for column, (late, early) in enumerate(after):
+            opened[row, column], shut[row, column] = int(late * own), int(early * own)
         share.append(own // whole)
     return Units(
-        int(scan_s * whole), int(sample_s * whole),
-        np.array(late, dtype=np.int64), np.array(share, dtype=np.int64),
-    )  # fmt: skip
+        int(scan_s * whole), int(sample_s * whole), opened, shut, np.array(share, dtype=np.int64)
+    )
+
+
+def flows_of(cylinder: Cylinder) -> list[tuple[str, str, float]]:
+    """Return valve, flow control and sense of every flow of a cylinder, in their order."""
+    return [
+        (way.valve, flow, sign)
+        for way, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0))
+        for flow in way.flows
+    ]
 
 
 def begin(orders: Orders) -> Progress:
     """Return the progress at the start: nothing switched."""
-    count, rows = len(orders.late), len(orders.ticks)
+    (count, most), rows = orders.opened.shape, len(orders.ticks)
     plc = np.zeros(PLC_STATE, dtype=np.int64)
     plc[ROW] = -1
     plc[LEFT] = orders.after
@@ -163,9 +207,11 @@ def begin(orders: Orders) -> Progress:
         plc,
         np.ones(len(orders.contact_cylinder), dtype=np.int64),
         np.zeros(count),
-        np.zeros((count, rows + 3), dtype=np.int64),
-        np.zeros((count, rows + 3)),
+        np.zeros((count, most * (rows + 3)), dtype=np.int64),
+        np.zeros((count, most * (rows + 3))),
         np.zeros((count, 2), dtype=np.int64),
+        np.zeros((count, most)),
+        np.zeros((count, most), dtype=np.int64),
     )
 
 
@@ -232,16 +278,39 @@ def _move(
         if at > now:
             advance_share(c, (at - now) / whole, orders.step_s, bank, motion)
             now = at
-        motion.state[c, -2] = progress.coming[c, queue[1]]
+        level = motion.state[c, -2] + progress.coming[c, queue[1]]
+        motion.state[c, -2] = level if abs(level) > _SHUT else 0.0
         queue[1] += 1
     advance_share(c, (end - now) / whole, orders.step_s, bank, motion)
+
+
+def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
+    """Send what the row that is on changes of a cylinder's flows, each in its own time.
+
+    A flow control that is told to close before it has opened does neither.
+    """
+    row = progress.plc[ROW] + 1
+    for f in range(orders.opened.shape[1]):
+        wanted, told = orders.flowing[row, c, f], progress.told[c, f]
+        if wanted == told:
+            continue
+        later = orders.opened[c, f] if abs(wanted) > abs(told) else orders.shut[c, f]
+        at = max(start * orders.share[c] + later, progress.last[c, f])
+        progress.told[c, f], progress.last[c, f] = wanted, at
+        place = progress.queue[c, 0]
+        while place > progress.queue[c, 1] and progress.arrival[c, place - 1] > at:
+            progress.arrival[c, place] = progress.arrival[c, place - 1]
+            progress.coming[c, place] = progress.coming[c, place - 1]
+            place -= 1
+        progress.arrival[c, place], progress.coming[c, place] = at, wanted - told
+        progress.queue[c, 0] += 1
 
 
 def _sample(
     at: int, time_s: float, out: FloatArray, rows: IntArray, orders: Orders, progress: Progress,
     bank: Bank, motion: Motion,
 ) -> None:  # fmt: skip
-    count = len(orders.late)
+    count = len(orders.share)
     for c in range(count):
         out[at, PER_CYLINDER * c] = stroke_of(c, bank, motion)
         out[at, PER_CYLINDER * c + 1] = progress.asked[c]
@@ -283,13 +352,8 @@ def _run(
         if done >= 0:
             over[ended_waits, 0], over[ended_waits, 1] = done, start // orders.sample
             ended_waits += 1
-        for c in range(len(orders.late)):
-            sent = progress.queue[c, 0]
-            level = orders.level[plc[ROW] + 1, c]
-            if level != (progress.coming[c, sent - 1] if sent else 0.0):
-                progress.arrival[c, sent] = start * orders.share[c] + orders.late[c]
-                progress.coming[c, sent] = level
-                progress.queue[c, 0] = sent + 1
+        for c in range(len(orders.share)):
+            send(c, start, orders, progress)
         now, stop = start, start + orders.scan
         while now < stop:
             if now == plc[SAMPLE] * orders.sample:
@@ -299,7 +363,7 @@ def _run(
                 plc[SAMPLE] += 1
             then = min(stop, plc[SAMPLE] * orders.sample)
             step_s = (then - now) / orders.sample * orders.step_s
-            for c in range(len(orders.late)):
+            for c in range(len(orders.share)):
                 share = orders.share[c]
                 wanted = orders.level[plc[ROW] + 1, c]
                 progress.asked[c] += wanted * step_s * bank.numbers[c, SPEED]
@@ -316,5 +380,6 @@ def _run(
 contact = njit(cache=True, nogil=True)(_contact)
 switch = njit(cache=True, nogil=True)(_switch)
 move = njit(cache=True, nogil=True)(_move)
+send = njit(cache=True, nogil=True)(_send)
 sample = njit(cache=True, nogil=True)(_sample)
 run = njit(cache=True, nogil=True)(_run)

@@ -19,7 +19,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
 from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Event, Recording
-from threadline.targets.schedule import REST_LAGS, ScheduledMove
+from threadline.targets.schedule import ScheduledMove
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import Running, RunReading
@@ -354,7 +354,7 @@ class SwitchRun:
                     target_m=position[move.axis],
                     begin_s=self.instant_s(move.first_tick),
                     end_s=end_s,
-                    rest_s=end_s + cylinder.delay.si + REST_LAGS * cylinder.lag.si,
+                    rest_s=end_s + cylinder.rest_s(move.forward),
                 )
             )
         return tuple(found)

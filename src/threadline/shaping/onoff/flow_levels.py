@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
+from threadline.shaping.onoff.valves import Valves
 
 _NODES = 200
 """Most nodes of an integer program's tree: unlike a time limit, the same on every computer."""
@@ -26,6 +27,7 @@ Told farther than its stroke, a piston runs into its stop.
 """
 _ROUNDS = 4
 _DIRECTIONS = 16  # of the polygon that stands for a circle in the plane of ringing
+_FINER = 4  # cells of a scan, for a flow that does not begin or end with one
 _ROWS = 11  # frequencies of a band that a program sees; all of them are checked
 
 
@@ -37,8 +39,8 @@ class FlowMove:
     ----------
     on_scans
         Distance over the speed of level 1, in scans.
-    flows
-        What each flow control adds to the level, together 1.
+    valves
+        The flow controls, and how late they open and close.
     dwell_scans
         Fewest scans between two switchings of one of them.
     turns
@@ -48,17 +50,16 @@ class FlowMove:
     """
 
     on_scans: float
-    flows: tuple[float, ...]
+    valves: Valves
     dwell_scans: int
     turns: NDArray[np.complex128]
     most: FloatArray
 
     def left(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> NDArray[np.complex128]:
         """Return what a command leaves ringing of each frequency at its last switching, (K,)."""
-        heights = np.diff(levels, prepend=0.0)
-        to_go = ticks[-1] - np.asarray(ticks, dtype=np.float64)
-        grown = np.exp(np.log(self.turns)[:, None] * to_go)
-        left: NDArray[np.complex128] = grown @ heights
+        at, heights = self.valves.switchings(ticks, levels)
+        rates = np.log(self.turns).astype(np.complex128)
+        left: NDArray[np.complex128] = np.exp(np.outer(rates, ticks[-1] - at)) @ heights
         return left
 
     def _seen(self) -> NDArray[np.int64]:
@@ -89,15 +90,17 @@ def least_scans(move: FlowMove, most_scans: int) -> int | None:
     from scipy.optimize import linprog
 
     around = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
-    seen = move._seen()
-    for scans in range(math.ceil(move.on_scans - _SHORT), most_scans + 1):
-        to_go = np.arange(scans, -1, -1, dtype=np.float64)
+    seen, longer = move._seen(), move.valves.longer
+    for scans in range(max(math.ceil(move.on_scans - longer - _SHORT), 1), most_scans + 1):
+        # The flow lasts that much longer than the command, and need not begin with a scan.
+        cells = scans if longer == 0.0 else math.ceil(_FINER * (scans + longer))
+        to_go = np.linspace(scans + longer, 0.0, cells + 1)
         grown = np.exp(np.log(move.turns[seen])[:, None] * to_go)
         ring = (grown[:, :-1] - grown[:, 1:]) / move.most[seen, None]
-        rows = (ring[None] * around[:, None, None]).real.reshape(-1, scans)
-        distance = np.ones((1, scans))
+        rows = (ring[None] * around[:, None, None]).real.reshape(-1, cells)
+        distance = -np.diff(to_go)[None, :]
         found = linprog(
-            np.zeros(scans),
+            np.zeros(cells),
             A_ub=np.vstack((rows, distance, -distance)),
             b_ub=[*np.ones(len(rows)), move.on_scans + _OVER, _SHORT - move.on_scans],
             bounds=(0.0, 1.0),
@@ -118,7 +121,7 @@ def flow_command(move: FlowMove, scans: int) -> FlowCommand | None:
         opened = _opened(move, scans, half, share)
         if opened is None:
             return None
-        levels = np.asarray(move.flows) @ opened
+        levels = np.asarray(move.valves.flows) @ opened
         command = _command(np.concatenate((levels, levels[: scans - half][::-1])))
         if (np.abs(move.left(command.ticks, command.levels)) <= move.most).all():
             return command
@@ -148,22 +151,28 @@ def _opened(move: FlowMove, scans: int, half: int, share: float) -> FloatArray |
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csr_matrix
 
-    seen, count = move._seen(), len(move.flows)
+    seen, flows, longer = move._seen(), move.valves.flows, move.valves.longer
+    count = len(flows)
     turning = np.angle(move.turns[seen])[:, None]
-    edges = np.arange(scans + 1, dtype=np.float64) - 0.5 * scans
-    grown = np.exp(-1j * turning * edges)
-    # Symmetric about its middle an undamped command rings in one quadrature only.
-    ring = (grown[:, :-1] - grown[:, 1:]).imag / move.most[seen, None]
-    rows = ring[:, :half] + ring[:, ::-1][:, :half]
+    edges = np.arange(half, dtype=np.float64) - 0.5 * scans
+    # Symmetric about its middle an undamped command rings in one quadrature only: an edge and its
+    # image twice as much as it alone. The flow is symmetric, too: it begins half of what the
+    # valves take longer to close than to open before the command, of its own middle, and ends so
+    # much behind it. What an edge leaves is half of that for either sense where it switches.
+    up = -np.sin(turning * (edges - 0.5 * longer)) / move.most[seen, None]
+    down = -np.sin(turning * (edges + 0.5 * longer)) / move.most[seen, None]
+    rows = up + down
+    rows[:, :-1] -= rows[:, 1:].copy()
     distance = np.full((1, half), 2.0)
     if scans % 2:
-        rows[:, -1], distance[0, -1] = ring[:, half - 1], 1.0
+        distance[0, -1] = 1.0
     unknowns = count * half
-    quiet = np.zeros((len(rows) + 1, unknowns))
-    by_flow = np.hstack([flow * np.vstack((rows, distance)) for flow in move.flows])
+    switched = np.vstack((up - down, np.full((1, half), longer)))
+    quiet = np.hstack([flow * switched for flow in flows])
+    by_flow = np.hstack([flow * np.vstack((rows, distance)) for flow in flows])
     least = [*np.full(len(rows), -share), move.on_scans - _SHORT]
     largest = [*np.full(len(rows), share), move.on_scans + _OVER]
-    apart, most = _apart(half, scans, move.dwell_scans)
+    apart, most = _apart(half, scans, move.dwell_scans, longer != 0.0)
     constraints = [LinearConstraint(np.hstack((by_flow, quiet)), least, largest)]
     for flow in range(count):
         placed = np.zeros((len(apart), 2 * unknowns))
@@ -182,11 +191,11 @@ def _opened(move: FlowMove, scans: int, half: int, share: float) -> FloatArray |
     return np.rint(found.x[:unknowns]).reshape(count, half)
 
 
-def _apart(half: int, scans: int, dwell: int) -> tuple[FloatArray, FloatArray]:
+def _apart(half: int, scans: int, dwell: int, exact: bool) -> tuple[FloatArray, FloatArray]:
     """Return rows over (open, switches) of one flow control, and what each may be at most.
 
     It opens from shut; of ``dwell`` edges in a row one may switch; an edge near the middle and
-    its mirror image count as two.
+    its mirror image count as two. With ``exact`` nothing switches where nothing changes.
     """
     step = np.eye(half) - np.eye(half, k=-1)
     marks = np.eye(half)
@@ -199,5 +208,10 @@ def _apart(half: int, scans: int, dwell: int) -> tuple[FloatArray, FloatArray]:
     forbidden = np.zeros((len(near), 2 * half))
     for row, edge in enumerate(near):
         forbidden[row, half + edge] = 1.0
+    rows += [windows, forbidden]
     most += [np.ones(half), np.zeros(len(near))]
-    return np.vstack((*rows, windows, forbidden)), np.concatenate(most)
+    if exact:
+        both = np.eye(half) + np.eye(half, k=-1)
+        rows += [np.hstack((-both, marks)), np.hstack((both, marks))]
+        most += [np.zeros(half), np.full(half, 2.0)]
+    return np.vstack(rows), np.concatenate(most)
