@@ -28,6 +28,7 @@ FEED_FORWARD = "40 ms"
 OPTIMAL_FEED_FORWARD = "10 ms"
 """Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
+"""Units of the feeds that are not speeds of the fastest axis."""
 OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
 """Keys of ``describe`` that have a meaning only for machines with axes."""
 LEAST_SHARE = 1e-3
@@ -110,8 +111,7 @@ class Options:
     limit_share
         Share of the machine's acceleration and jerk limits that the planner uses, in (0, 1].
     shaper
-        Text of the shaper, or of one per axis, that the trajectory is convolved with; None
-        leaves it as it was planned.
+        Text of the shaper, or of one per axis, that the trajectory is convolved with, or None.
     feed_forward_s
         Command the exact inverses of the axes, so that the loads and not the motors follow the
         motion, smoothed over this time; ``auto`` then keeps every programmed time exactly. None
@@ -213,13 +213,10 @@ def parse_feed(text: str) -> Feed:
         If it is not a positive feed of a known kind.
     """
     try:
-        _, unit = split_quantity(text)
-        if same_dimension(unit, "count/tick") if unit else False:
-            feed = Feed(FeedMode.COUNT_PER_TICK, parse_quantity(text, "count/tick"))
-        elif same_dimension(unit, "stitch/s") if unit else False:
-            feed = Feed(FeedMode.SHAFT, parse_quantity(text, "stitch/s"))
-        else:
-            feed = Feed(FeedMode.FASTEST_AXIS, parse_quantity(text, "m/s"))
+        _, written = split_quantity(text)
+        modes = (m for m, unit in FEED_UNITS.items() if written and same_dimension(written, unit))
+        mode = next(modes, FeedMode.FASTEST_AXIS)
+        feed = Feed(mode, parse_quantity(text, FEED_UNITS.get(mode, "m/s")))
     except UnitError as error:
         raise OptionError(
             f"feed {text!r}: {error.message}",

@@ -159,15 +159,15 @@ class ToldAnalysis:
 
     def verdict(self) -> str:
         """Return one sentence: there is no loop, the load rings, and the torque needed is this."""
-        slowest = f"{self.locked[0].frequency_hz:.4g} Hz" if self.locked else "nowhere"
+        rings = f"its load rings at {self.locked[0].frequency_hz:.4g} Hz" if self.locked else ""
         swing = (
             ""
             if self.resonance_hz is None
             else f"; about its step the motor swings at {self.resonance_hz:.4g} Hz"
         )
         return (
-            f"axis {self.axis} has no loop: drives.{self.drive} is told positions, and its load "
-            f"rings at {slowest}{swing}; at the axis' limits it is asked for "
+            f"axis {self.axis} has no loop: drives.{self.drive} is told positions, and "
+            f"{rings or 'nothing rings behind it'}{swing}; at the axis' limits it is asked for "
             f"{self.needed_n_m:.3g} of {self.torque_at_speed_n_m:.3g} N m"
         )
 

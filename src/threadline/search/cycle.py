@@ -166,8 +166,9 @@ def _check_one_by_one(job: Job) -> None:
             ]
             if len(moved) > 1:
                 raise OptionError(
-                    f"{operation.source.place}: {' and '.join(moved)} move at once, and the "
-                    "search takes one cylinder after the other",
+                    f"{' and '.join(moved)} move at once, and the search takes one cylinder after "
+                    "the other",
+                    place=operation.source.place,
                     remedy="Write them as two operations.",
                 )
             position = operation.target

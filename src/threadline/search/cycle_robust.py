@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import OptionError, PlanError
+from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import mode_off
@@ -289,8 +289,9 @@ class _Search:
         if bound is None or not found:
             lines = self._base.lines_of(self._job, {move.operation})
             raise PlanError(
-                f"{self._job.file}:{lines[move.operation]}: no command of the valves of "
-                f"{move.axis} rings at most {self._limit_m(index) * 1e3:g} mm all over the band",
+                f"no command of the valves of {move.axis} rings at most "
+                f"{self._limit_m(index) * 1e3:g} mm all over the band",
+                place=Place(self._job.file, lines[move.operation]),
                 remedy="Ask for a narrower band, or allow more ringing.",
             )
         return bound, found

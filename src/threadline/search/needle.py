@@ -17,7 +17,7 @@ from threadline.search.fastest import (
     Fastest,
     find_fastest,
 )
-from threadline.search.refused import beyond as _beyond
+from threadline.search.refused import beyond
 from threadline.verdict import Spec, Verdict
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
@@ -86,7 +86,7 @@ def fastest_needle(
         try:
             plan = plan_job(job, machine, options)
         except LimitError as error:
-            return _beyond(error, machine)
+            return beyond(error, machine)
         return try_plan(plan, spec, trials, actual).verdict
 
     return find_fastest(

@@ -193,8 +193,8 @@ class _Problem:
             for r in dict.fromkeys(requirements)
             if r.tolerance > 0.0
         ]
-        self._longest = 0.75 * sum(
-            (r.derivatives + 1 + 4.0 * r.relative) / (r.mode.frequency_hz * unit * 0.75)
+        self._longest = sum(
+            (r.derivatives + 1 + 4.0 * r.relative) / (r.mode.frequency_hz * unit)
             for r in requirements
         )
 

@@ -100,10 +100,6 @@ class PathWindow:
         last = np.searchsorted(self.operation, operation, side="right") - 1
         return np.clip(last, 1, max(len(self) - 1, 1)).astype(np.int64)
 
-    def position(self, index: int) -> tuple[float, ...]:
-        """Return a vertex in the units of the axes."""
-        return tuple((self.vertices[index] / self.radius_m).tolist())
-
     def remainder(self, point: FloatArray) -> Remainder | None:
         """Return what of the path lies after the window; reads it to its end, once.
 
