@@ -140,7 +140,7 @@ def test_what_a_part_program_cannot_say_is_refused(tmp_path: Path) -> None:
     """An output has no word; no file is left behind, whole or in part."""
     job = Job(name="made", file="made", sha256="", axes=("A", "X", "Y"), start=(0.0,) * 3,
               operations=Stream.of([SetOutput("valve", 1.0, Source("made", 4))]))  # fmt: skip
-    with pytest.raises(PlanError, match=r"made:4: a part program cannot say SetOutput 'valve'"):
+    with pytest.raises(PlanError, match=r"made:4: .* has no word for the output 'valve'"):
         write_part_program(job, MACHINE, tmp_path / "b.nc")
     assert list(tmp_path.iterdir()) == []
 

@@ -29,6 +29,7 @@ from threadline.machine import Machine
 from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import FIRMWARE
 from threadline.signals.files.common import Written, atomic_file, written
+from threadline.targets.nc_blocks import operation_words
 from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
 from threadline.trajectory import plan_trajectory
 from threadline.trajectory.types import Trajectory
@@ -297,9 +298,9 @@ class _Lines:
             yield "M3" if item.value else "M5"
         else:
             raise PlanError(
-                f"{self._target} has no word for {type(item).__name__}",
+                f"{self._target} has no word for {operation_words(item)}",
                 place=item.source.place,
-                remedy="Take it out of the job.",
+                remedy="Take it out of the job, or write csv or npz.",
             )
 
 

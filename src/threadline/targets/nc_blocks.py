@@ -12,7 +12,18 @@ import numpy as np
 from threadline.errors import PlanError
 from threadline.jobs.feed_times import feed_time_s
 from threadline.jobs.gcode.f_words import F_MODES
-from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Stop, ToolEvent
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    Operation,
+    SetOutput,
+    Stop,
+    ToolEvent,
+    WaitInput,
+)
 from threadline.machine import Machine
 from threadline.path import programmed_path
 from threadline.targets import nc_numbers as numbers
@@ -184,11 +195,25 @@ class _Words:
         if isinstance(operation, ToolEvent) and (operation.name, operation.value) == ("spindle", 0):
             return OutBlock(-1, f"M{blank}5", passes=passes)
         raise PlanError(
-            f"a part program cannot say {type(operation).__name__} {_name_of(operation)!r}",
+            f"a part program has no word for {operation_words(operation)}",
             place=operation.source.place,
-            remedy="Write another format.",
+            remedy="Take it out of the job, or write csv or npz.",
         )
 
 
-def _name_of(operation: Operation) -> str:
-    return str(getattr(operation, "name", ""))
+def operation_words(operation: Operation) -> str:
+    """Return how a message calls an operation that is not a move.
+
+    >>> from threadline.jobs.operations import Source
+    >>> operation_words(SetOutput("valve", 1.0, Source("winding.prg", 4)))
+    "the output 'valve'"
+    """
+    match operation:
+        case SetOutput(name=name):
+            return f"the output {name!r}"
+        case WaitInput(name=name):
+            return f"the wait for the input {name!r}"
+        case ToolEvent(name=name):
+            return f"the tool event {name!r}"
+        case _:
+            return f"a {type(operation).__name__.lower()}"
