@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from threadline.described import describe
 from threadline.errors import OptionError, PlanError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
+from threadline.kinds.needle_columns import NeedleColumns
 from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
 from threadline.machine.vary import derate, varied_numbers, vary
@@ -24,11 +26,14 @@ from threadline.plant.values import Values
 from threadline.shaping import parse_shaper
 from threadline.shaping.law_named import law_named
 from threadline.signals import ChannelKind, Commands, Recording, TickTable, tick_table
+from threadline.signals.files.common import Written
+from threadline.signals.files.table import write_table_csv
 from threadline.targets import followed_by_loads, followed_by_motors
-from threadline.targets.write import TICK_TARGETS
+from threadline.targets.write import TICK_TARGETS, Target, WrittenPlan
 from threadline.trajectory import check_budget, check_limits, plan_trajectory
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Spec
+from threadline.verdict.needle import has_stitches
 
 
 def check_loops(machine: Machine) -> None:
@@ -195,6 +200,14 @@ def _release(plan: Plan) -> None:
     check_limits(plan.motion.trajectory, plan.machine)
 
 
+def _write_csv(plan: WrittenPlan, path: Path) -> list[Written]:
+    """Write the rows; of a seam what the needle does beside them."""
+    table = tick_table(plan.commands)
+    sewn = isinstance(plan, Plan) and has_stitches(plan.job)
+    needle = NeedleColumns(plan, table.clock) if isinstance(plan, Plan) and sewn else None
+    return [write_table_csv(table, path, needle)]
+
+
 TICKS = Kind(
     name="ticks",
     commands=TickTable,
@@ -209,5 +222,5 @@ TICKS = Kind(
     asked=_asked,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
-    targets=TICK_TARGETS,
+    targets={**TICK_TARGETS, "csv": Target(write=_write_csv)},
 )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Protocol
 
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
@@ -39,6 +40,8 @@ from threadline.signals.stream import Stream
 READ_ROWS = 1 << 16
 MAX_AXES = 64
 TITLE = "tick-table 1"
+NEEDLE_COLUMNS = ("needle_down [s]", "needle_up", "trim")
+"""Of a seam: how long after its tick the needle goes down, whether it must be up, and trims."""
 END = "# end after ticks: "
 """Begins the last line of a text table: without it a file that was cut off could pass."""
 
@@ -245,10 +248,30 @@ def checked_counts(counts: IntArray, path: Path) -> IntArray:
     return counts
 
 
-def write_table_csv(table: TickTable, path: Path) -> Written:
-    """Write ``table`` as text: comment lines with its description, then one line per tick."""
-    columns = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
-    return write_text(table, path, TITLE, columns, _csv_rows)
+class Beside(Protocol):
+    """Makes the cells of ``NEEDLE_COLUMNS``."""
+
+    def cells(self, block: TickBlock) -> Sequence[str]:
+        """Return those of every row of the next block, joined by commas."""
+        ...
+
+
+def csv_columns(axes: Sequence[str], needle: bool) -> list[str]:
+    """Return the names of the columns of a table."""
+    counts = [f"{axis} [count]" for axis in axes]
+    return ["tick", *counts, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
+
+
+def write_table_csv(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+    """Write ``table`` as text: comment lines with its description, then one line per tick.
+
+    Parameters
+    ----------
+    needle
+        What the needle does while the rows are played, of a seam.
+    """
+    columns = csv_columns(table.axes, needle is not None)
+    return write_text(table, path, TITLE, columns, partial(_csv_rows, needle))
 
 
 def write_text(
@@ -278,15 +301,17 @@ def write_text(
     return written(path)
 
 
-def _csv_rows(block: TickBlock, axes: int) -> str:
+def _csv_rows(needle: Beside | None, block: TickBlock, axes: int) -> str:
     cells: dict[int, list[Event]] = {}
     for event in block.events:
         cells.setdefault(event.tick, []).append(event)
     lines = []
-    rows = zip(block.counts.tolist(), block.operation.tolist(), strict=True)
-    for tick, (counts, operation) in enumerate(rows, start=block.first_tick):
+    beside = [""] * len(block) if needle is None else [f"{c}," for c in needle.cells(block)]
+    rows = zip(block.counts.tolist(), block.operation.tolist(), beside, strict=True)
+    for tick, (counts, operation, more) in enumerate(rows, start=block.first_tick):
         cell = events_cell(cells.pop(tick)) if tick in cells else ""
-        lines.append(f"{tick},{','.join(map(str, counts))},{operation},{cell}\n")
+        lines.append(f"{tick},{','.join(map(str, counts))},{operation},{more}{cell}\n")
+    empty = "," * (axes + 2 + (0 if needle is None else len(NEEDLE_COLUMNS)))
     for tick, events in cells.items():  # after the last row: no counts, no operation
-        lines.append(f"{tick}{',' * (axes + 2)}{events_cell(events)}\n")
+        lines.append(f"{tick}{empty}{events_cell(events)}\n")
     return "".join(lines)

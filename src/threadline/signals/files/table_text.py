@@ -25,10 +25,12 @@ from threadline.signals.files.common import (
 from threadline.signals.files.events import parse_events_cell
 from threadline.signals.files.table import (
     END,
+    NEEDLE_COLUMNS,
     READ_ROWS,
     TITLE,
     checked_counts,
     checked_rows,
+    csv_columns,
     empty_block,
     table_from,
 )
@@ -92,13 +94,14 @@ def read_table_csv(path: Path) -> TickTable:
     """
     with clear_errors(path):
         meta, number, columns = read_head(path, TITLE)
-        table = table_from(meta, path, _blocks, number)
-        expected = ["tick", *(f"{axis} [count]" for axis in table.axes), "operation", "events"]
-        check_columns(columns, expected, Place(str(path), number))
+        needle = NEEDLE_COLUMNS[0] in columns.split(",")
+        table = table_from(meta, path, _blocks, number, len(NEEDLE_COLUMNS) if needle else 0)
+        check_columns(columns, csv_columns(table.axes, needle), Place(str(path), number))
         return checked_rows(table, meta, path)
 
 
-def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
+def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
+    """Yield the blocks; of the ``beside`` columns of the needle only their number is read."""
     path = known.path
     with reading(known):
         rows: list[list[int]] = []
@@ -110,13 +113,14 @@ def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
             if line.startswith(END):
                 check_end(line, first + len(rows), place)
                 continue
-            cells = line.split(",", axes + 2)
-            if len(cells) != axes + 3:
+            cells = line.split(",", axes + beside + 2)
+            if len(cells) != axes + beside + 3:
                 raise RecordingError(
-                    f"the line has {len(cells)} cells, expected {axes + 3}",
+                    f"the line has {len(cells)} cells, expected {axes + beside + 3}",
                     place=place,
                     remedy="The file may have been cut off.",
                 )
+            del cells[axes + 2 : -1]
             tick = whole_number(cells[0], place)
             if not any(cells[1:-1]):
                 if tick < first + len(rows):

@@ -1,0 +1,88 @@
+"""What a compiled seam says of its needle, against the seam's own numbers."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.jobs import read_job
+from threadline.machine import Machine
+from threadline.options import Options
+from threadline.pipeline import plan_job, write
+from threadline.signals import tick_table
+from threadline.signals.files import read_table
+
+SEAM = """
+[stitching]
+stitch_length = "2.5 mm"
+needle_speed = "20 stitch/s"
+acceleration = "4 m/s^2"
+settle = "0.2 s"
+travel_speed = "50 mm/s"
+trim = "0.3 s"
+
+[[contour]]
+unit = "mm"
+points = [[10, 0], [60, 0]]
+
+[[contour]]
+unit = "mm"
+points = [[60, 20], [10, 20]]
+"""
+TICK_S = 0.005  # of the winder that sews
+
+
+@pytest.fixture
+def rows(sewer: Machine, tmp_path: Path) -> tuple[list[dict[str, str]], int]:
+    seam = tmp_path / "two.seam.toml"
+    seam.write_text(SEAM, encoding="utf-8")
+    plan = plan_job(read_job(seam, sewer), sewer, Options(interpolation="linear"))
+    (written,) = write(plan, "csv", tmp_path / "two.csv")
+    lines = [x for x in (tmp_path / "two.csv").read_text().splitlines() if not x.startswith("#")]
+    assert read_table(tmp_path / "two.csv").rows_sha256() == tick_table(plan.commands).rows_sha256()
+    stitches = sum("stitch" in getattr(o, "tags", {}) for o in plan.job)
+    assert written.path == tmp_path / "two.csv"
+    return list(csv.DictReader(lines)), stitches
+
+
+def downs(rows: list[dict[str, str]]) -> np.ndarray:
+    return np.array(
+        [
+            int(row["tick"]) * TICK_S + float(cell)
+            for row in rows
+            for cell in row["needle_down [s]"].split()
+        ]
+    )
+
+
+def test_every_turn_of_the_needle_stands_in_its_tick(rows) -> None:
+    """20 a second, evenly but for the rounding of linear motion to ticks, in two contours."""
+    table, stitches = rows
+    found = downs(table)
+    apart = np.diff(found)
+    (gap,) = np.flatnonzero(apart > 0.5)
+    assert len(found) == stitches + 2
+    np.testing.assert_allclose(np.delete(apart, gap), 0.05, atol=TICK_S + 1e-9)
+
+
+def test_between_contours_the_needle_is_up_and_the_thread_trimmed_for_as_long_as_asked(
+    rows,
+) -> None:
+    table, _ = rows
+    found = downs(table)
+    gap = int(np.diff(found).argmax())
+    up = np.array([row["needle_up"] == "1" for row in table if row["needle_up"]])
+    middle_s = (np.arange(len(up)) + 0.5) * TICK_S
+    sewing = ((middle_s >= found[0]) & (middle_s <= found[gap])) | (
+        (middle_s >= found[gap + 1]) & (middle_s <= found[-1])
+    )
+    np.testing.assert_array_equal(up, ~sewing)
+    trim = np.array([row["trim"] == "1" for row in table if row["trim"]])
+    begins = np.flatnonzero(np.diff(trim.astype(int), prepend=0) == 1)
+    assert trim.sum() == 2 * round(0.3 / TICK_S)
+    assert up[trim].all()
+    # The first follows the last needle-down of its contour, within two ticks.
+    assert 0.0 <= begins[0] * TICK_S - found[gap] <= 2 * TICK_S
