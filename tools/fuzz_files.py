@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import random
+import struct
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -13,7 +14,9 @@ from functools import cache
 from itertools import islice
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
+import zstandard
 
 from threadline.signals import (
     Channel,
@@ -40,6 +43,8 @@ Mutate = Callable[[random.Random, bytes], bytes]
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]
 
 MAX_BLOCKS = 20
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")  # kind and length
 WORDS = """
 0 -1 1 -0 +1 1.5 1e3 1e400 nan inf -inf NaN 9999999999999999999 2147483648 4294967296 1_0 0x1 ,
 ; . [] {} [[]] # #: null true time tick X Xx X.load X.laod [mm] [kg] mm deg every ticks of 5 ms
@@ -109,9 +114,9 @@ def seeds() -> dict[str, bytes]:
         ):
             writer(_table(), path)
             made[name] = path.read_bytes()
-        for name, ending in (("recording-csv", ".csv"), ("recording-npz", ".npz")):
-            write_recording(_recording(), path.with_suffix(ending))
-            made[name] = path.with_suffix(ending).read_bytes()
+        for ending in ("csv", "npz", "mcap"):
+            write_recording(_recording(), path.with_suffix(f".{ending}"))
+            made[f"recording-{ending}"] = path.with_suffix(f".{ending}").read_bytes()
         write_plt(_recording(), path)
         made["plt"] = path.read_bytes()
     made["trace"] = TRACE.encode()
@@ -133,6 +138,7 @@ def fuzz_targets(mutate: Mutate) -> dict[str, Target]:
         "array": ("a.ticks", text("array"), _read_table, 4),
         "recording-csv": ("a.csv", text("recording-csv"), _read_recording, 4),
         "recording-npz": ("a.npz", archive("recording-npz"), _read_recording, 4),
+        "recording-mcap": ("a.mcap", lambda rng: _odd_mcap(rng, mutate), _read_recording, 4),
         "plt": ("a.plt", text("plt"), _read_recording, 4),
         "trace": ("a.csv", text("trace"), _read_recording, 8),
     }
@@ -203,6 +209,64 @@ def _odd_archive(rng: random.Random, data: bytes, mutate: Mutate) -> bytes:
         for name, content in members.items():
             archive.writestr(name, content)
     return out.getvalue()
+
+
+def _odd_mcap(rng: random.Random, mutate: Mutate) -> bytes:
+    """Records changed, lost, swapped, packed into chunks that lie; or bytes anywhere."""
+    data = seeds()["recording-mcap"]
+    if rng.randrange(4) == 0:
+        return mutate(rng, data)
+    records, at = [], len(_MAGIC)
+    while at < len(data) - len(_MAGIC):
+        kind, length = _RECORD.unpack_from(data, at)
+        records.append((kind, data[at + _RECORD.size : at + _RECORD.size + length]))
+        at += _RECORD.size + length
+    at = rng.randrange(len(records))
+    kind, content = records[at]
+    change = rng.randrange(6)
+    if change == 0:
+        records[at] = (kind, mutate(rng, content))
+    elif change == 1:
+        del records[at]
+    elif change == 2:
+        records.insert(rng.randrange(len(records)), records[at])
+    elif change == 3:
+        records = [(k, _other_text(rng, c)) for k, c in records]
+    elif change == 4:
+        records[at] = (rng.choice((kind, rng.randrange(256))), content[: rng.randrange(40)])
+    else:
+        ends = sorted(rng.sample(range(len(records)), 2))
+        records[slice(*ends)] = [(6, _chunk(rng, records[slice(*ends)]))]
+    return _MAGIC + b"".join(_RECORD.pack(k, len(c)) + c for k, c in records) + _MAGIC
+
+
+def _other_text(rng: random.Random, content: bytes) -> bytes:
+    """Change a value of the description that is in a schema or at the head of a block."""
+    begin, end = content.find(b"{"), content.rfind(b"}") + 1
+    try:
+        told = json.loads(content[begin:end])
+    except ValueError:
+        return content
+    _change(rng, told)
+    text = json.dumps(told).encode()
+    before = content[: max(begin - 4, 0)] + struct.pack("<I", len(text))
+    return before + text + content[end:]
+
+
+def _chunk(rng: random.Random, records: list[tuple[int, bytes]]) -> bytes:
+    """Pack records as a tool does, whole or with another size, or by a way that is none."""
+    inside = b"".join(_RECORD.pack(k, len(c)) + c for k, c in records)
+    if rng.random() < 0.1:
+        inside += bytes(1 << 22)  # zeros pack well
+    way = rng.choice(("", "lz4", "zstd", "zip"))
+    pack = {"lz4": lz4.frame.compress, "zstd": zstandard.compress}
+    packed = pack[way](inside) if way in pack else inside
+    if rng.random() < 0.2:
+        packed = packed[: rng.randrange(len(packed) + 1)]
+    size = rng.choice((len(inside), len(inside), 0, 1, 1 << 40, (1 << 64) - 1))
+    name = way.encode()
+    head = struct.pack("<QQQII", 0, 0, size, 0, len(name)) + name
+    return head + struct.pack("<Q", len(packed)) + packed
 
 
 def _change(rng: random.Random, node: object) -> None:

@@ -209,3 +209,13 @@ def test_sweep_finds_what_brute_force_finds(seed: int) -> None:
     here = a[first] + at_first[:, None] * (b[first] - a[first])
     there = a[second] + at_second[:, None] * (b[second] - a[second])
     assert np.abs(here - there).max(initial=0.0) < 1e-9
+
+
+def test_a_chord_of_no_length_is_met_by_none() -> None:
+    """Of a curve that turns back on itself, with an odd number of chords: it divided by nothing."""
+    points = np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 1.0], [2.0, 1.0], [1.0, 0.5], [0.0, 0.0]])
+    first, second, *_, complete = crossings(points[:-1], points[1:], False)
+    assert complete
+    pairs = set(zip(first.tolist(), second.tolist(), strict=True))
+    assert (0, 3) in pairs and (1, 4) in pairs  # out and back lie on each other
+    assert not {(0, 2), (2, 4)} & pairs

@@ -77,7 +77,9 @@ def run(*arguments: str) -> None:
         main(list(arguments))
 
 
-@pytest.mark.parametrize("text", ["A", "X=4 mm", "Q=4 mm", "A=4", "A=4 deg", "A=-1 mm", "A=0 mm"])
+@pytest.mark.parametrize(
+    "text", ["A", "X=4 mm", "Q=4 mm", "A=4", "A=4 deg", "A=-1 mm", "A=0 mm", "A=4 mm, A=5 mm"]
+)
 def test_a_radius_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(OptionError, match="--radius"):
         with_radii(with_eye(tmp_path), text)

@@ -15,6 +15,9 @@ from threadline.laws import (
     trapezoid,
     trapezoidal_acceleration,
 )
+from threadline.shaping.designs import ShaperKind, design
+from threadline.shaping.shaped_law import shaped_law
+from threadline.shaping.types import FlexibleMode
 
 # Published table, exact: Cv, Ca, Cj; None is infinite.
 PI = np.pi
@@ -223,6 +226,11 @@ def test_a_law_that_goes_back_has_no_inverse():
         ("modified-constant-velocity:1", "must be in"),
         ("jerk-limited:1,2", "seven shares"),
         ("jerk-limited:0,1,1,1,1,1,1", "need some time"),
+        ("trapezoid:1e-300", "takes 1e-300 of the time, the least is 1e-07"),
+        ("trapezoidal-acceleration:5e-324", "too small or too far apart"),
+        ("jerk-limited:1,1e-9,1,1,1,1,1", "of the time, the least is"),
+        ("jerk-limited:1e-320,1,1e8,1,1,1,1", "too small or too far apart"),
+        ("modified-constant-velocity:0.9999999999999999", "of the time, the least is"),
         ("cubic:3", "unknown motion law"),
         ("spline:3", "unknown motion law"),
     ],
@@ -230,3 +238,15 @@ def test_a_law_that_goes_back_has_no_inverse():
 def test_wrong_numbers_of_a_family_are_refused(name, said):
     with pytest.raises(OptionError, match=said):
         law(name)
+
+
+def test_ends_of_stretches_are_no_closer_than_they_can_be_told_apart():
+    """A shaper of 42 ms in a window of 1e300 ms is one impulse."""
+    plain = law("modified-sine")
+    shaper = design(ShaperKind.ZV, FlexibleMode(12.0, 0.02))
+    for window_s in (0.16, 1e3, 1e9, 1e297):
+        made = shaped_law(plain, shaper, window_s)
+        assert np.diff(made.edges).min() > 1e-9
+        assert made.edges[0] == 0.0 and made.edges[-1] == 1.0
+    t = np.linspace(0.0, 1.0, 101)
+    assert made(t) == pytest.approx(plain(t), abs=1e-12)

@@ -231,6 +231,7 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
         (("x-180.prg", "-m", "letter-placer"), "letter-placer cannot be run yet"),
         (("x-180.prg", "-m", "lathe-winder", "--link", "hal"), "unknown link 'hal'"),
         (("x-180.prg", "-m", "lathe-winder", "--speed", "-1"), "speed"),
+        (("x-180.prg", "-m", "lathe-winder", "--speed", "1e-300"), "slower than the link can wait"),
         (("x-180.prg", "-m", "lathe-winder", "--proof", "none.json"), "none.json"),
         (("x-180.prg", "-m", "lathe-winder", "--override", ""), "gives no reason"),
     ],

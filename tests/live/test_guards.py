@@ -143,6 +143,8 @@ def test_the_lag_is_the_models() -> None:
         ("lost-link:X@1 s", "is of no axis"),
         ("lost-link", "is no fault"),
         ("lost-link@soon", "soon"),
+        ("lost-link@-1 s", "'-1 s' is no time of a run"),
+        ("stuck-encoder:X@1e300 s", "'1e300 s' is no time of a run"),
     ],
 )
 def test_a_fault_that_there_is_not_is_refused(text: str, said: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -243,11 +244,19 @@ def test_a_yield_that_was_broken_off_goes_on_to_the_same_bits(
     assert content.startswith(file.read_bytes()) and file.read_bytes().count(b"\n") == 3
 
 
+def summed(body: bytes) -> bytes:
+    """Return a line whose check sum is right, whatever it says."""
+    return b"%08x %s\n" % (zlib.crc32(body), body)
+
+
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
         (lambda text: b"not a state\n", RecordingError, "state:1: the state of a yield"),
         (lambda text: text.replace(b'"runs":5', b'"runs":4'), RecordingError, "state:2:"),
+        (lambda text: text + summed(b"[1, 2]"), RecordingError, "state:3: the state of a"),
+        (lambda text: text + summed(b"{"), RecordingError, "state:3: '{' is not JSON"),
+        (lambda text: text + summed(b"\xff"), RecordingError, "state:3:"),
         (lambda text: text + text.splitlines(True)[1], RecordingError, "state:3: the state of a"),
         (lambda text: text, OptionError, "was begun with another seed"),
     ],

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import struct
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -118,3 +122,58 @@ def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"other\.mcap"):
         read_recording(path)
+
+
+def packed(recording: Recording, compression: str, size: int, more: bytes = b"") -> bytes:
+    """Return the file with all that follows its head in one chunk, which says it has ``size``."""
+    content, _ = whole_file(recording)
+    at = 8 + 9 + int.from_bytes(content[9:17], "little")  # behind magic and header
+    end = content.index(b"\x0f" + (4).to_bytes(8, "little"), at)
+    inside = content[at:end] + more
+    pack = {"lz4": lz4.frame.compress, "zstd": zstandard.compress, "": bytes}[compression]
+    data = pack(inside)
+    name = compression.encode()
+    size = size if size >= 0 else len(inside)
+    body = struct.pack("<QQQII", 0, 0, size, 0, len(name)) + name
+    body += struct.pack("<Q", len(data)) + data
+    return content[:at] + b"\x06" + struct.pack("<Q", len(body)) + body + content[end:]
+
+
+@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
+def test_what_another_tool_has_packed_is_read(
+    recording: Recording, tmp_path: Path, compression: str
+) -> None:
+    path = tmp_path / "packed.mcap"
+    path.write_bytes(packed(recording, compression, -1))
+    found = read_recording(path)
+    assert np.array_equal(found.samples("X.load")[1], recording.samples("X.load")[1])
+    assert found.outcome().ended is Ended.COMPLETED
+
+
+@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
+@pytest.mark.parametrize("size", [0, 1000, 1 << 27, 1 << 40, (1 << 64) - 1])
+def test_a_chunk_that_lies_is_refused_before_it_is_unpacked(
+    recording: Recording, tmp_path: Path, compression: str, size: int
+) -> None:
+    """A gigabyte of zeros is 4 MB packed; room is made for what the chunk says, if for so much."""
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(packed(recording, compression, size, bytes(1 << 24)))
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match=r"bomb\.mcap.*(promises|says that it holds)"):
+        read_recording(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < (5 << 24) + (size if size < 1 << 28 else 0)
+
+
+def test_records_that_are_cut_short_inside_are_refused(
+    recording: Recording, tmp_path: Path
+) -> None:
+    """Whole by their lengths, and yet without the fields that they should have."""
+    content = whole_file(recording)[0]
+    head = 8 + 9 + int.from_bytes(content[9:17], "little")
+    for kind in (b"\x03", b"\x05", b"\x06"):
+        path = tmp_path / "short.mcap"
+        path.write_bytes(content[:head] + kind + struct.pack("<Q", 1) + b"\x00" + content[head:])
+        with pytest.raises(RecordingError, match=r"short\.mcap: a record is damaged"):
+            read_recording(path)

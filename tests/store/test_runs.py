@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
 import socket
+import sqlite3
+from contextlib import closing
 from pathlib import Path
+from typing import IO, cast
 
 import numpy as np
 import pytest
@@ -23,7 +27,7 @@ from threadline.pipeline import Proof, open_job, plan_job, prove_plan
 from threadline.proof_file import ProofFile, read_proof, verify_proof, write_proof
 from threadline.signals import Ended
 from threadline.signals.files import read_recording
-from threadline.store.index import RUNNING
+from threadline.store.index import RUNNING, RunRecord
 from threadline.store.run_store import OpenRun, RunStore
 from threadline.verdict import load_spec
 
@@ -47,15 +51,15 @@ def known(proof: Proof, tmp_path: Path) -> ProofFile:
 def execute(run: OpenRun, end: socket.socket, speed: float, kill_at: int = 0) -> Executor:
     desk = Desk()
     executor = Executor(Connection(end), winder(), desk, run, speed=speed)
-    executor.connect()
-    executor.enable()
-    executor.home()
-    executor.start(table_of_counts(ROWS))
-    while not executor.over:
-        executor.step()
-        if kill_at and executor.tick >= kill_at:
-            os.kill(os.getpid(), signal.SIGKILL)
-    desk.close()
+    with closing(desk):
+        executor.connect()
+        executor.enable()
+        executor.home()
+        executor.start(table_of_counts(ROWS))
+        while not executor.over:
+            executor.step()
+            if kill_at and executor.tick >= kill_at:
+                os.kill(os.getpid(), signal.SIGKILL)
     return executor
 
 
@@ -164,3 +168,85 @@ def test_a_store_that_cannot_be_used_is_one_line(tmp_path: Path) -> None:
     (folder / "index.sqlite").write_bytes(b"no database at all, but long enough to be read" * 40)
     with pytest.raises(StoreError, match="cannot be used"):
         RunStore(folder)
+
+
+RECORD = RunRecord(
+    run="20261122-120000-a", started="2026-11-22T12:00:00+00:00", job="a.prg", machine="m",
+    link="sim", speed=0.0, level="nominal", proof_passed=True, job_sha256="", machine_sha256="",
+    commands_sha256="", proof_sha256="", threadline="0",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["a?b", "a%20b", "a#b", "a@b", "a;b", "mode=memory?x", ":memory:"])
+def test_the_index_lies_in_the_folder_whatever_that_is_called(name: str, tmp_path: Path) -> None:
+    """As a URL, "a?b/index.sqlite" was the file "a": all stores called so shared one index."""
+    store = RunStore(tmp_path / name)
+    store.index.add(RECORD)
+    store.index.close()
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert [path.name for path in (tmp_path / name).iterdir()] == ["index.sqlite"]
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("run", b"\x00\xff"),
+        ("run", "../../etc"),
+        ("run", ".."),
+        ("run", "a\x00b"),
+        ("text", b"\x00\xff"),
+        ("speed", float("inf")),
+        ("speed", "fast"),
+        ("late_ticks", "many"),
+        ("late_ticks", 1.5),
+    ],
+)
+def test_an_index_that_holds_something_else_is_one_line(
+    column: str, value: object, tmp_path: Path
+) -> None:
+    """SQLite takes any value in any column; a name that is a path leads out of the store."""
+    store = RunStore(tmp_path)
+    store.index.add(RECORD)
+    with closing(sqlite3.connect(tmp_path / "index.sqlite")) as index, index:
+        index.execute(f"update runs set {column} = ?", (value,))
+    for ask in (store.index.runs, lambda: store.find("last")):
+        with pytest.raises(StoreError, match=f"damaged: {column} of a run is") as caught:
+            ask()
+        assert "\n" not in str(caught.value)
+    store.index.close()
+
+
+def test_a_full_disk_ends_the_run_and_names_it(
+    proof: Proof, known: ProofFile, tmp_path: Path
+) -> None:
+    """The disk is full at the third block: the machine is left to its own braking."""
+
+    class Full:
+        def __init__(self, file: IO[bytes], room: int) -> None:
+            self._file, self._room = file, room
+
+        def write(self, data: bytes) -> int:
+            self._room -= len(data)
+            if self._room < 0:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return self._file.write(data)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._file, name)
+
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim"}, 0.0)
+    run._trace = cast("IO[bytes]", Full(run._trace, 20_000))
+    ours, theirs = socket.socketpair()
+    pid = machine(theirs, ours, 0.0)
+    theirs.close()
+    with pytest.raises(OSError, match="No space left") as caught, run:
+        execute(run, ours, 0.0)
+    ours.close()
+    assert os.waitpid(pid, 0)[1] == 0  # it has come to rest, and ended by itself
+    assert caught.value.filename == str(run.path)
+    (record,) = store.index.runs()
+    assert (record.ended, record.passed) == ("fault", None)
+    assert record.text == "the trace could not be written: No space left on device"
+    assert read_recording(run.trace).outcome().ended is Ended.FAULT
+    store.index.close()

@@ -50,7 +50,7 @@ from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
 from threadline.live.hold_deviation import hold_deviation_m, hold_limit_m
 from threadline.live.sim_faults import parse_fault
-from threadline.live.sim_process import REAL_TIME, sim_link
+from threadline.live.sim_process import LEAST_SPEED, REAL_TIME, sim_link
 from threadline.live.supervised import (
     check_halts,
     check_machine_runs,
@@ -139,6 +139,11 @@ def run(
     """
     if link not in LINKS:
         raise OptionError(f"unknown link {link[:40]!r}", remedy=f"Use {' or '.join(LINKS)}.")
+    if 0.0 < speed < LEAST_SPEED:
+        raise OptionError(
+            f"--speed {speed:g} is slower than the link can wait",
+            remedy=f"Give {LEAST_SPEED:g} or more, or 0 for as fast as it can.",
+        )
     check_override(override)
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)

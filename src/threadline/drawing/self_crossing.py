@@ -115,8 +115,9 @@ def _sweep(a, b, order, closed, max_found, max_pairs):  # type: ignore[no-untype
                     seconds.append(q)
                     at_firsts.append(s)
                     at_seconds.append(t)
-            elif abs(dx * ry - dy * rx) <= 1e-12 * (rx * rx + ry * ry + 1e-300):
-                # On one line: they overlap when an end of q lies within p.
+            elif abs(dx * ry - dy * rx) <= 1e-12 * (rx * rx + ry * ry) > 0.0:
+                # On one line: they overlap when an end of q lies within p. A p of no length, of a
+                # curve that turns back on itself, is left to its neighbours, which end there.
                 length = rx * rx + ry * ry
                 s0 = (dx * rx + dy * ry) / length
                 s1 = s0 + (sx * rx + sy * ry) / length

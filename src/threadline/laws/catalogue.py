@@ -6,10 +6,12 @@ from collections.abc import Callable
 from math import comb, pi, sqrt
 from pathlib import Path
 
+import numpy as np
+
 from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.laws.forms import Harmonics, Phase, Phases, Rest, chained
-from threadline.laws.law import Law
+from threadline.laws.law import Law, check_stretches
 from threadline.laws.law_table import read_law
 
 MOST_HARMONICS = 63
@@ -39,13 +41,19 @@ def law(name: str) -> Law:
         )
     try:
         numbers = [float(word) for word in text.split(",")]
-        return FAMILIES[kind](*numbers)
-    except (TypeError, ValueError) as error:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            made = FAMILIES[kind](*numbers)
+    except (TypeError, ValueError, ArithmeticError) as error:
         # A wrong count of numbers is a TypeError in the words of Python, which say nothing here.
         why = str(error) if isinstance(error, ValueError) else f"it takes {TAKES[kind]}"
+        if isinstance(error, ArithmeticError):
+            why = "its numbers are too small or too far apart"
         raise OptionError(
             f"motion law {name!r}: {why}", remedy=f"Write it like {EXAMPLES[kind]!r}."
         ) from None
+    for form in (made.form, made.closing):
+        check_stretches(name, () if form is None else form.breaks)
+    return made
 
 
 def trapezoid(ramp: float = 1.0 / 3.0) -> Law:

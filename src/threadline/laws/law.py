@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.errors import OptionError
 from threadline.laws.extremes import extremes, refuse_descent, steps
 from threadline.laws.forms import Form
 from threadline.laws.inverse_law import invert
 
+LEAST_STRETCH = 1e-7
+"""Of the time of a move: what is shorter is a step, whose derivatives are rounding."""
+_SAME = 1e-9  # of the time: ends as close are one, two ways to the same place or a shaper's
 LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
 
 
@@ -104,7 +110,11 @@ class Law:
         closing = self.form if self.closing is None else self.closing
         first = [b for b in self.form.breaks if 0.0 < b < self.meets]
         last = [1.0 - b for b in closing.breaks if 0.0 < b < 1.0 - self.meets]
-        return np.array(sorted({0.0, 1.0, self.meets, *first, *last}))
+        ends = [0.0]
+        for end in sorted((self.meets, *first, *last)):
+            if min(end - ends[-1], 1.0 - end) > _SAME:
+                ends.append(end)
+        return np.array([*ends, 1.0])
 
     @property
     def efficiency(self) -> float:
@@ -147,3 +157,25 @@ def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatAr
     half = 0.5 * np.diff(np.append(begins, edges[-1]))
     t: FloatArray = ((begins + half)[:, None] + half[:, None] * nodes).ravel()
     return t, (half[:, None] * weights).ravel()
+
+
+def check_stretches(name: str, ends: Iterable[float]) -> None:
+    """Refuse a law of which a stretch takes next to nothing of the time.
+
+    Parameters
+    ----------
+    ends
+        Where its stretches end, from the beginning of the move or before its end.
+
+    Raises
+    ------
+    OptionError
+        If one is shorter than ``LEAST_STRETCH``.
+    """
+    shortest = min((end - begin for begin, end in pairwise((0.0, *ends)) if end > begin), default=1)
+    if shortest < LEAST_STRETCH:
+        raise OptionError(
+            f"motion law {name!r}: a stretch of it takes {shortest:.3g} of the time, the least is "
+            f"{LEAST_STRETCH:g}",
+            remedy="Give its stretches lengths that are closer to each other.",
+        )

@@ -12,7 +12,7 @@ from threadline.errors import OptionError, Place
 from threadline.input_files import read_text
 from threadline.laws.extremes import refuse_descent
 from threadline.laws.forms import Pieces
-from threadline.laws.law import Law, measured_law
+from threadline.laws.law import Law, check_stretches, measured_law
 from threadline.writing import staged_file
 
 ROWS = 1001
@@ -67,6 +67,7 @@ def read_law(file: Path) -> Law:
     if not rise > 0.0:
         raise OptionError(f"motion law: its rise is {rise:g}, it must be positive", place=where)
     u, s = (t - t[0]) / span, (s - s[0]) / rise
+    check_stretches(file.name, u)
     v, a = table.get("v"), table.get("a")
     if v is not None and a is not None:
         v, a = v * span / rise, a * span**2 / rise

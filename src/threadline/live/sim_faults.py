@@ -18,6 +18,7 @@ OF_AXES = ("stuck-encoder", "encoder-jump", "unheeded-reversal")
 OF_ALL = ("late-ticks", "one-late-tick", "lost-link", "power-loss")
 KINDS = (*OF_AXES, "switch-hit", *OF_ALL)
 _JUMP_COUNTS = 20_000.0
+_LATEST_S = 1e9
 _FORM = re.compile(r"([a-z-]+)(?::([A-Za-z_0-9]+))?@(.+)")
 
 
@@ -112,5 +113,9 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
     if not known and (where or kind == "switch-hit"):
         raise OptionError(f"--inject {kind} is of no axis", remedy=f'Write "{kind}@1.2 s".')
     time_s = parse_number("--inject", when.strip(), "s", "1.2 s")
-    ticks = max(time_s, 0.0) / float(machine.tick_clock.period_s)
-    return SimFault(kind, round(ticks), where or "")
+    if not 0.0 <= time_s <= _LATEST_S:
+        raise OptionError(
+            f"--inject {kind}: {when.strip()[:40]!r} is no time of a run",
+            remedy=f"Give one from 0 s to {_LATEST_S:g} s.",
+        )
+    return SimFault(kind, round(time_s / float(machine.tick_clock.period_s)), where or "")

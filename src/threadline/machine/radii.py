@@ -39,6 +39,10 @@ def with_radii(machine: Machine, text: str | None) -> Machine:
                 f"--radius {part.strip()[:40]!r}: {error.message}",
                 remedy='Write it like "A=40 mm".',
             ) from error
+        if axes[name] is not axis:
+            raise OptionError(
+                f"--radius {text[:80]!r} gives {name} two radii", remedy="Give each axis one."
+            )
         if radius.si <= 0.0:
             raise OptionError(f"--radius {part.strip()[:40]!r} must be greater than 0")
         axes[name] = replace(axis, radius=radius)

@@ -20,6 +20,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from threadline.errors import OptionError, Place, RecordingError
+from threadline.input_files import naming
+from threadline.signals.files.common import parse_json
 from threadline.verdict import CriterionRow, EachRun
 from threadline.writing import check_output, is_stdout
 
@@ -79,7 +81,7 @@ class YieldState:
 
     def _append(self, content: Mapping[str, Any]) -> None:
         text = json.dumps(content, ensure_ascii=True, separators=(",", ":")).encode()
-        with self._path.open("ab") as file:
+        with naming(self._path, self._path), self._path.open("ab") as file:
             file.write(b"%08x %s\n" % (zlib.crc32(text), text))
 
     def _read(self, identity: Mapping[str, str]) -> None:
@@ -108,8 +110,9 @@ class YieldState:
         told, _, body = text.rstrip(b"\n").partition(b" ")
         if told != b"%08x" % zlib.crc32(body):
             self._refuse("it is not the state of a yield, or it was changed", line)
-        content = json.loads(body)
-        assert isinstance(content, dict)
+        content = parse_json(body.decode(errors="replace"), Place(str(self._path), line))
+        if not isinstance(content, dict):
+            self._refuse("it was changed", line)
         return content
 
     def _check_identity(self, told: Any, identity: Mapping[str, str]) -> None:

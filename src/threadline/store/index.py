@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table, create_engine
-from sqlalchemy.engine import Engine
+from sqlalchemy.engine import URL, Engine, RowMapping
 from sqlalchemy.exc import SQLAlchemyError
 
 from threadline.errors import StoreError
@@ -61,6 +64,7 @@ class RunRecord:
     late_ticks: int = 0
 
 
+_NAME = re.compile(r"[A-Za-z0-9._-]{1,200}")
 _TYPES = {"speed": Float, "proof_passed": Boolean, "passed": Boolean, "late_ticks": Integer}
 _RUNS = Table(
     "runs",
@@ -80,8 +84,8 @@ class RunIndex:
 
     Parameters
     ----------
-    url
-        URL of a database in SQLAlchemy's form.
+    where
+        A file of SQLite, or the URL of a database in SQLAlchemy's form.
 
     Raises
     ------
@@ -89,20 +93,22 @@ class RunIndex:
         If the database cannot be used; every method raises it, too.
     """
 
-    def __init__(self, url: str) -> None:
-        with _clear(url):
+    def __init__(self, where: Path | str) -> None:
+        self._told = str(where).rpartition("@")[2] if isinstance(where, str) else str(where)
+        with self._clear():
+            # As text a path would be read as a URL: what follows its first "?" is no name there.
+            url = URL.create("sqlite", database=str(where)) if isinstance(where, Path) else where
             self._engine: Engine = create_engine(url)
             _RUNS.metadata.create_all(self._engine)
-        self._url = url
 
     def add(self, record: RunRecord) -> None:
         """Add a run."""
-        with _clear(self._url), self._engine.begin() as connection:
+        with self._clear(), self._engine.begin() as connection:
             connection.execute(_RUNS.insert().values(**_values(record)))
 
     def end(self, run: str, *, ended: str, text: str, late_ticks: int, passed: bool | None) -> None:
         """Write into its row how a run ended."""
-        with _clear(self._url), self._engine.begin() as connection:
+        with self._clear(), self._engine.begin() as connection:
             connection.execute(
                 _RUNS.update()
                 .where(_RUNS.c.run == run)
@@ -111,27 +117,52 @@ class RunIndex:
 
     def runs(self) -> Sequence[RunRecord]:
         """Return every run, the latest first."""
-        with _clear(self._url), self._engine.connect() as connection:
+        with self._clear(), self._engine.connect() as connection:
             rows = connection.execute(_RUNS.select().order_by(_RUNS.c.run.desc()))
-            return [RunRecord(**row) for row in rows.mappings()]
+            return [self._record(row) for row in rows.mappings()]
 
     def close(self) -> None:
         """Close all connections to the database."""
         self._engine.dispose()
 
+    def _record(self, row: RowMapping) -> RunRecord:
+        """Return a run as its row says; SQLite holds anything in a column of any type."""
+        wrong = [name for name, value in row.items() if not _fits(str(name), value)]
+        if wrong:
+            raise StoreError(
+                f"the index of runs {self._told!r} is damaged: {wrong[0]} of a run is "
+                f"{str(row[wrong[0]])[:40]!r}",
+                remedy="Give another folder with --store, or mend the file.",
+            )
+        return RunRecord(**row)
+
+    @contextmanager
+    def _clear(self) -> Iterator[None]:
+        """Turn what a database refuses into one line."""
+        try:
+            yield
+        except (SQLAlchemyError, ImportError, ValueError) as error:
+            if isinstance(error, StoreError):
+                raise
+            why = str(getattr(error, "orig", None) or error).splitlines()[0][:160]
+            raise StoreError(
+                f"the index of runs {self._told!r} cannot be used: {why}",
+                remedy="Give another folder with --store, or mend the file.",
+            ) from error
+
+
+def _fits(name: str, value: object) -> bool:
+    """Say whether a column holds what ``RunRecord`` has there."""
+    if name == "run":  # the name of a folder in that of the store, and never a way out of it
+        return isinstance(value, str) and bool(_NAME.fullmatch(value)) and value.strip(".") != ""
+    if name == "passed":
+        return value is None or isinstance(value, bool)
+    if name == "speed":
+        return isinstance(value, float) and math.isfinite(value)
+    if name in {"proof_passed", "late_ticks"}:
+        return isinstance(value, int)
+    return isinstance(value, str)
+
 
 def _values(record: RunRecord) -> dict[str, object]:
     return {f.name: getattr(record, f.name) for f in fields(RunRecord)}
-
-
-@contextmanager
-def _clear(url: str) -> Iterator[None]:
-    """Turn an error of the database into a ``StoreError`` of one line."""
-    try:
-        yield
-    except (SQLAlchemyError, ImportError) as error:
-        why = str(getattr(error, "orig", None) or error).splitlines()[0][:160]
-        raise StoreError(
-            f"the index of runs {url.rpartition('@')[2]!r} cannot be used: {why}",
-            remedy="Give another folder with --store, or mend the file.",
-        ) from error

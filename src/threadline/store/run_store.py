@@ -19,6 +19,7 @@ from typing import IO, Any, Self
 from threadline import __version__
 from threadline.errors import StoreError, ThreadlineError
 from threadline.foreign_messages import nearest
+from threadline.input_files import naming
 from threadline.plan import Plan
 from threadline.proof_file import ProofFile, copy_proof
 from threadline.signals import Channel, Recording, RecordingBlock, Stream
@@ -56,7 +57,7 @@ class RunStore:
                 f"cannot keep runs in {str(folder)!r}: {error.strerror or error}",
                 remedy="Give another folder with --store.",
             ) from error
-        self.index = RunIndex(url or f"sqlite:///{folder / INDEX}")
+        self.index = RunIndex(url or folder / INDEX)
 
     def begin(
         self,
@@ -169,18 +170,21 @@ class OpenRun:
             simulated=simulated,
             origin={**plan.options, **self._told},
         )
-        self._writer = TraceWriter(self._trace, described)
+        with naming(self.path, self.path):
+            self._writer = TraceWriter(self._trace, described)
 
     def block(self, block: RecordingBlock) -> None:
         """Write a block of samples and its events."""
         assert self._writer is not None
-        self._writer.write(block)
+        with naming(self.path, self.path):
+            self._writer.write(block)
 
     def state(self, tick: int, state: str, cause: str, text: str) -> None:
         """Write that the executor changed its state at a tick, with cause and text."""
         line = {"tick": tick, "state": str(state), "cause": str(cause), "text": text}
-        self._events.write(json.dumps(line, ensure_ascii=False) + "\n")
-        self._events.flush()
+        with naming(self.path, self.path):
+            self._events.write(json.dumps(line, ensure_ascii=False) + "\n")
+            self._events.flush()
 
     def __enter__(self) -> Self:
         return self
@@ -189,12 +193,18 @@ class OpenRun:
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: object
     ) -> None:
         """Close the files; if an error ended the run, write that into the index."""
-        if error is None and self._writer is not None:
-            self._writer.finish()
-        self._trace.close()
-        self._events.close()
+        with naming(self.path, self.path):
+            if error is None and self._writer is not None:
+                self._writer.finish()
+            for file in (self._trace, self._events):
+                with suppress(OSError if error is not None else ()):  # the first of them is told
+                    file.close()
         if error is not None:
-            text = error.message if isinstance(error, ThreadlineError) else "the program was ended"
+            text = "the program was ended"
+            if isinstance(error, ThreadlineError):
+                text = error.message
+            elif isinstance(error, OSError):
+                text = f"the trace could not be written: {error.strerror or error}"
             self._index.end(self.path.name, ended="fault", text=text, late_ticks=0, passed=None)
 
     def judged(self, content: Mapping[str, Any], ended: str, text: str) -> None:

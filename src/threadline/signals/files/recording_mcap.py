@@ -10,12 +10,16 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
+import lz4.frame
 import numpy as np
+import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
@@ -83,6 +87,11 @@ class TraceWriter:
         }
         text = json.dumps(head, ensure_ascii=False, allow_nan=False).encode()
         data = _LENGTH.pack(len(text)) + text + b"".join(part.tobytes() for part in parts)
+        if len(data) > _MOST_RECORD_BYTES - 64:  # with the head of a message
+            raise RecordingError(
+                f"a block has {len(data)} bytes, limit {_MOST_RECORD_BYTES - 64}",
+                remedy="Record in smaller blocks.",
+            )
         tick = block.first_tick[self._clock.name]
         at_ns = max(round(self._clock.period_s * tick * 10**9), 0)
         self._writer.add_message(self._topic, at_ns, data, at_ns, self._count)
@@ -141,26 +150,62 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
         raise RecordingError("the file is no MCAP file", place=Place(str(path)))
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         kind, length = _RECORD.unpack(head)
-        if length > _MOST_RECORD_BYTES:
-            raise RecordingError(
-                f"a record promises {length} bytes, limit {_MOST_RECORD_BYTES}",
-                place=Place(str(path)),
-                remedy="The file is damaged.",
-            )
+        _check_length(length, path)
         content = file.read(length)
         if len(content) < length:
             return
-        stream = ReadDataStream(BytesIO(content))
-        if kind == Opcode.SCHEMA:
-            yield Schema.read(stream), False
-        elif kind == Opcode.MESSAGE:
-            yield Message.read(stream, length), False
-        elif kind == Opcode.CHUNK:  # of a tool that packed the file
-            for record in breakup_chunk(Chunk.read(stream)):
-                yield record, False
-        elif kind == Opcode.DATA_END:
+        if kind == Opcode.DATA_END:
             yield None, True
             return
+        for record in _records_of(kind, content, path):
+            yield record, False
+
+
+def _check_length(length: int, path: Path) -> None:
+    if length > _MOST_RECORD_BYTES:
+        raise RecordingError(
+            f"a record promises {length} bytes, limit {_MOST_RECORD_BYTES}",
+            place=Place(str(path)),
+            remedy="The file is damaged.",
+        )
+
+
+def _records_of(kind: int, content: bytes, path: Path) -> list[Any]:
+    """Return the schemas and messages that a record is, or holds."""
+    stream = ReadDataStream(BytesIO(content))
+    try:
+        if kind == Opcode.SCHEMA:
+            return [Schema.read(stream)]
+        if kind == Opcode.MESSAGE:
+            return [Message.read(stream, len(content))]
+        if kind == Opcode.CHUNK:  # of a tool that packed the file
+            chunk = Chunk.read(stream)
+            _check_length(chunk.uncompressed_size, path)
+            return breakup_chunk(replace(chunk, compression="", data=_unpacked(chunk)))
+    except (struct.error, McapError, zstandard.ZstdError) as error:
+        raise RecordingError(
+            f"a record is damaged: {str(error)[:200] or type(error).__name__}",
+            place=Place(str(path)),
+            remedy="Write or fetch it again.",
+        ) from error
+    return []
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return what a chunk holds: as many bytes as it says, and never more than those."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
+        data = reader.read(size + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+    elif chunk.compression:
+        raise McapError(f"a chunk is packed by {chunk.compression[:40]!r}")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise McapError(f"a chunk says that it holds {size} bytes, and holds another number")
+    return bytes(data)
 
 
 def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
