@@ -24,7 +24,7 @@ LIBRARY = Path(__file__).resolve().parent.parent / "src" / "threadline" / "machi
 HANG_S = 60  # of the processor: the machine may be busy with something else
 _WAITING = 15  # times as long by the clock, for what waits without working
 _LONG = 124  # as ``timeout`` has it
-_WORD = re.compile(r"^still at work after \d+ s.*\n", re.MULTILINE)
+WORD = re.compile(r"^still at work after \d+ s.*\n", re.MULTILINE)
 
 SHORT_PROGRAM = "%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 15 X -5 A 3;\nN 20 M30;\n%\n"
 SHORT_SEAM = """
@@ -144,7 +144,7 @@ def run_case(case: Case, folder: Path) -> Outcome:
     took_s = time.process_time() - began
     out.flush()
     told = out.buffer.getvalue().decode("utf-8", "replace")  # type: ignore[attr-defined]
-    said = _WORD.sub("", err.getvalue())
+    said = WORD.sub("", err.getvalue())
     if hung and said != err.getvalue():
         return Outcome(_LONG, "", took_s)
     problem = f"more than {HANG_S} s" if hung else _problem(case, status, told, said)

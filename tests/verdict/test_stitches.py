@@ -185,3 +185,21 @@ def test_a_corner_that_is_not_stopped_in_is_left_where_it_is_slowest() -> None:
     ).result("stitches_to_speed")  # fmt: skip
     # Of the means, told at their ends, the lowest is at 0.4 s or 0.405 s, 95 % are at 0.44 s.
     assert found.measured == pytest.approx(0.0375 / PERIOD_S, abs=TICK_S / PERIOD_S)
+
+
+def test_a_stitch_that_the_plan_gives_no_time_fails_in_numbers() -> None:
+    """Two moves of the job and one piece of motion, as where pieces are longer than stitches."""
+    plan = seam()
+
+    def merged(block):
+        return replace(block, operation=np.where(block.operation == 5, 6, block.operation))
+
+    motion = plan.motion
+    blocks = Stream.of([merged(block) for block in motion.trajectory])
+    given = replace(
+        plan, intent=replace(motion, trajectory=replace(motion.trajectory, blocks=blocks))
+    )
+    verdict = sewn(SPEED_M_S * TIME_S, plan=given, names=("stitch_speed_error", *NAMES))
+    speed = verdict.result("stitch_speed_error")
+    assert speed.status is Status.FAILED
+    assert speed.measured == pytest.approx(1.0)  # at no speed, and the next at twice its own

@@ -197,8 +197,11 @@ class OpenRun:
             if error is None and self._writer is not None:
                 self._writer.finish()
             for file in (self._trace, self._events):
-                with suppress(OSError if error is not None else ()):  # the first of them is told
+                try:
                     file.close()
+                except OSError:
+                    if error is None:  # else that error is the one to tell
+                        raise
         if error is not None:
             text = "the program was ended"
             if isinstance(error, ThreadlineError):

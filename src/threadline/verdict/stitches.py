@@ -166,7 +166,9 @@ class StitchFollower:
         within |= at_s == end_s[stitch]
         at_s, stitch = at_s[within], stitch[within]
         way = self._at(at_s) - self._at(at_s - self._over_s)
-        wanted = (run.target_m / (run.down_s - run.from_s))[stitch, None]
+        # Far slower than the grid of the timing a stitch may be given no time: it is sewn at none.
+        with np.errstate(divide="ignore"):
+            wanted = (run.target_m / (run.down_s - run.from_s))[stitch, None]
         error = np.sqrt((way**2).sum(axis=1)) / self._over_s / wanted - 1.0
         starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
         sizes = np.abs(error)
