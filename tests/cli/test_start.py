@@ -48,6 +48,40 @@ def test_an_interrupt_while_importing_is_one_line(
     assert done.stderr == f"error: {said}; nothing was left half-written\n"
 
 
+@pytest.mark.parametrize("name", ["typer", "threadline.cli.law"])
+def test_interrupts_on_top_of_each_other_are_one_line(name: str) -> None:
+    """The second comes after the line was written and before the process has ended."""
+    more = (
+        "write = os.write\n"
+        "def twice(number, data):\n"
+        "    write(number, data)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return os.kill(os.getpid(), signal.SIGTERM)\n"
+        "os.write = twice\n"
+    )
+    code = INTERRUPTING.format(name=name, signal="SIGINT")
+    done = run(code.replace("sys.meta_path", more + "sys.meta_path"))
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "error: interrupted; nothing was left half-written\n"
+
+
+def test_an_interrupt_after_the_line_of_another_says_nothing() -> None:
+    """Behind the command, while the interpreter ends."""
+    done = run(
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from threadline.cli import main, start\n"
+        "main._flush = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        "end = main.sys.exit\n"
+        "def late(status):\n    os.kill(os.getpid(), signal.SIGINT)\n    end(status)\n"
+        "main.sys.exit = late\n"
+        "sys.argv = ['threadline', 'law', 'cubic', '--json']\n"
+        "start.run()\n"
+    )
+    assert done.returncode == 130
+    assert done.stderr == "error: interrupted; nothing was left half-written\n"
+
+
 def test_help_imports_nothing_heavy() -> None:
     """``threadline --help`` needs typer and no array: that is what makes it answer at once."""
     done = run(

@@ -17,6 +17,7 @@ from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
+_told = threading.Lock()  # held from where the line of an interrupt is written
 _SAME_S = 1.0
 _ENDS = {
     number: (128 + number, f"error: {said}; nothing was left half-written\n")
@@ -49,7 +50,8 @@ class Termination:
         raise KeyboardInterrupt
 
     def end(self) -> tuple[int, str]:
-        """Return the exit status and the line of the signal."""
+        """Return the exit status and the line of the signal; no other signal is told after it."""
+        _told.acquire(blocking=False)
         return _ENDS[self.number]
 
 
@@ -68,6 +70,8 @@ def leaving_on_interrupt() -> Iterator[None]:
 def terminating() -> Iterator[Termination]:
     """Treat SIGTERM and SIGHUP as interrupts, and yield what knows which one came."""
     termination = Termination()
+    if _told.locked():  # of a command before it in this process
+        _told.release()
     with _answering(dict.fromkeys(_ENDS, termination.answer)):
         yield termination
 
@@ -91,6 +95,8 @@ def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
+    if not _told.acquire(blocking=False):  # a signal on top of another, which is being answered
+        return
     status, said = _ENDS[signal.Signals(number)]
     os.write(_STDERR, said.encode())
     os._exit(status)

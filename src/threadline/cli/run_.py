@@ -70,6 +70,15 @@ LINKS = ("sim",)
 _MOST_SPEED = 1e6
 
 
+def _checked_speed(speed: float) -> float:
+    if 0.0 < speed < LEAST_SPEED:
+        raise OptionError(
+            f"--speed {speed:g} is slower than the link can wait",
+            remedy=f"Give {LEAST_SPEED:g} or more, or 0 for as fast as it can.",
+        )
+    return speed
+
+
 def run(
     job: JobArgument,
     machine: MachineOption,
@@ -82,6 +91,7 @@ def run(
         typer.Option(
             min=0.0,
             max=_MOST_SPEED,
+            callback=_checked_speed,
             help="Of sim: its seconds in a second; 1 is real time, 0 as fast as it can.",
         ),
     ] = REAL_TIME,
@@ -139,11 +149,6 @@ def run(
     """
     if link not in LINKS:
         raise OptionError(f"unknown link {link[:40]!r}", remedy=f"Use {' or '.join(LINKS)}.")
-    if 0.0 < speed < LEAST_SPEED:
-        raise OptionError(
-            f"--speed {speed:g} is slower than the link can wait",
-            remedy=f"Give {LEAST_SPEED:g} or more, or 0 for as fast as it can.",
-        )
     check_override(override)
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
