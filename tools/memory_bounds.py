@@ -11,14 +11,17 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import select
 import subprocess
 import sys
 import tempfile
 import time
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
@@ -46,28 +49,59 @@ def slow(folder: Path) -> list[str]:  # noqa: ARG001 - as the others
     ]  # fmt: skip
 
 
-def bomb(folder: Path) -> list[str]:
-    """An archive of 5 MB whose columns of zeros are 5 GB."""
-    path = folder / "bomb.npz"
-    if not path.exists():
-        small = folder / "seed.npz"
-        subprocess.run(
-            [sys.executable, "-m", "threadline", "prove", str(EXAMPLES / "x-180.prg"), "-m",
-             "lathe-winder", "--interpolation", "linear", "--recording", str(small)],
-            check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        zeros = bytes(1 << 24)
-        with (
-            zipfile.ZipFile(small) as seed,
-            zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made,
-        ):
-            columns = [name for name in seed.namelist() if name.endswith(".npy")]
-            for name in seed.namelist():
-                with made.open(name, "w", force_zip64=True) as member:
-                    member.write(seed.read(name))
-                    for _ in range(300 // len(columns) if name in columns else 0):
-                        member.write(zeros)
+def _bomb(folder: Path, parts: int, *, told: bool) -> list[str]:
+    """An archive whose columns end in ``parts`` times 16 MB of zeros, packed a thousand-fold.
+
+    Where ``told``, the heads of the columns count them too, and all check sums are right.
+    """
+    path = folder / f"bomb-{parts}-{told}.npz"
+    small = folder / "seed.npz"
+    subprocess.run(
+        [sys.executable, "-m", "threadline", "prove", str(EXAMPLES / "x-180.prg"), "-m",
+         "lathe-winder", "--interpolation", "linear", "--nominal", "--recording", str(small)],
+        check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    with zipfile.ZipFile(small) as seed, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made:
+        channels = [n for n in seed.namelist() if n.endswith((".load.npy", ".commanded.npy"))]
+        for name in seed.namelist():
+            count = parts // len(channels) if name in channels else 0
+            content = seed.read(name)
+            if told and count:
+                content = _longer(content, count * len(_ZEROS) // 8)
+            with made.open(name, "w", force_zip64=True) as member:
+                member.write(content)
+                _write_zeros(member, count)
     return ["judge", str(path)]
+
+
+_ZEROS = bytes(1 << 24)
+
+
+def _longer(column: bytes, rows: int) -> bytes:
+    """Return a column of numpy whose head promises so many rows more."""
+    size = 12 + int.from_bytes(column[8:12], "little")
+    head = re.sub(rb"\((\d+),\), \}", lambda m: b"(%d,), }" % (int(m[1]) + rows), column[12:size])
+    head = head.rstrip(b" \n").ljust(size - 13) + b"\n"
+    return column[:8] + len(head).to_bytes(4, "little") + head + column[size:]
+
+
+def _write_zeros(member: Any, count: int) -> None:
+    """Add ``count`` times ``_ZEROS`` that were packed once: the check sum is linear in itself."""
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = packer.compress(_ZEROS) + packer.flush(zlib.Z_FULL_FLUSH)
+    none = zlib.crc32(_ZEROS, 0)
+    bits = [zlib.crc32(_ZEROS, 1 << k) ^ none for k in range(32)]
+    before = member._compressor.flush(zlib.Z_FULL_FLUSH)
+    member._fileobj.write(before)
+    member._compress_size += len(before)
+    for _ in range(count):
+        member._fileobj.write(packed)
+        member._compress_size += len(packed)
+        member._file_size += len(_ZEROS)
+        crc = none
+        for k in range(32):
+            crc ^= bits[k] if member._crc >> k & 1 else 0
+        member._crc = crc
 
 
 def _moves(folder: Path, name: str, count: int, *rows: str) -> str:
@@ -169,7 +203,9 @@ def _modes(*words: str) -> Case:
 CASES: dict[str, Case] = {
     "x-180, cubic, 0.0009 mm/s": slow,
     "x-180, cubic, 0.0009 mm/s, --recording": slow_recording,
-    "judge an npz of 5 MB that unpacks to 5 GB": bomb,
+    "judge an npz of 5 MB that unpacks to 5 GB": lambda f: _bomb(f, 300, told=False),
+    "judge an npz of 48 MB that unpacks to 48 GB": lambda f: _bomb(f, 2880, told=False),
+    "the same with all counts and check sums right": lambda f: _bomb(f, 2880, told=True),
     "on/off list of 800 moves": moves_800,
     "on/off list of 100 000 operations": operations_1e5,
     "on/off list with a dwell of 30 min": dwell_30_min,

@@ -270,3 +270,21 @@ def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
             continue
         read += 1
     assert 30 < read < 290
+
+
+@pytest.mark.parametrize(
+    ("jump", "said"),
+    [
+        ('Q = "8 mm/s exact, assumed"', "names the axis 'Q', which does not exist"),
+        ('A = "8 mm/s exact, assumed"', "planner.jump.A is in m/s, the axis in rad/s"),
+        ('X = "8 deg/s exact, assumed"', "planner.jump.X is in rad/s, the axis in m/s"),
+    ],
+)
+def test_jumps_of_marlin_are_of_its_axes(jump: str, said: str, tmp_path: Path) -> None:
+    """Another letter limited nothing, and a jump in the other unit was taken for its number."""
+    file = tmp_path / "m.toml"
+    file.write_text(
+        f'base = "stepper-winder"\n\n[planner]\nkind = "marlin"\n\n[planner.jump]\n{jump}\n'
+    )
+    with pytest.raises(MachineError, match=said):
+        load_machine(file)

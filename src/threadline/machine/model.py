@@ -14,7 +14,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import Place
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
-from threadline.machine.motion_planner import FirmwarePlanner
+from threadline.machine.motion_planner import FirmwarePlanner, MarlinPlanner
 from threadline.machine.parts import (
     STRICT,
     Axis,
@@ -160,6 +160,12 @@ class Machine:
                 f"'tool' is missing: it says at which radius the rotary axis {turning[0]} acts, "
                 'like [tool] radius = "100 mm exact, assumed", or give the axis a radius of its own'
             )
+        if isinstance(self.planner, MarlinPlanner):
+            _known(self.planner.jump, self.axes, "planner.jump", "axis")
+            for name, jump in self.planner.jump.items():
+                unit = "rad/s" if name in self.rotary else "m/s"
+                if jump.unit != unit:
+                    raise ValueError(f"planner.jump.{name} is in {jump.unit}, the axis in {unit}")
         self._on_off_references()
         self._stitching_references()
         self._tolerance_references()

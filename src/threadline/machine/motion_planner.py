@@ -35,7 +35,7 @@ class GrblPlanner:
     @property
     def look_ahead(self) -> int:
         """Number of blocks that are planned together, the one under way included."""
-        return (_RING if self.blocks is None else round(self.blocks.si)) - 1
+        return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
