@@ -289,6 +289,62 @@ def test_wrong_input_is_one_line(
     assert said in err and err.count("\n") == 1
 
 
+def dwelling(alpha_deg: np.ndarray) -> np.ndarray:
+    """Distances in mm of a whole cam: dwell, rise, dwell, and the fall from 200 degrees on."""
+    way = np.clip((alpha_deg - 20) / 120, 0, 1) - np.clip((alpha_deg - 200) / 120, 0, 1)
+    return 89 + 20 * (0.5 - 0.5 * np.cos(np.pi * way))
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.002, 0.05])
+def test_a_cam_that_rises_and_falls_is_refused_where_it_falls(
+    noise_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At the first row that the noise does not explain, and no law that ironed the fall out.
+
+    The fall of 1 - cos reaches 4 of the largest noise 9 degrees behind its beginning.
+    """
+    alpha = np.arange(0.0, 360.0, 1.0)
+    h = dwelling(alpha) + noise_mm * np.random.default_rng(5).standard_normal(len(alpha))
+    file = tmp_path / "whole.csv"
+    file.write_text(rows(*(f"{a:g},{b:.4f}" for a, b in zip(alpha, h, strict=True))))
+    code, out, err = ran(capsys, str(file))
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    line = int(err.split("whole.csv:")[1].split(":")[0])
+    assert 202 <= line <= 213  # row of 200 degrees: line 202
+    assert "falls from 10" in err and "no inverse" in err
+    file.write_text(rows(*(f"{a:g},{b:.4f}" for a, b in zip(alpha, h, strict=True) if a <= 200)))
+    study = study_cam(read_cam(file), draws=2)
+    # Its acceleration steps at both ends, where the rise that is looked for has none.
+    assert math.degrees(study.rise.start_rad) == pytest.approx(20, abs=8)
+    assert math.degrees(study.rise.end_rad) == pytest.approx(140, abs=8)
+
+
+def test_the_first_falling_row_is_named_and_an_outlier_is_none(tmp_path: Path) -> None:
+    """1 - cos over a whole turn: its highest row is that of 180 degrees, line 62."""
+    alpha = np.arange(0, 361, 3)
+    h = 89 + 10 * (1 - np.cos(np.radians(alpha)))
+    file = tmp_path / "turn.csv"
+    file.write_text(rows(*(f"{a},{b:.5f}" for a, b in zip(alpha, h, strict=True))))
+    with pytest.raises(OptionError, match=r"turn\.csv:63: cam: the distance falls from 109 mm at"):
+        study_cam(read_cam(file))
+    h[20] -= 1.0
+    file.write_text(rows(*(f"{a},{b:.5f}" for a, b in zip(alpha, h, strict=True) if a <= 180)))
+    study = study_cam(read_cam(file), noise_m=5e-5, draws=2)
+    assert study.outliers == (20,)
+
+
+def test_the_noise_is_at_least_that_of_the_digits_which_are_written(tmp_path: Path) -> None:
+    """A line in whole millimetres has no fourth differences, but errors of 1/sqrt(12) mm."""
+    file = tmp_path / "line.csv"
+    file.write_text(rows(*(f"{a},{89 + a}" for a in range(40))))
+    assert study_cam(read_cam(file), draws=2).noise_m == pytest.approx(1e-3 / math.sqrt(12))
+    file.write_text(rows(*(f"{a},{89 + a}.00" for a in range(40))))
+    assert study_cam(read_cam(file), draws=2).noise_m == pytest.approx(1e-5 / math.sqrt(12))
+    file.write_text(rows(*(f"{a},{89 + a}.{0:015d}" for a in range(40))))
+    with pytest.raises(OptionError, match="were computed and not measured"):
+        study_cam(read_cam(file))
+
+
 def test_a_cam_without_a_triangle_is_its_own_follower(tmp_path: Path) -> None:
     """Distances that follow a law themselves, in radians and metres."""
     t = np.linspace(-0.1, 1.1, 121)

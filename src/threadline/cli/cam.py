@@ -111,7 +111,13 @@ def cam(
         print_table(each.title, each.header, each.rows)
     for line in study.rise.said:
         say(line)
-    how = "as was given" if study.noise_given else "estimated from fourth differences"
+    how = (
+        "as was given"
+        if study.noise_given
+        else "that of the digits which are written"
+        if study.noise_m <= table.rounding_m
+        else "estimated from fourth differences"
+    )
     say(f"noise {1e3 * study.noise_m:.3g} mm, {how}")
     bounced = study.rebounded
     say(

@@ -99,8 +99,12 @@ def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
 def _lasting(seconds: float) -> str:
     for unit, size_s in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * size_s:
-            return f"{seconds / size_s:.2g} {unit}"
-    return f"{seconds:.2g} s"
+            return f"{_two_digits(seconds / size_s)} {unit}"
+    return f"{_two_digits(seconds)} s"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
 
 
 @contextmanager

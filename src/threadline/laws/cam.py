@@ -10,6 +10,8 @@ from __future__ import annotations
 import csv
 import re
 from dataclasses import dataclass
+from decimal import Decimal
+from math import sqrt
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,7 @@ from threadline.units import parse_quantity
 _MOST_BYTES = 20_000_000
 _MOST_ROWS = 20_000
 _FEWEST = 6
+_MOST_DIGITS = 300  # behind the point: more are 0 as a number
 _COLUMN = re.compile(r"(?P<name>[A-Za-z]+)\s*(?:\[(?P<unit>[^\]]+)\]|_(?P<short>\w+))?")
 _KINDS = {"alpha": "rad", "h": "m", "phi": "rad"}
 _USUAL = {"alpha": "deg", "h": "mm", "phi": "deg"}
@@ -103,6 +106,8 @@ class MeasuredCam(Locked):
         (n,) position of the follower: phi in rad, or without a triangle the distance in m.
     follower_slope
         (n,) derivative of that position by distance; 1 without a triangle.
+    rounding_m
+        Standard deviation of what writing the distances with so many digits took from them.
     """
 
     file: str
@@ -113,6 +118,7 @@ class MeasuredCam(Locked):
     triangle: Triangle | None
     follower: FloatArray
     follower_slope: FloatArray
+    rounding_m: float
 
     def __post_init__(self) -> None:
         for name in ("alpha_rad", "h_m", "follower", "follower_slope"):
@@ -144,6 +150,7 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
     rows: list[list[float]] = []
     lines: list[int] = []
     decimals: list[int] = []
+    finest = 0
     for number, cells in enumerate(csv.reader(text.splitlines()), start=1):
         kept = [cell.strip() for cell in cells]
         if not any(kept) or kept[0].startswith("#"):
@@ -163,8 +170,9 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
             )
         rows.append([value * unit for value, (_, unit) in zip(values, header, strict=True)])
         lines.append(number)
-        last = kept[-1]
-        decimals.append(len(last.partition(".")[2]))
+        decimals.append(-_exponent(kept[-1]))
+        measured = next(k for k, (name, _) in enumerate(header) if name == "h")
+        finest = min(finest, _exponent(kept[measured]))
         if len(rows) > _MOST_ROWS:
             raise OptionError(f"cam: more than {_MOST_ROWS} rows", place=place)
     if len(rows) < _FEWEST:
@@ -193,7 +201,14 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
     return MeasuredCam(
         file=file.name, alpha_rad=alpha, h_m=h, lines=tuple(lines), flags=tuple(flags),
         triangle=triangle, follower=follower, follower_slope=slope,
+        rounding_m=10.0**finest * dict(header)["h"] / sqrt(12.0),
     )  # fmt: skip
+
+
+def _exponent(cell: str) -> int:
+    """Return the power of ten of the last digit of a number as it is written."""
+    exponent = Decimal(cell.replace("_", "")).as_tuple().exponent
+    return max(exponent, -_MOST_DIGITS) if isinstance(exponent, int) else 0
 
 
 def _column(cell: str, place: Place) -> tuple[str, float]:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.errors import OptionError
+from threadline.errors import OptionError, Place
 from threadline.laws.cam import MeasuredCam
 from threadline.laws.fairing import MOST_PASSES, Rebound, Smoothed, Smoother, differences, rebound
 from threadline.laws.law import Law
 from threadline.laws.law_table import law_through
-from threadline.laws.measured_rise import Rise, noise_of, rise_of
+from threadline.laws.measured_rise import Rise, noise_of, refuse_fall, rise_of
 from threadline.laws.spline import law_of_velocity
 
 DRAWS = 200
@@ -24,6 +24,7 @@ _OUTLIER = 4.0
 _DOUBT = 1e3
 _MISSED = 2.0
 _EVEN = 1e-6  # of the spacing
+_EXACT = 1e-9  # of the rise: no gauge measures to that
 _LOOKS = 16  # samples in each interval between rows
 
 
@@ -146,9 +147,15 @@ def study_cam(
         if value is not None and not 0.0 < value < np.inf:
             raise OptionError(f"cam: the {what} must be positive, got {value:g}")
     alpha, h = cam.alpha_rad, cam.h_m
-    noise = noise_of(alpha, h) if noise_m is None else noise_m
-    if not noise > 0.0:
-        raise OptionError("cam: the rows show no noise at all", remedy='Give --noise "0.01 mm".')
+    noise = max(noise_of(alpha, h), cam.rounding_m) if noise_m is None else noise_m
+    if not noise > _EXACT * float(np.ptp(h)):
+        raise OptionError(
+            f"cam: the rows show no noise, {1e3 * noise:.2g} mm over {1e3 * float(np.ptp(h)):.4g} "
+            "mm: they were computed and not measured",
+            place=Place(cam.file),
+            remedy='Say how far to trust them: --noise "0.001 mm".',
+        )
+    refuse_fall(cam, noise)
     own = noise * np.abs(cam.follower_slope)
     rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
     t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)

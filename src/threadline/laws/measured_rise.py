@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.errors import OptionError
+from threadline.errors import OptionError, Place
+from threadline.laws.cam import MeasuredCam
 from threadline.laws.fairing import Smoother
 
 _ORDER = 4  # of the differences: those of a smooth rise at a hundred rows are far below its noise
 _NEAR = 1.8  # five rows that span more than this times the median have a gap: no noise is taken
 _OUTLYING = 4.0
 _FEWEST = 8
+_FEW = 20  # rows: each is looked at for itself
+_FALL = 7.0  # times the noise
 _DWELL = 3  # least number of rows of a dwell
 _STIFF = 1e-9  # weight of the jerk per row: so stiff that the ends matter more than the noise
 _TRIED = 0.03  # first step of the search for an end, as a share of the rise's length
@@ -74,6 +77,40 @@ def noise_of(x: FloatArray, y: FloatArray) -> float:
     robust = 1.4826 * float(np.median(found))
     kept = found[found <= _OUTLYING * robust] if robust > 0.0 else found
     return float(np.sqrt(np.mean(kept**2)))
+
+
+def refuse_fall(cam: MeasuredCam, noise_m: float) -> None:
+    """Refuse a cam whose distance falls by more than its noise explains.
+
+    Of many rows each is looked at as the median of itself and its neighbours: an outlier is no
+    fall. What remains of the noise then differs by less than seven of its deviations.
+
+    Raises
+    ------
+    OptionError
+        At the first row that falls: a law that goes back has no inverse.
+    """
+    h = cam.h_m
+    if len(h) > _FEW:
+        triples = np.sort(np.stack((h[:-2], h[1:-1], h[2:])), axis=0)[1]
+        h = np.concatenate((triples[:1], triples, triples[-1:]))
+    highest = np.maximum.accumulate(h)
+    fallen = np.flatnonzero(highest - h > _FALL * noise_m)
+    if not len(fallen):
+        return
+    low = int(fallen[0])
+    top = int(np.flatnonzero(h[:low] >= highest[low] - 0.5 * _FALL * noise_m)[-1])
+    near = cam.h_m[max(top - 1, 0) : low]  # medians flatten a peak
+    top = low - 1 - int(np.argmax(near[::-1] >= near.max() - 0.5 * _FALL * noise_m))
+    degrees = np.degrees(cam.alpha_rad)
+    raise OptionError(
+        f"cam: the distance falls from {1e3 * cam.h_m[top]:.6g} mm at {degrees[top]:g} deg to "
+        f"{1e3 * cam.h_m[low]:.6g} mm at {degrees[low]:g} deg, which the noise of "
+        f"{1e3 * noise_m:.3g} mm does not explain: a law that goes back has no inverse",
+        place=Place(cam.file, cam.lines[top + 1]),
+        remedy="Give the rows of one rise alone, in the direction in which the distance grows, or "
+        "the measuring error: --noise.",
+    )
 
 
 def rise_of(

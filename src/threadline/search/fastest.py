@@ -122,12 +122,15 @@ def find_fastest(
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = _INSIDE if near else 0
     expected = points + 6.0 * near + 2.0 * an_edge + inside  # as if there were one interval
+    told = 0.0
 
     def verdict_at(feed: float) -> Verdict:
+        nonlocal told
         if feed not in seen:
             seen[feed] = judged(feed)
             if progress is not None:
-                progress("searching", min(len(seen) / expected, _UNDER_WAY))
+                told = max(told, min(len(seen) / expected, _UNDER_WAY))
+                progress("searching", told)
         return seen[feed]
 
     feeds = _spaced(low, high, points)

@@ -19,6 +19,7 @@ from threadline.targets.step_tables import step_tables
 from threadline.targets.stitch_pace import Moves, Pace
 
 _IN_BLOCK = 256
+_BLOCK_S = 32.0  # of a block: samples of slow turns would leave the fast memory
 _WHOLE = 1e-3  # of a unit: a place is on the grid of the design
 _BUDGET_S = 1e-9
 
@@ -360,8 +361,9 @@ def _check_budget(machine: Machine, seconds: float) -> None:
 
 
 def _blocks(turns: Turns) -> Iterator[StitchBlock]:
-    for first in range(0, len(turns), _IN_BLOCK):
-        part = slice(first, first + _IN_BLOCK)
+    rows = int(np.clip(_BLOCK_S / turns.turn_s.max(), 1, _IN_BLOCK))
+    for first in range(0, len(turns), rows):
+        part = slice(first, first + rows)
         units = turns.moves.units[part]
         last = first + len(units) >= len(turns)
         yield StitchBlock(
@@ -374,6 +376,6 @@ def _blocks(turns: Turns) -> Iterator[StitchBlock]:
             needle=turns.moves.needle[part],
             operation=turns.operation[part],
             events=tuple(
-                e for e in turns.events if first <= e.tick and (last or e.tick < first + _IN_BLOCK)
+                e for e in turns.events if first <= e.tick and (last or e.tick < first + rows)
             ),
         )

@@ -72,8 +72,12 @@ def play(
         scale = block.window / float(commands.window_angle)
     states = np.empty((count, len(played.state)))
     steps = np.empty((count, len(played.steps)))
+    # Transposed: what is summed runs along the memory, and the order of the sums stays.
     _run(
-        driven.step, driven.held * driven.scale, driven.series * driven.scale, driven.parts,
+        np.ascontiguousarray(driven.step.T),
+        np.ascontiguousarray((driven.held * driven.scale).T),
+        np.ascontiguousarray((driven.series * driven.scale).transpose(0, 2, 1)),
+        driven.parts,
         library.times, library.begins, block.begin, scale, block.table, block.sign,
         float(first * every), float(every), played.state, played.steps, states, steps,
     )  # fmt: skip
@@ -88,24 +92,29 @@ def _forward(
     states: FloatArray, steps: FloatArray,
 ) -> None:  # fmt: skip
     """Go through the samples; each axis is at step ``at`` of the table of its ``turn``."""
-    terms, size, axes = series.shape
+    terms, axes, size = series.shape
     turn = np.zeros(axes, dtype=np.int64)
     at = np.zeros(axes, dtype=np.int64)
     sums = np.zeros((axes, terms))
     fresh = np.zeros(size)
     interval = every / parts
     for k in range(len(states)):
-        states[k] = state
-        steps[k] = given
+        for i in range(size):
+            states[k, i] = state[i]
+        for a in range(axes):
+            steps[k, a] = given[a]
         for part in range(parts):
             end = from_tick + k * every + (part + 1) * interval
             for i in range(size):
-                total = 0.0
-                for j in range(size):
-                    total += step[i, j] * state[j]
-                for a in range(axes):
-                    total += held[i, a] * given[a]
-                fresh[i] = total
+                fresh[i] = 0.0
+            for j in range(size):
+                value = state[j]
+                for i in range(size):
+                    fresh[i] += step[j, i] * value
+            for a in range(axes):
+                value = given[a]
+                for i in range(size):
+                    fresh[i] += held[a, i] * value
             for a in range(axes):
                 some = False
                 while turn[a] < len(begin):
@@ -119,7 +128,8 @@ def _forward(
                         break
                     if not some:
                         some = True
-                        sums[a] = 0.0
+                        for n in range(terms):
+                            sums[a, n] = 0.0
                     left = (end - due) / interval
                     power = float(sign[turn[a], a])
                     given[a] += power
@@ -129,9 +139,11 @@ def _forward(
                     at[a] += 1
                 if some:
                     for n in range(terms):
+                        value = sums[a, n]
                         for i in range(size):
-                            fresh[i] += series[n, i, a] * sums[a, n]
-            state[:] = fresh
+                            fresh[i] += series[n, a, i] * value
+            for i in range(size):
+                state[i] = fresh[i]
 
 
 _run = njit(cache=True, nogil=True)(_forward)

@@ -1,0 +1,113 @@
+"""The fastest way to sew a design: what is left out of the search changes nothing in its answer."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.cli.main import main
+from threadline.jobs import Job, read_job
+from threadline.machine import load_machine
+from threadline.options import Options, parse_feed
+from threadline.pipeline import REPEATED, Trials, plan_job, prove_plan
+from threadline.search import shaft
+from threadline.search.fastest import find_fastest
+from threadline.verdict import Verdict, load_spec
+
+MACHINE = load_machine("schiffli-frame")
+SPEC = load_spec(None, MACHINE)
+
+
+@pytest.fixture
+def design(tmp_path: Path) -> Path:
+    """Twenty stitches of 0.5 to 8 mm as an EXP: two signed bytes each."""
+    random = np.random.default_rng(4)
+    ways = random.integers(5, 81, (20, 2)) * random.choice([-1, 1], (20, 2))
+    file = tmp_path / "twenty.exp"
+    # 0x80 alone would be a command: it is -128, and no way here.
+    file.write_bytes(ways.astype(np.int8).tobytes())
+    return file
+
+
+@pytest.fixture
+def job(design: Path) -> Job:
+    return read_job(design, MACHINE)
+
+
+def test_speeds_that_are_far_within_are_not_judged_by_twenty_runs(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same intervals as with every run at every speed, for a third of the runs at most."""
+    counted: list[int] = []
+    original = shaft.try_plan
+
+    def counting(plan, spec, trials, actual=None):  # type: ignore[no-untyped-def]
+        counted.append(trials.repeats)
+        return original(plan, spec, trials, actual)
+
+    monkeypatch.setattr(shaft, "try_plan", counting)
+    found = []
+    for share in (0.8, 0.0):
+        counted.clear()
+        monkeypatch.setattr(shaft, "_FAR", share)
+        one = shaft.constant_speeds(
+            job, MACHINE, SPEC, Options(), points=6, near=1, trials=REPEATED
+        )
+        found.append((one.intervals, one.limited_by, sum(counted)))
+        assert one.best is not None
+        assert one.verdict.runs == REPEATED.repeats
+    assert found[0][:2] == found[1][:2]
+    assert found[0][2] < 0.6 * found[1][2]
+
+
+def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Everything is far within, were it asked of one run: what is answered still passes twenty."""
+    monkeypatch.setattr(shaft, "_far_within", lambda *_: True)
+    found = shaft.constant_speeds(
+        job, MACHINE, SPEC, Options(), points=6, near=0, trials=Trials(repeats=20)
+    )
+    for interval in found.intervals:
+        for end in (interval.low, interval.high):
+            options = replace(Options(), feed=parse_feed(f"{end!r} stitch/s"))
+            plan = plan_job(job, MACHINE, options)
+            assert prove_plan(plan, SPEC, trials=REPEATED).verdict.passed
+
+
+def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
+    """Whatever the search finds on its way: every other hundredth passes here."""
+    told: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        return Verdict(results=(), simulated=True, incomplete="" if int(100 * feed) % 2 else "no")
+
+    found = find_fastest(
+        judged, 0.1, 1.0, points=24, near=3, edge_relative=5e-3,
+        progress=lambda _, share: told.append(share),
+    )  # fmt: skip
+    assert len(told) == found.tried
+    assert all(after >= before for before, after in pairwise(told))
+    assert told[-1] < 0.99
+
+
+def test_the_tolerance_that_was_found_is_typed_back_in_millimetres(
+    design: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command that is printed plans the same motion, to the last bit of its duration."""
+    words = ["fastest", str(design), "-m", "schiffli-frame", "--nominal"]
+    with pytest.raises(SystemExit):
+        main([*words, "--json", "--low", "60 stitch/min", "--high", "70 stitch/min"])
+    content = json.loads(capsys.readouterr().out)
+    assert " mm'" in content["command"]
+    tolerance = content["command"].split("--tolerance '")[1].split("'")[0]
+    with pytest.raises(SystemExit):
+        main(["prove", *words[1:], "--json", "--tolerance", tolerance])
+    proved = json.loads(capsys.readouterr().out)
+    assert proved["duration_s"] == content["schedule"]["duration_s"] == content["best"]
+    assert proved["passed"]
