@@ -263,6 +263,26 @@ def test_known_answers_are_in_the_machine_file(stitcher: Machine) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("stepper-winder", "bodies.x_eye.inertia"),
+        ("letter-placer", "bodies.table.inertia"),
+        ("table-embroiderer", "bodies.x_frame.inertia"),
+    ],
+)
+def test_machines_without_loops_are_refused_before_any_work(
+    tmp_path: Path, name: str, number: str
+) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text(
+        f'base = "{name}"\n[design.parameters.a]\nof = ["{number}"]\nfactor = [0.5, 2.0]\n'
+    )
+    machine = load_machine(file)
+    with pytest.raises(MachineError, match="must have a motor and a control loop"):
+        design(tmp_path / "unread", machine, load_spec(None, machine), Options())
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ('of = ["links.x_belt.stifness"]\nfactor = [1, 2]', "links.x_belt.stifness"),

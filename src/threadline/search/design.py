@@ -12,6 +12,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Job
+from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
@@ -180,6 +181,13 @@ def design(
     MachineError, JobError, PlanError, OptionError
         If the input is wrong, or the machine as it is cannot be told to do the job.
     """
+    if not kind_of(machine).together(machine):
+        raise MachineError(
+            f"{machine.name} cannot be redesigned: design simulates many machines side by side, "
+            "and every axis must have a motor and a control loop for that",
+            place=machine.place,
+            remedy="Try changes as overlays, one by one: threadline prove JOB -m FILE+OVERLAY.",
+        )
     space = design_space(machine, smoothing_s)
 
     def read(for_machine: Machine) -> Job:
