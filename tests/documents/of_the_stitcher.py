@@ -160,11 +160,27 @@ QUICK = [
         DOCUMENT,
         "threadline prove SEAM -m stitcher --feed-forward",
         [
-            Figures("--feed-forward` | contour {} mm, stitch length {} % off |", [contour, length]),
+            Figures(
+                "-m stitcher --feed-forward` | contour {} mm, stitch length {} % off |",
+                [contour, length],
+            ),
             Figures("| 75 | 25.9 A | 27.8 A | {} %, out of spec | {} mm |", [length, contour]),
         ],
         status=1,
         more=BY_PLACE, instead=["prove", SEAM, "-m", "stitcher", "--feed-forward"],
+    ),
+    Quick(
+        DOCUMENT,
+        "threadline prove SEAM -m stitcher+cloth-on-frame --feed-forward",
+        [
+            Figures(
+                "on-frame --feed-forward` | contour {} mm, stitch length {} % off |",
+                [contour, length],
+            )
+        ],
+        more=BY_PLACE,
+        instead=["prove", SEAM, "-m", "stitcher+cloth-on-frame", "--feed-forward"],
+        status=1,
     ),
     Quick(
         DOCUMENT,

@@ -84,6 +84,23 @@ def test_preloaded_belt(quantised, limit, belt_axis, table):
     assert np.abs(bilinear - plain)[:, 1].max() > 2 * COUNT_M
 
 
+@pytest.mark.parametrize("stiffness", [2e6, 8e6])
+def test_belt_that_swings_within_a_tick(stiffness, belt_axis, table):
+    """Half a turn of its mode in a tick and more: runs go slack and tight again between ticks."""
+    machine = belt_axis(
+        links_belt=f'stiffness = "{stiffness} N/m exact, assumed"\npreload = "3 N exact, assumed"'
+    )
+
+    def force(s, r):
+        half = 0.5 * (stiffness * s + C * r)
+        return max(0.0, 3 + half) - max(0.0, 3 - half)
+
+    states = closed_loop(smooth(force))
+    check_against(machine, states, table)
+    stretch = stiffness * (RP * states[:, 0] - states[:, 1])
+    assert stretch.max() > 6 and stretch.min() < -6
+
+
 def assert_crossed(states, gap, recording, limit):
     """Assert that the gap is left on both sides, and stood in while the limit binds."""
     stretch = RP * states[:, 0] - states[:, 1]

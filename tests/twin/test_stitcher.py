@@ -204,3 +204,16 @@ def test_eccentric_gear_is_checked(table, tmp_path):
     endless = dataclasses.replace(machine, axes={**machine.axes, "X": x})
     with pytest.raises(MachineError, match="endless"):
         simulate(table(endless, {"X": there_and_back()}), endless)
+
+
+def test_on_cloth_that_the_frame_holds_the_head_is_judged_relative_to_it(table) -> None:
+    """The same motion: what is judged on Y is the head less the frame, on X what it was."""
+    ground, frame = (
+        simulate(table(machine, {"X": there_and_back(), "Y": there_and_back()}), machine)
+        for machine in (load_machine("stitcher"), load_machine("stitcher+cloth-on-frame"))
+    )
+    head, moved = ground.samples("Y.load")[1], ground.samples("Y.frame")[1]
+    assert np.ptp(moved) > 1e-5
+    np.testing.assert_allclose(frame.samples("Y.load")[1], head - moved, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(frame.samples("Y.frame")[1], moved, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(frame.samples("X.load")[1], ground.samples("X.load")[1])

@@ -314,6 +314,9 @@ def _proved(
     order = _cheapest_first(space, tried)
     if wished is not None:  # many cost nearly the same, and would all be as far from the yield
         order = pareto(space, tried, 1.0 + 1e-9)
+        # Evenly, from the cheapest to the one of most margin, which keeps a yield if any does.
+        most = min(len(order), _MOST_PROOFS)
+        order = order[np.linspace(0, len(order) - 1, most).round().astype(int)]
     for index in order[:_MOST_PROOFS]:
         own = tried.points[index]
         for point in (_rounded(space, own), own):
