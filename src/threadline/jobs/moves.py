@@ -213,9 +213,11 @@ class _Reader:
 
     def _how(self, row: Mapping[str, Any], index: int) -> Mapping[str, float | str]:
         """Return the tags of a move: shaper or levels, rest and overlap, where they are given."""
-        given: dict[str, float | str] = {k: row[k] for k in ("shaper", "levels") if k in row}
+        given: dict[str, Any] = {k: row[k] for k in ("shaper", "levels") if k in row}
         if len(given) > 1:
             self.refuse("a move has a shaper or levels, not both", index, "levels")
+        if isinstance(given.get("levels"), dict):
+            given["levels"] = self._each_levels(row, index)
         for key, text in given.items():
             if not isinstance(text, str) or not text:
                 example = {"shaper": "um-zv", "levels": "1 for 180 ms, 0 for 60 ms, 1 for 290 ms"}
@@ -228,6 +230,20 @@ class _Reader:
         if not self._flag(row, index, OVERLAP, True):
             given[OVERLAP] = NEVER
         return given or NO_TAGS
+
+    def _each_levels(self, row: Mapping[str, Any], index: int) -> str:
+        """Return the levels of cylinders that move in one operation as one text."""
+        for axis, text in row["levels"].items():
+            if axis not in row["move"]:
+                self.refuse(
+                    f"levels are given for {axis[:40]!r}, which this operation does not move",
+                    index,
+                    "levels",
+                    f"It moves {', '.join(row['move'])}.",
+                )
+            if not isinstance(text, str) or not text or "=" in text or ";" in text:
+                self.refuse(f"levels of {axis}: {text!r} is no text of levels", index, "levels")
+        return "; ".join(f"{axis}={text}" for axis, text in row["levels"].items())
 
     def _time(self, row: Mapping[str, Any], index: int, key: str) -> float:
         value = self._number(row[key], "s", index, key)

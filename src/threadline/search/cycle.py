@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.errors import OptionError, PlanError, RecordingError
-from threadline.jobs.operations import Job, Move
+from threadline.errors import PlanError, RecordingError
+from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_plan
@@ -93,10 +93,7 @@ def fastest_cycle(
     ------
     PlanError, RecordingError
         If the machine cannot do the job even without a shaper, or does not come to its end.
-    OptionError
-        If several cylinders move at once.
     """
-    _check_one_by_one(job)
     plain = with_choices(job, {}, {})
     unshaped = try_plan(plan_job(plain, machine, Options()), spec, trials, actual)
     free = overlapped(plain, machine)
@@ -154,24 +151,6 @@ def fastest_cycle(
         limited_by=limited_by,
         tried=tried,
     )
-
-
-def _check_one_by_one(job: Job) -> None:
-    """Refuse moves of several cylinders at once: their commands are found one after the other."""
-    position = job.start
-    for operation in job:
-        if isinstance(operation, Move):
-            moved = [
-                a for a, f, t in zip(job.axes, position, operation.target, strict=True) if f != t
-            ]
-            if len(moved) > 1:
-                raise OptionError(
-                    f"{' and '.join(moved)} move at once, and the search takes one cylinder after "
-                    "the other",
-                    place=operation.source.place,
-                    remedy="Write them as two operations.",
-                )
-            position = operation.target
 
 
 def _failing(proof: Proof) -> str:

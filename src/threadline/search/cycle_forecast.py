@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from threadline.jobs.operations import Job
+from threadline.jobs.moves import REST
+from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.pipeline import Proof
 from threadline.plant.pneumatic import step_ringing
 from threadline.search.levels import LevelCommand, time_optimal_s
 from threadline.search.move_commands import MoveCommands, step_scans
-from threadline.search.move_list import with_choices
+from threadline.search.move_list import levels_of_operations, with_choices
 from threadline.shaping.onoff.valves import Valves
 from threadline.signals import ChannelKind
 from threadline.targets.schedule import ScheduledMove
@@ -75,6 +76,7 @@ class _State:
     commands: tuple[LevelCommand, ...] = ()
     waits: tuple[int, ...] = ()
     left: tuple[complex, ...] = ()
+    lasts: int = 0  # scans of the operation so far, rest included: several cylinders may move in it
 
 
 class CycleForecast:
@@ -104,6 +106,11 @@ class CycleForecast:
         self._bias: list[complex] = [0j] * len(base.moves)
         # A correction for one command (its piston hits a stop) need not hold for other durations.
         self._own: list[dict[int, complex]] = [{} for _ in base.moves]
+        self._rests = self._rest_scans(job)
+        self._with_before = [
+            i > 0 and base.moves[i - 1].operation == move.operation
+            for i, move in enumerate(base.moves)
+        ]
         run = SwitchRun(unshaped.recording, unshaped.plan)
         self._pauses = self._between(run, [0] * len(base.moves))
         self._tried: set[tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]] = set()
@@ -134,6 +141,19 @@ class CycleForecast:
         ]  # fmt: skip
         return min(own, default=np.inf) / abs(self._ringing[move.axis].amplitude_m)
 
+    def _rest_scans(self, job: Job) -> list[int]:
+        """Return how many scans the list waits after the last switching of each move."""
+        tags = {i: o.tags for i, o in enumerate(job) if isinstance(o, Move)}
+        rests_s = [
+            float(
+                tags[move.operation].get(
+                    REST, self._machine.cylinders[move.axis].rest_s(move.forward)
+                )
+            )
+            for move in self._base.moves
+        ]
+        return [max(1, math.ceil(rest_s / self._scan_s - 1e-9)) for rest_s in rests_s]
+
     def next(self) -> Cycle | None:
         """Return the shortest cycle whose forecast is within the limits and was not tried."""
         states = [_State(0, dict.fromkeys(self._turn, 0j))]
@@ -152,7 +172,11 @@ class CycleForecast:
     def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
         """Return the states that may follow: every command after every wait, within the limit."""
         axis, sign = move.axis, 1.0 if move.forward else -1.0
-        pause = self._pauses[index]
+        before = state.commands[-1].scans if state.commands else 0
+        along = self._with_before[index]
+        # From the last switching of the move before: it is behind, or both set out together.
+        pause = -before if along else self._pauses[index] + state.lasts - before
+        so_far = state.lasts if along else 0
         most = self._share[axis] * self._limits[index]
         commands = self._commands[index]
         bias = [self._own[index].get(c.scans, self._bias[index]) for c in commands]
@@ -160,11 +184,12 @@ class CycleForecast:
         scans = np.array([command.scans for command in commands])
         turn = self._turn[axis]
         quiet = abs(state.ringing[axis]) < 1e-9
-        waits = np.arange(1 if quiet else _LONGEST_WAIT + 1) * step_scans(turn)
+        waits = np.arange(1 if quiet or along else _LONGEST_WAIT + 1) * step_scans(turn)
         elapsed = pause + waits[:, None] + scans
         behind = state.ringing[axis] * np.exp(np.log(turn) * elapsed) + left
         row, column = np.nonzero(np.abs(behind) <= most)
-        cost = waits[row] + scans[column]
+        lasts = np.maximum(scans + self._rests[index], so_far)
+        cost = waits[row] + lasts[column] - so_far
         best = np.lexsort((np.abs(behind[row, column]), cost))[:_BRANCHES]
         found = []
         for line, at in zip(row[best].tolist(), column[best].tolist(), strict=True):
@@ -174,23 +199,28 @@ class CycleForecast:
             ringing[axis] = complex(behind[line, at])
             found.append(
                 _State(
-                    state.cost + wait + command.scans,
+                    state.cost + wait + int(lasts[at]) - so_far,
                     ringing,
                     (*state.commands, command),
                     (*state.waits, wait),
                     (*state.left, ringing[axis]),
+                    int(lasts[at]),
                 )
             )
         return found
 
     def _between(self, run: SwitchRun, waits: Sequence[int]) -> list[int]:
-        """Return the scans from each move's end to the next one's begin in a run, waits left out.
+        """Return the scans from the end of each operation to the next that moves, without waits.
 
         They are not those of the schedule where the list waits for a piston that is on its way.
         """
-        pauses = [0]
-        for (before, now), wait in zip(pairwise(run.moves), waits[1:], strict=True):
-            pauses.append(max(round((now.begin_s - before.end_s) / self._scan_s) - wait, 0))
+        pauses, ends = [0], list[int]()
+        for index, move in enumerate(run.moves):
+            end = round(move.end_s / self._scan_s) + self._rests[index]
+            ends.append(max(end, ends[-1]) if self._with_before[index] else end)
+        for index, now in enumerate(run.moves[1:], start=1):
+            begin = round(now.begin_s / self._scan_s)
+            pauses.append(max(begin - ends[index - 1] - waits[index], 0))
         return pauses
 
     def learn(self, cycle: Cycle, proof: Proof) -> None:
@@ -243,17 +273,30 @@ class CycleForecast:
 
     def job_of(self, cycle: Cycle) -> Job:
         """Return the job with the commands and waits of a cycle."""
-        how, waits = {}, {}
+        waits: dict[int, float] = {}
+        how: dict[int, tuple[str, str]] = {}
+        together = {
+            m.operation
+            for m, along in zip(self._base.moves, self._with_before, strict=True)
+            if along
+        }
+        each = []
         for move, command, wait in zip(self._base.moves, cycle.commands, cycle.waits, strict=True):
-            how[move.operation] = self._how(move, command)
-            waits[move.operation] = wait * self._scan_s
-        return with_choices(self._job, how, waits)
+            waits.setdefault(move.operation, wait * self._scan_s)
+            if move.operation in together:
+                each.append((move.operation, move.axis, self._levels(move, command)))
+            else:
+                how[move.operation] = self._how(move, command)
+        return with_choices(self._job, how | levels_of_operations(each), waits)
 
     def _how(self, move: ScheduledMove, command: LevelCommand) -> tuple[str, str]:
         if command.name != "levels":
             return "shaper", command.name
+        return "levels", self._levels(move, command)
+
+    def _levels(self, move: ScheduledMove, command: LevelCommand) -> str:
         levels = replace(move.levels, ticks=command.ticks, levels=command.levels, realised=None)
-        return "levels", levels_text(levels, self._scan_s)
+        return levels_text(levels, self._scan_s)
 
     def told(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
         """Return every move with what was chosen for it; as it is unshaped without a cycle."""

@@ -23,7 +23,7 @@ from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, simulate, try_plan
 from threadline.plan import Plan
 from threadline.plant.pneumatic import flow_mode, step_ringing
-from threadline.search.move_list import overlapped, with_choices
+from threadline.search.move_list import levels_of_operations, overlapped, with_choices
 from threadline.shaping.onoff.flow_levels import (
     FlowCommand,
     FlowMove,
@@ -369,10 +369,10 @@ class _Search:
 
     def job_of(self, chosen: Sequence[FlowCommand]) -> Job:
         """Return the job with its commands written out."""
-        how = {
-            move.operation: ("levels", self._text(move, command))
+        how = levels_of_operations(
+            (move.operation, move.axis, self._text(move, command))
             for move, command in zip(self._base.moves, chosen, strict=True)
-        }
+        )
         return with_choices(self._job, how, {})
 
     def _text(self, move: ScheduledMove, command: FlowCommand) -> str:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 from threadline.errors import OptionError
 from threadline.jobs.moves import OVERLAP, REST
@@ -23,6 +23,7 @@ from threadline.jobs.operations import (
 )
 from threadline.machine import Machine
 from threadline.signals import Stream
+from threadline.targets.schedule_moves import joined_levels, levels_by_axis
 from threadline.units import parse_quantity
 
 _LEAST_LEFT_M = 1e-4
@@ -52,28 +53,47 @@ def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[in
     return replace(job, operations=Stream.of(found), sha256="")
 
 
+def levels_of_operations(moves: Iterable[tuple[int, str, str]]) -> dict[int, tuple[str, str]]:
+    """Return what each operation says of its levels, from (operation, cylinder, levels)."""
+    found: dict[int, dict[str, str]] = {}
+    for operation, axis, text in moves:
+        found.setdefault(operation, {})[axis] = text
+    return {
+        operation: ("levels", joined_levels(each) if len(each) > 1 else next(iter(each.values())))
+        for operation, each in found.items()
+    }
+
+
 def overlapped(job: Job, machine: Machine) -> Job:
-    """Return ``job`` with a shorter rest after moves that the next cylinder need not wait out.
+    """Return ``job`` with a shorter rest after moves that what follows need not wait out.
 
     The rest after a move is cut if it moves one cylinder, the list then waits for an end switch
     that this cylinder closes, and the next move is that of another cylinder. What is left of the
     rest lasts until the piston passes the switch: a switch that is stuck on starts the other
-    cylinder no sooner. The rest stays if a dwell or an output (a vacuum, a valve) comes before the
-    next move, or if the move has ``overlap = false`` or a ``rest`` of its own.
+    cylinder no sooner. A vacuum that is switched on behind such a wait is drawn while the cylinder
+    comes to rest; the list goes on resting before whatever comes then. The rest stays if a dwell
+    or another output comes first, or if the move has ``overlap = false`` or a ``rest`` of its own.
     """
     operations = list(job)
     found: list[Operation] = []
+    resting: dict[int, Dwell] = {}
     position = job.start
     for index, operation in enumerate(operations):
+        if index in resting:
+            found.append(resting[index])
         kept = operation
         if isinstance(operation, Move):
             moved = _moved(job.axes, position, operation.target)
             if OVERLAP not in operation.tags and REST not in operation.tags and len(moved) == 1:
-                rest_s = _least_rest_s(job, operations, index, position, moved[0], machine)
-                if rest_s is not None:
-                    kept = replace(operation, tags={**operation.tags, REST: rest_s})
+                cut = _cut(job, operations, index, position, moved[0], machine)
+                if cut is not None:
+                    kept = replace(operation, tags={**operation.tags, REST: cut.rest_s})
+                    if cut.left_s > 0.0:
+                        resting[cut.before] = Dwell(cut.left_s, operation.source)
             position = operation.target
         found.append(kept)
+    if len(operations) in resting:
+        found.append(resting[len(operations)])
     return replace(job, operations=Stream.of(found), sha256="")
 
 
@@ -83,40 +103,72 @@ def _moved(
     return tuple(axis for axis, a, b in zip(axes, begin, end, strict=True) if a != b)
 
 
-def _least_rest_s(
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """The rest that stays behind a move; what is left of it, and before which operation."""
+
+    rest_s: float
+    left_s: float
+    before: int
+
+
+def _cut(
     job: Job,
     operations: list[Operation],
     index: int,
     begin: tuple[float, ...],
     axis: str,
     machine: Machine,
-) -> float | None:
-    """Return the rest that ``overlapped`` leaves after a move; None where it stays as it is.
-
-    After the last switching the piston stands for the dead time, and then has at most speed times
-    lag to go, along an exponential. The last of the switches that are waited for counts.
-    """
+) -> _Cut | None:
+    """Return how the rest behind a move of one cylinder is cut; None where it stays."""
     move = operations[index]
     assert isinstance(move, Move)
-    cylinder = machine.cylinders[axis]
-    end_m = dict(zip(job.axes, move.target, strict=True))[axis]
-    rests = []
-    for after in operations[index + 1 :]:
+    assert machine.plc is not None
+    scan_s = float(machine.clock(machine.plc.clock).period_s)
+    from_m, to_m = (dict(zip(job.axes, at, strict=True))[axis] for at in (begin, move.target))
+    whole_s = machine.cylinders[axis].rest_s(to_m > from_m)
+    rests: list[float] = []
+    drawn, spent_s, before = False, 0.0, len(operations)
+    for at, after in enumerate(operations[index + 1 :], start=index + 1):
         if isinstance(after, WaitInput):
             contact = machine.contacts[after.name]
-            if contact.cylinder == axis and contact.at is not None and after.value:
-                left_m = abs(end_m - contact.at.si)
-                to_go = cylinder.speed.si * cylinder.lag.si / max(left_m, _LEAST_LEFT_M)
-                way = cylinder.way(end_m > dict(zip(job.axes, begin, strict=True))[axis])
-                shut_s = way.closes_s + cylinder.delay.si
-                rests.append(shut_s + cylinder.lag.si * math.log(max(to_go, 1.0)))
+            if contact.cylinder == axis and contact.at is not None and after.value and not drawn:
+                rests.append(_passes_s(machine, axis, from_m, to_m, contact.at.si))
+            spent_s += scan_s
+        elif isinstance(after, SetOutput) and _draws(machine, after):
+            drawn, spent_s = True, spent_s + scan_s
+        elif isinstance(after, Dwell) and drawn:
+            spent_s += after.duration_s
         elif isinstance(after, Move):
             others = _moved(job.axes, move.target, after.target)
-            guarded = bool(rests) and bool(others) and axis not in others
-            return round(max(rests), 6) if guarded else None
+            if rests and others and axis not in others:
+                return _Cut(round(max(rests), 6), 0.0, at)
+            before = at
+            break
         elif not isinstance(after, ToolEvent):
-            return None
-    return None
+            before = at
+            break
+    if not rests or not drawn:
+        return None
+    rest_s = round(max(rests), 6)
+    return _Cut(rest_s, round(whole_s - rest_s - spent_s, 6), before)
+
+
+def _draws(machine: Machine, operation: SetOutput) -> bool:
+    return machine.outputs[operation.name].kind == "vacuum" and bool(operation.value)
+
+
+def _passes_s(machine: Machine, axis: str, from_m: float, to_m: float, switch_m: float) -> float:
+    """Return how long after the last switching of a move its piston passes an end switch.
+
+    Behind it the valves close, the piston has dead time and then, at the most, speed times lag to
+    go, which it does as an exponential.
+    """
+    cylinder = machine.cylinders[axis]
+    left_m = abs(to_m - switch_m)
+    to_go = cylinder.speed.si * cylinder.lag.si / max(left_m, _LEAST_LEFT_M)
+    late_s = cylinder.way(to_m > from_m).closes_s + cylinder.delay.si
+    return late_s + cylinder.lag.si * math.log(max(to_go, 1.0))
 
 
 def move_list(job: Job, machine: Machine) -> str:
@@ -175,6 +227,9 @@ def _tag(key: str, value: float | str) -> str:
         return f"{key} = {_text(float(value), 's', 1e3, 'ms')}"
     if key == OVERLAP:
         return f"{key} = false"
+    each = levels_by_axis(str(value)) if key == "levels" else {}
+    if each:
+        return f"{key} = {{ {', '.join(f'{a} = {_quoted(t)}' for a, t in each.items())} }}"
     return f"{key} = {_quoted(str(value))}"
 
 

@@ -23,6 +23,7 @@ from threadline.targets.schedule_checks import check_air, check_interlocks, chec
 from threadline.targets.schedule_moves import (
     AxisShaping,
     Levels,
+    levels_by_axis,
     move_levels,
     open_flows,
     shortest_ticks,
@@ -316,11 +317,12 @@ class _Builder:
         if "shaper" in how:
             shaping = _shaping_of(self.machine, str(how["shaper"]), source).get(axis)
         valves, shortest = valves_of(way, tick_s), ("", 0)
+        text = str(how.get("levels", ""))
+        own = levels_by_axis(text).get(axis, "" if "=" in text else text)
         for dwell_s in (0.0, need):
-            if "levels" in how:
-                text = str(how["levels"])
+            if own:
                 levels = written_levels(
-                    text, abs(distance), cylinder.speed.si, tick_s, source.place, valves
+                    own, abs(distance), cylinder.speed.si, tick_s, source.place, valves
                 )
             else:
                 levels = move_levels(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -222,6 +223,19 @@ def written_levels(
         speed_m_s=speed_m_s,
         realised=None,
     )
+
+
+def joined_levels(texts: Mapping[str, str]) -> str:
+    """Return the levels of cylinders that move in one operation as one text, in their order."""
+    return "; ".join(f"{axis}={text}" for axis, text in texts.items())
+
+
+def levels_by_axis(text: str) -> dict[str, str]:
+    """Return the levels of each cylinder; an empty one where the text is of the one that moves."""
+    if "=" not in text:
+        return {}
+    pairs = (part.split("=", 1) for part in text.split(";"))
+    return {axis.strip(): levels.strip() for axis, levels in pairs}
 
 
 def levels_text(levels: Levels, tick_s: float) -> str:
