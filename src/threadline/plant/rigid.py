@@ -45,6 +45,13 @@ def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si
     return float(force)
 
 
+def drive_unit(machine: Machine, axis: str) -> str:
+    """Return the unit of what the stepper or pulse servo of an axis gives: "N m", or "N"."""
+    source = machine.source_of(axis)
+    assert source is not None
+    return "N" if machine.bodies[source.body].kind == "linear" else "N m"
+
+
 def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
     """Return the angle of an axis's drive, in rad (m), for 1 m or rad of the axis.
 

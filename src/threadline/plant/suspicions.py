@@ -7,7 +7,7 @@ import numpy as np
 from threadline.machine import Machine
 from threadline.machine.parts import Axis
 from threadline.plant.controllers import difference_equation
-from threadline.plant.rigid import current_needed, drive_rate, rigid_force, rigid_motion
+from threadline.plant.rigid import current_needed, drive_rate, drive_unit, rigid_force, rigid_motion
 from threadline.plant.values import Values
 
 _VISCOUS_SHARE = 0.5
@@ -160,9 +160,10 @@ def _beyond_torque(machine: Machine, name: str) -> list[str]:
     there = float(source.most_torque(np.array([speed * turns]))[0])
     if needed > there * _SPARE:
         unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
+        asked = f"{needed:.4g} {drive_unit(machine, name)}"
         found.append(
             f"axes.{name}: at {_speed(axis, speed)} and {axis.acceleration.si:.4g} {unit}, which "
-            f"it allows, drives.{drive} is asked for {needed:.4g} N m and has {there:.4g}"
+            f"it allows, drives.{drive} is asked for {asked} and has {there:.4g}"
         )
     return found
 

@@ -16,7 +16,7 @@ from threadline.plant.cylinders import cylinder_equations
 from threadline.plant.modes import Oscillation
 from threadline.plant.pneumatic import flow_mode
 from threadline.plant.prescribed import piece_of, resonance_hz
-from threadline.plant.rigid import drive_rate, rigid_force, rigid_motion
+from threadline.plant.rigid import drive_rate, drive_unit, rigid_force, rigid_motion
 
 
 class Analysis(Protocol):
@@ -138,19 +138,22 @@ class ToldAnalysis:
         Modes of the load against the motor, which stands still, the slowest first.
     resonance_hz
         Frequency at which a stepper without load swings about its step; None for a servo.
-    torque_n_m, torque_at_speed_n_m
-        Torque of the drive at standstill, and at the speed limit of the axis.
-    needed_n_m
-        Torque that the axis needs at its limits of speed and acceleration, with rigid links.
+    torque, torque_at_speed
+        Torque or force of the drive at standstill, and at the speed limit of the axis.
+    needed
+        What the axis needs of it at its limits of speed and acceleration, with rigid links.
+    unit
+        Unit of these three: N m, or N of a linear drive.
     """
 
     axis: str
     drive: str
     locked: tuple[Oscillation, ...]
     resonance_hz: float | None
-    torque_n_m: float
-    torque_at_speed_n_m: float
-    needed_n_m: float
+    torque: float
+    torque_at_speed: float
+    needed: float
+    unit: str
 
     @property
     def stable(self) -> bool:
@@ -168,7 +171,7 @@ class ToldAnalysis:
         return (
             f"axis {self.axis} has no loop: drives.{self.drive} is told positions, and "
             f"{rings or 'nothing rings behind it'}{swing}; at the axis' limits it is asked for "
-            f"{self.needed_n_m:.3g} of {self.torque_at_speed_n_m:.3g} N m"
+            f"{self.needed:.4g} of {self.torque_at_speed:.4g} {self.unit}"
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -183,9 +186,10 @@ class ToldAnalysis:
             "modes_hz": [m.frequency_hz for m in self.locked],
             "modes_damping": [m.damping for m in self.locked],
             "step_resonance_hz": self.resonance_hz,
-            "torque": self.torque_n_m,
-            "torque_at_speed_limit": self.torque_at_speed_n_m,
-            "torque_needed": self.needed_n_m,
+            "torque": self.torque,
+            "torque_at_speed_limit": self.torque_at_speed,
+            "torque_needed": self.needed,
+            "torque_unit": self.unit,
         }
 
 
@@ -207,9 +211,10 @@ def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
         drive=part.drive,
         locked=_oscillations(piece.matrix),
         resonance_hz=resonance_hz(source, float(piece.inertia[piece.drives.index(part.drive)])),
-        torque_n_m=still,
-        torque_at_speed_n_m=fast,
-        needed_n_m=rigid_force(machine, axis, part.velocity.si, part.acceleration.si) / turns,
+        torque=still,
+        torque_at_speed=fast,
+        needed=rigid_force(machine, axis, part.velocity.si, part.acceleration.si) / turns,
+        unit=drive_unit(machine, axis),
     )
 
 

@@ -94,21 +94,21 @@ def _told_tables(analyses: Mapping[str, ToldAnalysis]) -> list[Table]:
             a.drive,
             " ".join(f"{m.frequency_hz:.4g} ({m.damping:.4f})" for m in a.locked) or "-",
             _text(a.resonance_hz, ".4g"),
-            f"{a.torque_n_m:.4g}",
-            f"{a.torque_at_speed_n_m:.4g}",
-            f"{a.needed_n_m:.4g}",
+            f"{a.torque:.4g} {a.unit}",
+            f"{a.torque_at_speed:.4g} {a.unit}",
+            f"{a.needed:.4g} {a.unit}",
         ]
         for axis, a in analyses.items()
     ]
     return [
         Table(
             title="Drives that are told positions",
-            header=("axis", "drive", "load Hz", "step Hz", "N m at 0", "at speed", "asked"),
+            header=("axis", "drive", "load Hz", "step Hz", "at rest", "at speed", "asked"),
             rows=rows,
             note="Modes (damping ratio) of the load against the motor where it is told to stand; "
             "at what frequency a stepper without load swings about its step, which full steps at "
-            "that rate excite; torque at standstill, at the speed limit of the axis, and what the "
-            "axis asks for at its limits of speed and acceleration, links rigid.",
+            "that rate excite; torque or force at standstill, at the speed limit of the axis, and "
+            "what the axis asks for at its limits of speed and acceleration, links rigid.",
         )
     ]
 
