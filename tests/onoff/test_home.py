@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.plc.driving import Bench
+from tests.plc.machine import Plc
+from tests.plc.parts import read_in_parts
+from tests.plc.pistons import Cell
+from tests.plc.stuck import forbidden
 from threadline.cli.main import main
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.pipeline import plan_job, write
 from threadline.search.move_list import move_list
 from threadline.targets.plc_home import home_order, home_places
+from threadline.twin.switching import simulate_switching
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
 FREE = """
@@ -116,6 +123,118 @@ def test_a_home_that_no_contact_tells_is_refused(
     err = capsys.readouterr().err
     assert (ended.value.code, out.exists()) == (2, False)
     assert "no contact tells that X is home" in err
+    job.write_text(HOMING, encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", str(job), "-m", str(machine)])
+    err = capsys.readouterr().err
+    assert (ended.value.code, err.count("\n")) == (2, 1)
+    assert "list.toml:6: no contact tells that X is home" in err
+
+
+HOMING = """
+[[operation]]
+step = "on"
+valve = "main_air"
+
+[[operation]]
+step = "home"
+home = ["Z", "X"]
+"""
+
+
+def test_a_homing_list_brings_pistons_home_from_wherever_they_stand(tmp_path: Path) -> None:
+    """The program of a list that only brings home, scan by scan on pistons that start anywhere.
+
+    In its cycle and in its way home: the lift first, X only with the lift truly up, both slowly.
+    """
+    machine = load_machine("letter-placer")
+    file, out = tmp_path / "home.toml", tmp_path / "home.st"
+    file.write_text(HOMING, encoding="utf-8")
+    write(plan_job(read_job(file, machine), machine, Options()), "st", out)
+    for x, z in ((0.0, 0.0), (200.0, 100.0), (3.0, 97.0), (111.0, 5.0), (194.5, 55.0)):
+        bench = Bench(Plc(read_in_parts(out.read_text(encoding="ascii"))), 10_000, 0.2, 5)
+        bench.cell = Cell(x, z)
+        for button in ("home_button", "start_button"):
+            bench.cell.pistons["x"].at, bench.cell.pistons["z"].at = x, z
+            bench.press(button)
+            assert bench.block["busy"]
+            while bench.block["busy"]:
+                on = bench.scan()
+                assert not forbidden(on, bench.cell)
+                assert not on & {"x_right", "z_down", "x_left_a1", "z_up_a1"}, "home, slowly"
+            assert not bench.block["fault"], bench.block["fault_text"]
+            assert [bench.cell.pistons[a].at for a in "xz"] == [0.0, 0.0]
+        assert bench.block["finished"]
+        assert bench.block["count"] == 1
+
+
+def test_homing_within_a_list_ends_at_the_start_on_the_twin(tmp_path: Path) -> None:
+    """Out, home by the operation, out again: the piston is back at 0, no faster than its level."""
+    machine = load_machine("letter-placer")
+    file = tmp_path / "twice.toml"
+    out = '\n[[operation]]\nmove = { X = "150 mm" }\n'
+    home = '\n[[operation]]\nhome = ["Z", "X"]\n'
+    file.write_text(f'[[operation]]\nvalve = "main_air"\n{out}{home}{out}', encoding="utf-8")
+    job = read_job(file, machine)
+    scheduled = plan_job(job, machine, Options()).scheduled
+    assert [(m.begin_m, m.end_m) for m in scheduled.moves] == [(0.0, 0.15), (0.0, 0.15)]
+    assert [h.axis for h in scheduled.homings] == ["Z", "X"]
+    recording = simulate_switching(scheduled.commands, machine)
+    _, stroke = recording.samples("X.load")
+    times, level = recording.samples("X.level")
+    assert level.min() == -0.37
+    back = np.flatnonzero(level < 0.0)
+    assert stroke[back[0]] == pytest.approx(0.15, abs=0.003)
+    assert stroke[back[-1]] == pytest.approx(0.0, abs=1e-4)
+    speed = np.gradient(stroke, times)[back]
+    assert speed.min() > -1.25 * 0.37 * 0.43
+    assert stroke[-1] == pytest.approx(0.15, abs=0.003)
+    written = tmp_path / "written.toml"
+    written.write_text(move_list(job, machine), encoding="utf-8")
+    again = plan_job(read_job(written, machine), machine, Options()).scheduled
+    assert again.commands.ticks.tolist() == scheduled.commands.ticks.tolist()
+
+
+def test_the_order_of_the_operation_is_that_of_the_way_home(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    machine = load_machine("letter-placer")
+    file = tmp_path / "list.toml"
+    file.write_text(FREE + '\n[[operation]]\nhome = ["Z", "X"]\n', encoding="utf-8")
+    scheduled = plan_job(read_job(file, machine), machine, Options()).scheduled
+    assert home_order(scheduled) == ("Z", "X")
+    two = 'home = ["X", "Z"]\n' + file.read_text(encoding="utf-8")
+    code, written, err = compiled(two, tmp_path, capsys)
+    assert (code, written, err.count("\n")) == (2, "", 1)
+    assert "the list brings the cylinders home in two orders, X, Z and Z, X" in err
+
+
+@pytest.mark.parametrize(
+    ("home", "words"),
+    [
+        ('["Z"]', "list.toml:4: home = 'Z' does not name every cylinder once"),
+        ("true", "list.toml:4: home = 'True' does not name every cylinder once"),
+        ('["Z", "X"]\ntimeout = "1 s"', "list.toml:5: unknown key 'timeout'"),
+    ],
+)
+def test_a_homing_operation_that_is_wrong_is_refused_with_its_line(
+    home: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f'[[operation]]\nvalve = "main_air"\n[[operation]]\nhome = {home}\n'
+    code, _, err = compiled(text, tmp_path, capsys)
+    assert (code, err.count("\n")) == (2, 1)
+    assert words in err
+
+
+def test_a_list_that_moves_nothing_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { X = "0 mm" }\n'
+    code, written, err = compiled(text, tmp_path, capsys)
+    assert code == 0
+    assert written
+    assert "list.toml:3: this move moves nothing" in err
+    assert "the way home from elsewhere" in err
 
 
 def test_shared_addresses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

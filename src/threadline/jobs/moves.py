@@ -1,7 +1,7 @@
 """Move lists (``.toml``): the steps of an on/off machine, one ``[[operation]]`` after the other.
 
-Each operation has one of the keys ``move``, ``dwell``, ``valve``, ``vacuum``, ``output`` and
-``wait``. The key ``step`` names the step of the cycle that begins with its operation.
+Each operation has one of the keys ``move``, ``dwell``, ``valve``, ``vacuum``, ``output``,
+``wait`` and ``home``. The key ``step`` names the step of the cycle that begins with its operation.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from threadline.input_files import open_binary
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
+    Home,
     Job,
     Move,
     Operation,
@@ -40,6 +41,7 @@ OPERATION_KEYS = {
     "vacuum": ("vacuum", "on"),
     "output": ("output", "on"),
     "wait": ("wait", "is", "timeout"),
+    "home": ("home",),
 }
 """Keys of each sort of operation, by the key that tells the sort."""
 DEFAULT_TIMEOUT_S = 2.0
@@ -102,7 +104,7 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
         start=tuple(0.0 for _ in machine.cylinders),
         operations=Stream.of(operations),
         paced_by="switchings",
-        home=reader.home(table),
+        home=reader.home(table, operations),
     )
 
 
@@ -144,18 +146,34 @@ class _Reader:
             found += self._operation(row, index, source, position)
         return found
 
-    def home(self, table: Mapping[str, Any]) -> tuple[str, ...]:
-        """Return the order of the way home, where the list says it: every cylinder once."""
-        order = table.get("home", [])
+    def home(self, table: Mapping[str, Any], operations: list[Operation]) -> tuple[str, ...]:
+        """Return the order of the way home, where the list says it: every cylinder once.
+
+        At its top, or by an operation that brings the cylinders home.
+        """
+        told = [operation.axes for operation in operations if isinstance(operation, Home)]
+        if "home" in table:
+            told.insert(0, self._order(table["home"], None))
+        for other in told[1:]:
+            if other != told[0]:
+                self.refuse(
+                    f"the list brings the cylinders home in two orders, {', '.join(told[0])} and "
+                    f"{', '.join(other)}",
+                    None,
+                    "home",
+                    "The way home of the PLC program has one: write the same.",
+                )
+        return told[0] if told else ()
+
+    def _order(self, order: Any, index: int | None) -> tuple[str, ...]:
+        """Return every cylinder once, in the order that was given."""
         axes = tuple(self.machine.cylinders)
-        if "home" in table and sorted(map(str, order if isinstance(order, list) else [])) != (
-            sorted(axes)
-        ):
+        if sorted(map(str, order if isinstance(order, list) else [])) != sorted(axes):
             shown = ", ".join(map(str, order))[:80] if isinstance(order, list) else str(order)[:80]
             example = ", ".join(f'"{axis}"' for axis in reversed(axes))
             self.refuse(
                 f"home = {shown!r} does not name every cylinder once",
-                None,
+                index,
                 "home",
                 f"Write them in the order in which they are to come back, like home = [{example}].",
             )
@@ -184,6 +202,10 @@ class _Reader:
             name = self._named(row, index, "wait", contacts, "contact")
             timeout = self._time(row, index, "timeout") if "timeout" in row else DEFAULT_TIMEOUT_S
             return [WaitInput(name, float(self._flag(row, index, "is", True)), timeout, source)]
+        if verb == "home":
+            order = self._order(row["home"], index)
+            position.update(dict.fromkeys(order, 0.0))
+            return [Home(order, source)]
         kinds = {"valve": "soft-start", "vacuum": "vacuum", "output": "tool"}
         outputs = [n for n, o in self.machine.outputs.items() if o.kind == kinds[verb]]
         name = self._named(row, index, verb, outputs, f"{kinds[verb]} output")

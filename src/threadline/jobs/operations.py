@@ -197,6 +197,14 @@ class WaitInput:
 
 
 @dataclass(frozen=True, slots=True)
+class Home:
+    """Bringing the cylinders ``axes`` to their starts, one after the other, by their contacts."""
+
+    axes: tuple[str, ...]
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
 class Stop:
     """Standing still until the operator goes on; ``final`` ends the job."""
 
@@ -215,7 +223,7 @@ class ToolEvent:
 
 Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
 """What sets the speed of a job; see ``Job.paced_by``."""
-Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Stop | ToolEvent
+Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | ToolEvent
 
 
 class OperationStream(Stream[Operation]):

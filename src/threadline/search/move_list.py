@@ -14,6 +14,7 @@ from threadline.errors import OptionError
 from threadline.jobs.moves import OVERLAP, REST
 from threadline.jobs.operations import (
     Dwell,
+    Home,
     Job,
     Move,
     Operation,
@@ -91,6 +92,8 @@ def overlapped(job: Job, machine: Machine) -> Job:
                     if cut.left_s > 0.0:
                         resting[cut.before] = Dwell(cut.left_s, operation.source)
             position = operation.target
+        elif isinstance(operation, Home):
+            position = tuple(0.0 for _ in job.axes)
         found.append(kept)
     if len(operations) in resting:
         found.append(resting[len(operations)])
@@ -174,7 +177,7 @@ def _passes_s(machine: Machine, axis: str, from_m: float, to_m: float, switch_m:
 def move_list(job: Job, machine: Machine) -> str:
     """Return a job of an on/off machine as a move list that reads back as the same job."""
     lines = [f"name = {_quoted(job.name)}"]
-    if job.home:
+    if job.home and not any(isinstance(operation, Home) for operation in job):
         lines.append(f"home = [{', '.join(map(_quoted, job.home))}]")
     step = ""
     position = dict(zip(job.axes, job.start, strict=True))
@@ -217,6 +220,9 @@ def _operation_lines(
                 f"is = {str(bool(value)).lower()}",
                 f"timeout = {_text(timeout, 's', 1.0, 's')}",
             ]
+        case Home(axes=order):
+            position.update(dict.fromkeys(order, 0.0))
+            return [f"home = [{', '.join(map(_quoted, order))}]"]
         case _:
             raise OptionError(f"a move list has no {type(operation).__name__}")
 

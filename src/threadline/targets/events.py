@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.jobs.operations import (
     Dwell,
+    Home,
     Job,
     Move,
     MoveRun,
@@ -143,6 +144,6 @@ def _event(tick: int, index: int, operation: Operation) -> Event:
             kind, value = "dwell", operation.duration_s
         case Stop():
             kind = "end" if operation.final else "stop"
-        case Move():
-            raise ValueError("a move is no event")
+        case Move() | Home():
+            raise ValueError(f"a {type(operation).__name__.lower()} is no event")
     return Event(tick=tick, kind=kind, operation=index, name=name, value=value)

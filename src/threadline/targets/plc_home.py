@@ -12,16 +12,11 @@ import math
 from collections.abc import Iterator
 
 from threadline.errors import Place, PlanError
-from threadline.machine import Machine
-from threadline.machine.pneumatics import Way
+from threadline.targets.homing import Homing, home_stage
 from threadline.targets.plc_net import NetPlace
-from threadline.targets.plc_watch import switches_of
-from threadline.targets.schedule import Scheduled
+from threadline.targets.schedule import Scheduled, ScheduledMove
 
 HOMING = "homing"
-_AMPLE = 2.0
-_SPARE_S = 1.0
-_WHOLE = 1.2  # strokes
 _SAME_M = 1e-6
 
 
@@ -39,18 +34,11 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
     now_ms = _scans_ms(max(ramps, default=0.0), scan_ms)
     places = [_place(after + 1, air, now_ms, None)]
     for axis in home_order(scheduled):
-        cylinder = machine.cylinders[axis]
-        name = home_switch(machine, axis)
-        level, flows = slowest(cylinder.back)
-        on = (*air, cylinder.back.valve, *flows)
-        speed = level * cylinder.speed.si
-        calm_s = cylinder.rest_s(forward=False)
-        late_s = _AMPLE * (cylinder.stroke.si / speed + calm_s) + _SPARE_S
-        places.append(
-            _place(after + len(places) + 1, on, now_ms + round(1000 * late_s), (name, True))
-        )
-        pressed_s = _WHOLE * cylinder.stroke.si / speed + calm_s
-        now_ms = _scans_ms(pressed_s, scan_ms)
+        stage = home_stage(machine, axis)
+        on, late_ms = (*air, *stage.on), round(1000 * stage.late_s)
+        wait = (stage.switch, True)
+        places.append(_place(after + len(places) + 1, on, now_ms + late_ms, wait))
+        now_ms = _scans_ms(stage.pressed_s, scan_ms)
         places.append(_place(after + len(places) + 1, on, now_ms, None))
     return tuple(places)
 
@@ -97,39 +85,12 @@ def _needed(scheduled: Scheduled) -> Iterator[tuple[str, str]]:
     at = dict(zip(scheduled.job.axes, scheduled.job.start, strict=True))
     start, moving = dict(at), {move.axis for move in scheduled.moves}
     away: set[tuple[str, str]] = set()
-    for move in scheduled.moves:
+    both: list[ScheduledMove | Homing] = [*scheduled.moves, *scheduled.homings]
+    for move in sorted(both, key=lambda one: one.first_tick):
         away |= {(move.axis, o) for o in moving - {move.axis} if abs(at[o] - start[o]) > _SAME_M}
-        at[move.axis] += (1.0 if move.forward else -1.0) * move.levels.wanted_m
+        at[move.axis] = 0.0 if isinstance(move, Homing) else move.end_m
     for axis in sorted(moving):
         for other in sorted(moving - {axis}):
             # Each only with the other at home: their order is the user's.
             if (axis, other) not in away and (other, axis) in away:
                 yield axis, other
-
-
-def home_switch(machine: Machine, axis: str) -> str:
-    """Return the end switch that is on where a cylinder starts, the nearest to its start.
-
-    Raises
-    ------
-    PlanError
-        If there is none.
-    """
-    near = {
-        n: c.at.si
-        for n, c in switches_of(machine, axis).items()
-        if c.beyond == "below" and c.at is not None
-    }
-    if not near:
-        raise PlanError(
-            f"no contact tells that {axis} is home, so that nothing could bring it there",
-            remedy=f'Add a contact with cylinder = "{axis}", beyond = "below" to the machine file.',
-        )
-    return min(near, key=lambda name: near[name])
-
-
-def slowest(way: Way) -> tuple[float, tuple[str, ...]]:
-    """Return the smallest level above 0 of one sense, and the flow controls that make it."""
-    sets = {flows: level for flows, level in way.levels().items() if level > 0.0}
-    flows = min(sets, key=lambda chosen: sets[chosen])
-    return sets[flows], flows

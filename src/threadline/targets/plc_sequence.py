@@ -6,11 +6,13 @@ in ``IDLE``, where every output is off.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from threadline.machine import Machine
-from threadline.targets.plc_home import HOMING, home_places, slowest
+from threadline.targets.homing import slowest
+from threadline.targets.plc_home import HOMING, home_places
 from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import NetPlace, PetriNet, petri_net
 from threadline.targets.plc_pou import Variable
@@ -225,13 +227,27 @@ def _what(place: NetPlace, scheduled: Scheduled) -> str:
     """Return what happens until the time of a place has come, for people."""
     if place.wait is not None:
         return f"{place.wait[0]} must be {'on' if place.wait[1] else 'off'} by then"
+    machine, tick = scheduled.machine, place.begin_tick
     if place.step == HOMING:
+        moved = any(machine.outputs[name].kind == "direction" for name in place.on)
+        return "pressed home" if moved else "under pressure"
+    if any(one.first_tick <= tick < one.last_tick for one in scheduled.homings):
         return "pressed home"
     for move in scheduled.moves:
-        if move.first_tick <= place.begin_tick < move.last_tick:
-            way = "forward" if move.forward else "back"
+        way = "forward" if move.forward else "back"
+        if move.first_tick <= tick < move.last_tick:
             return f"{move.axis} {move.levels.wanted_m * 1e3:g} mm {way}"
-    return "the next is due"
+    scan_s = float(scheduled.commands.clock.period_s)
+    stays_s = 1e-3 * place.due_ms - (tick - place.origin_tick) * scan_s
+    for move in scheduled.moves:
+        rest_s = machine.cylinders[move.axis].rest_s(move.forward)
+        if move.last_tick <= tick < move.last_tick + math.ceil(rest_s / scan_s - 1e-9):
+            return f"{move.axis} comes to rest"
+    for name in place.on:
+        ramp = machine.outputs[name].ramp
+        if ramp is not None and abs(stays_s - ramp.si) < scan_s:
+            return f"{name} is under pressure"
+    return "one scan" if stays_s < 1.5 * scan_s else f"{stays_s * 1e3:g} ms more"
 
 
 def _before_vacuum(

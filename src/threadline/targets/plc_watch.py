@@ -8,12 +8,10 @@ those of the near end must be gone once it has had ample time to leave.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Contact
 from threadline.targets.plc_net import NetPlace, PetriNet
@@ -69,15 +67,17 @@ def reads(contact: Contact, place_m: float) -> bool | None:
 
 def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
     """Return for every place of the net the watch of each cylinder that has end switches."""
-    ways = _ways(scheduled)
     machine = scheduled.machine
+    ways = {axis: _moves_since(scheduled, axis, -1) for axis in scheduled.axes}
     found: list[dict[str, Watch]] = []
     for number, place in enumerate(net.places):
         before = found[-1] if found else {}
+        if scheduled.homings:
+            ways = {a: _moves_since(scheduled, a, place.begin_tick) for a in scheduled.axes}
         now = {
             axis: _watch(machine, place, before.get(axis), axis, moves, net.scan_ms)
             for axis, moves in ways.items()
-            if switches_of(machine, axis)
+            if switches_of(machine, axis) and not _anywhere(scheduled, axis, place.begin_tick)
         }
         for axis, watch in now.items():
             last = before.get(axis)
@@ -97,22 +97,24 @@ def _came(machine: Machine, place: NetPlace, axis: str, end_m: float) -> bool:
     return contact.cylinder == axis and contact.at is not None and bool(reads(contact, end_m))
 
 
-@dataclass(frozen=True, slots=True)
-class _Way:
-    move: ScheduledMove
-    begin_m: float
-    end_m: float
+def _anywhere(scheduled: Scheduled, axis: str, tick: int) -> bool:
+    """Say whether a cylinder may be anywhere at a scan: an operation brings it home, or will."""
+    return any(
+        one.axis == axis
+        and tick < one.last_tick
+        and (
+            tick >= one.first_tick
+            or not any(m.axis == axis and m.first_tick < one.first_tick for m in scheduled.moves)
+        )
+        for one in scheduled.homings
+    )
 
 
-def _ways(scheduled: Scheduled) -> Mapping[str, list[_Way]]:
-    job: Job = scheduled.job
-    at = dict(zip(job.axes, job.start, strict=True))
-    ways: dict[str, list[_Way]] = {axis: [] for axis in job.axes}
-    for move in scheduled.moves:
-        begin = at[move.axis]
-        at[move.axis] = begin + (1.0 if move.forward else -1.0) * move.levels.wanted_m
-        ways[move.axis].append(_Way(move, begin, at[move.axis]))
-    return ways
+def _moves_since(scheduled: Scheduled, axis: str, tick: int) -> list[ScheduledMove]:
+    """Return the moves of a cylinder since an operation last brought it home."""
+    homed = [h.last_tick for h in scheduled.homings if h.axis == axis and h.last_tick <= tick]
+    since = max(homed, default=0)
+    return [m for m in scheduled.moves if m.axis == axis and m.first_tick >= since]
 
 
 def _watch(
@@ -120,34 +122,34 @@ def _watch(
     place: NetPlace,
     before: Watch | None,
     axis: str,
-    ways: list[_Way],
+    ways: list[ScheduledMove],
     scan_ms: int,
 ) -> Watch:
-    begun = [way for way in ways if way.move.first_tick <= place.begin_tick]
+    begun = [way for way in ways if way.first_tick <= place.begin_tick]
     if not begun:
         start_m = ways[0].begin_m if ways else 0.0
         return Watch(axis=axis, begin_m=start_m, end_m=start_m)
     way, cylinder = begun[-1], machine.cylinders[axis]
-    calm_ms = 1000.0 * cylinder.rest_s(way.move.forward)
-    opens_ms = 1000.0 * cylinder.way(way.move.forward).opens_s
-    rest_tick = way.move.last_tick + math.ceil(calm_ms / scan_ms - 1e-9)
+    calm_ms = 1000.0 * cylinder.rest_s(way.forward)
+    opens_ms = 1000.0 * cylinder.way(way.forward).opens_s
+    rest_tick = way.last_tick + math.ceil(calm_ms / scan_ms - 1e-9)
     awaited = place.wait is not None and machine.contacts[place.wait[0]].cylinder == axis
     going = place.begin_tick < rest_tick or (
         awaited and before is not None and not before.stands and before.end_m == way.end_m
     )
     if not going:
         return Watch(axis=axis, begin_m=way.end_m, end_m=way.end_m)
-    since_ms = (way.move.first_tick - place.origin_tick) * scan_ms
+    since_ms = (way.first_tick - place.origin_tick) * scan_ms
     early, gone = math.inf, 0.0
     for contact in switches_of(machine, axis).values():
         assert contact.at is not None
         first, last = reads(contact, way.begin_m), reads(contact, way.end_m)
         away_m = abs(contact.at.si - way.begin_m)
         if last and not first:
-            reached = _commanded_ms(way.move, away_m - contact.at.tolerance_si, scan_ms)
+            reached = _commanded_ms(way, away_m - contact.at.tolerance_si, scan_ms)
             early = min(early, _EARLIEST * (1000.0 * cylinder.delay.si + opens_ms + reached))
         elif first and not last:
-            reached = _commanded_ms(way.move, away_m + contact.at.tolerance_si, scan_ms)
+            reached = _commanded_ms(way, away_m + contact.at.tolerance_si, scan_ms)
             gone = max(gone, _AMPLE * (calm_ms + opens_ms + reached))
     return Watch(
         axis=axis,

@@ -11,14 +11,21 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from threadline.arrays import IntArray
-from threadline.errors import BudgetError, OptionError, Place, PlanError
+from threadline.errors import BudgetError, Place, PlanError
 from threadline.jobs.moves import REST, STEP_EVENT
-from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source, ToolEvent, WaitInput
+from threadline.jobs.operations import (
+    Dwell,
+    Home,
+    Job,
+    Move,
+    SetOutput,
+    Source,
+    ToolEvent,
+    WaitInput,
+)
 from threadline.machine import Machine
 from threadline.signals import Clock, Event, SwitchSchedule
+from threadline.targets.homing import Homing, home_stage
 from threadline.targets.schedule_checks import check_air, check_interlocks, check_wait
 from threadline.targets.schedule_moves import (
     AxisShaping,
@@ -26,11 +33,13 @@ from threadline.targets.schedule_moves import (
     levels_by_axis,
     move_levels,
     open_flows,
+    shaping_told,
     shortest_ticks,
+    table_of,
     valves_of,
     written_levels,
 )
-from threadline.targets.schedule_options import shaping_of
+from threadline.targets.schedule_options import shaping_at
 
 ON_OFF = "on-off"
 """What plans of on/off machines give as their interpolation."""
@@ -45,6 +54,8 @@ class ScheduledMove:
     ----------
     operation, step, axis, forward
         What moves, and in which step of the cycle.
+    begin_m, end_m
+        From where to where.
     first_tick, last_tick
         Scans of the first and the last switching.
     levels
@@ -54,10 +65,16 @@ class ScheduledMove:
     operation: int
     step: str
     axis: str
-    forward: bool
+    begin_m: float
+    end_m: float
     first_tick: int
     last_tick: int
     levels: Levels
+
+    @property
+    def forward(self) -> bool:
+        """Whether it goes away from 0."""
+        return self.end_m > self.begin_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,8 +87,8 @@ class Scheduled:
         The two inputs.
     commands
         The schedule; its events name the steps (kind ``tool``) and the waits.
-    moves
-        Every move, in order.
+    moves, homings
+        Every move, and every cylinder that an operation brings home, in order.
     wait_timeouts_s
         One for each event of kind ``wait``, in order.
     warnings
@@ -85,6 +102,7 @@ class Scheduled:
     commands: SwitchSchedule
     moves: tuple[ScheduledMove, ...]
     wait_timeouts_s: tuple[float, ...]
+    homings: tuple[Homing, ...] = ()
     warnings: tuple[str, ...] = ()
     shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
 
@@ -115,18 +133,7 @@ class Scheduled:
         """Return how each cylinder is shaped, where a shaper was asked for."""
         if "shaper" not in options:
             return {}
-        return {
-            "shaping": {
-                axis: {
-                    "shaper": shaping.shaper.name,
-                    "modes": [
-                        {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio}
-                        for m in shaping.modes
-                    ],
-                }
-                for axis, shaping in self.shaping.items()
-            }
-        }
+        return {"shaping": {axis: shaping_told(one) for axis, one in self.shaping.items()}}
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
         """Return the line of each operation, 0 where it has none."""
@@ -168,6 +175,7 @@ class _Builder:
     events: list[Event] = field(default_factory=list)
     timeouts: list[float] = field(default_factory=list)
     moves: list[ScheduledMove] = field(default_factory=list)
+    homings: list[Homing] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     state: dict[str, int] = field(default_factory=dict)
     position: dict[str, float] = field(default_factory=dict)
@@ -213,6 +221,8 @@ class _Builder:
                 )
                 self.timeouts.append(timeout)
                 self.tick += 1
+            case Home(axes=axes, source=source):
+                self._bring_home(index, axes, source)
             case Move(target=target, source=source, tags=tags):
                 self._move(index, target, source, tags)
             case _:
@@ -253,6 +263,27 @@ class _Builder:
         }
         self.tick = max(ends)
 
+    def _bring_home(self, index: int, axes: tuple[str, ...], source: Source) -> None:
+        """Bring cylinders home one after the other, from wherever they stand."""
+        check_air(self.machine, self.state, source)
+        for axis in axes:
+            stage = home_stage(self.machine, axis, source.place)
+            before, first = dict(self.position), self.tick
+            self._set(first, dict.fromkeys(stage.on, 1), index)
+            self.events.append(
+                Event(tick=first, kind="wait", operation=index, name=stage.switch, value=1.0)
+            )
+            self.timeouts.append(stage.late_s)
+            self.tick += self._ticks(stage.pressed_s)
+            self._set(self.tick, dict.fromkeys(stage.on, 0), index)
+            self.tick += self._ticks(self.machine.cylinders[axis].rest_s(forward=False))
+            self.position[axis] = 0.0
+            self._check_interlocks([axis], before, source)
+            self.on_its_way.discard(axis)
+            self.homings.append(
+                Homing(operation=index, axis=axis, first_tick=first, last_tick=self.tick)
+            )
+
     def _check_interlocks(
         self, moving: list[str], before: Mapping[str, float], source: Source
     ) -> None:
@@ -282,7 +313,8 @@ class _Builder:
                 operation=index,
                 step=self.step,
                 axis=axis,
-                forward=distance > 0,
+                begin_m=self.position[axis] - distance,
+                end_m=self.position[axis],
                 first_tick=self.tick,
                 last_tick=last,
                 levels=levels,
@@ -294,14 +326,10 @@ class _Builder:
                 f"{source.place}: {axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
                 f"{levels.wanted_m * 1e3:.2f} mm: whole scans of "
                 f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
-                f"set the flow to {self._whole(levels):.6g} m/s to meet it"
+                f"set the flow to {cylinder.speed.si * levels.wanted_m / levels.commanded_m:.6g} "
+                "m/s to meet it"
             )
         return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
-
-    def _whole(self, levels: Levels) -> float:
-        """Return the speed at which the same scans cover the distance that was asked for."""
-        assert levels.speed_m_s > 0
-        return levels.speed_m_s * levels.wanted_m / levels.commanded_m
 
     def _levels(
         self, axis: str, distance: float, source: Source, how: Mapping[str, float | str]
@@ -315,7 +343,7 @@ class _Builder:
         way, shaping = cylinder.way(distance > 0), self.shaping.get(axis)
         tick_s, need = float(self.clock.period_s), way.least_hold_s(self.machine.plc)
         if "shaper" in how:
-            shaping = _shaping_of(self.machine, str(how["shaper"]), source).get(axis)
+            shaping = shaping_at(self.machine, str(how["shaper"]), source.place).get(axis)
         valves, shortest = valves_of(way, tick_s), ("", 0)
         text = str(how.get("levels", ""))
         own = levels_by_axis(text).get(axis, "" if "=" in text else text)
@@ -343,20 +371,7 @@ class _Builder:
         )
 
     def finish(self) -> Scheduled:
-        columns = {name: i for i, name in enumerate(self.machine.outputs)}
-        state = np.zeros(len(columns), dtype=np.int64)
-        ticks: list[int] = []
-        table: list[IntArray] = []
-        operations: list[int] = []
-        for tick in sorted(self.rows):
-            changes, operation = self.rows[tick]
-            for name, value in changes.items():
-                state[columns[name]] = value
-            if table and np.array_equal(table[-1], state):
-                continue
-            ticks.append(tick)
-            table.append(state.copy())
-            operations.append(operation)
+        ticks, table, operations = table_of(self.rows, tuple(self.machine.outputs))
         if self.tick > self.machine.tick_budget.si:
             raise BudgetError(
                 f"the job takes {self.tick} scans, limit {self.machine.tick_budget.si:g}",
@@ -364,10 +379,10 @@ class _Builder:
             )
         commands = SwitchSchedule(
             clock=self.clock,
-            outputs=tuple(columns),
-            ticks=np.array(ticks, dtype=np.int64),
-            levels=np.array(table, dtype=np.int64).reshape(len(table), len(columns)),
-            operation=np.array(operations, dtype=np.int64),
+            outputs=tuple(self.machine.outputs),
+            ticks=ticks,
+            levels=table,
+            operation=operations,
             duration_ticks=self.tick,
             job_sha256=self.job.sha256,
             machine_sha256=self.machine.sha256,
@@ -378,14 +393,8 @@ class _Builder:
             machine=self.machine,
             commands=commands,
             moves=tuple(self.moves),
+            homings=tuple(self.homings),
             wait_timeouts_s=tuple(self.timeouts),
             warnings=tuple(self.warnings),
             shaping=self.shaping,
         )
-
-
-def _shaping_of(machine: Machine, text: str, source: Source) -> dict[str, AxisShaping]:
-    try:
-        return shaping_of(machine, text)
-    except OptionError as error:
-        raise PlanError(error.message, place=source.place, remedy=error.remedy) from error

@@ -6,10 +6,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import Place, PlanError, UnitError
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Way
@@ -61,6 +62,14 @@ def shaping_words(shaping: AxisShaping | None) -> str:
         f"{m.frequency_hz:.4g} Hz, damping ratio {m.damping_ratio:.4g}" for m in shaping.modes
     )
     return f"shaped by {shaping.shaper.name} for {modes}"
+
+
+def shaping_told(shaping: AxisShaping) -> dict[str, Any]:
+    """Return how a cylinder is shaped, and for which modes, for machines."""
+    modes = [
+        {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio} for m in shaping.modes
+    ]
+    return {"shaper": shaping.shaper.name, "modes": modes}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -307,3 +316,32 @@ def shortest_ticks(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, .
     before = [False, *opened[:-1]]
     changes = [t for t, now, was in zip(ticks, opened, before, strict=True) if now != was]
     return int(np.diff(changes).min()) if len(changes) > 1 else 1 << 62
+
+
+def table_of(
+    rows: Mapping[int, tuple[Mapping[str, int], int]], outputs: tuple[str, ...]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return ticks, levels of all outputs and operations of the rows that change something.
+
+    Parameters
+    ----------
+    rows
+        By tick: what is switched, and by which operation.
+    """
+    columns = {name: i for i, name in enumerate(outputs)}
+    state = np.zeros(len(columns), dtype=np.int64)
+    ticks, table, operations = list[int](), list[IntArray](), list[int]()
+    for tick in sorted(rows):
+        changes, operation = rows[tick]
+        for name, value in changes.items():
+            state[columns[name]] = value
+        if table and np.array_equal(table[-1], state):
+            continue
+        ticks.append(tick)
+        table.append(state.copy())
+        operations.append(operation)
+    return (
+        np.array(ticks, dtype=np.int64),
+        np.array(table, dtype=np.int64).reshape(len(table), len(columns)),
+        np.array(operations, dtype=np.int64),
+    )

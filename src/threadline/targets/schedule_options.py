@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from threadline.errors import OptionError
+from threadline.errors import OptionError, Place, PlanError
 from threadline.foreign_messages import nearest
 from threadline.machine import Machine
 from threadline.plant.pneumatic import flow_mode
@@ -76,6 +76,20 @@ def shaping_of(
             )
         shaping[axis] = made[tuple(key)]
     return shaping
+
+
+def shaping_at(machine: Machine, text: str, place: Place) -> dict[str, AxisShaping]:
+    """Return the shaping that a move list writes for a move.
+
+    Raises
+    ------
+    PlanError
+        If a word is unknown; with the line.
+    """
+    try:
+        return shaping_of(machine, text)
+    except OptionError as error:
+        raise PlanError(error.message, place=place, remedy=error.remedy) from error
 
 
 def _by_axis(machine: Machine, text: str) -> dict[str, str]:

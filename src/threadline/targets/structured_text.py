@@ -129,6 +129,7 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         "A broken light grid, a missing enable, a late scan, or a contact that cannot be believed",
         "switches all outputs off in the same scan. Then: acknowledge, home, start.",
         "Power-on, work by hand and every fault ask for home before a start.",
+        "Times t_... count from the input that came last, or from the start of the run.",
         "It is no safety function: what protects people has to cut the air without it.",
         *(
             f"{axis}: {shaping_words(scheduled.shaping.get(axis))}"

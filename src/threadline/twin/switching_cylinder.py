@@ -33,6 +33,12 @@ _ADHESION_N = 1.0
 """N. A piston leaves its stop only when a larger force pulls at it; at a smaller one it would
 leave and meet the stop again at every step."""
 _TAYLOR = 8
+_EMPTY = 1.0 / (4.0 * 1.4)
+"""Of the stroke: so far the air is strained when the exhaust of a pressed piston is empty.
+
+The stiffness of the air is 1.4 p A (1/l1 + 1/l2), in the middle of the stroke 5.6 p A / stroke; the
+force of an empty exhaust against a full chamber is p A.
+"""
 _STROKE, _RATE, _FRAME, _STOP, _STICK, ROWS = 0, 1, 2, 3, 4, 5
 _LENGTH, _RAMP, _CUSHION, _FRICTION, _BREAK, _SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7
 
@@ -54,7 +60,7 @@ class Bank(NamedTuple):
     numbers
         (C, NUMBERS) lengths, forces and speeds of each; columns as in ``_LENGTH`` and the next.
     masses
-        (C, 2) indices of the velocities of piston and housing.
+        (C, 4) indices of the velocities of piston and housing, of the flow and of the air.
     """
 
     step: FloatArray
@@ -131,7 +137,7 @@ def cylinders_of(
     rates = np.zeros((count, len(made), keys, size, size))
     all_rows = np.zeros((count, len(made), ROWS, size))
     numbers = np.zeros((count, len(made), NUMBERS))
-    masses = np.zeros((len(made), 2), dtype=np.int64)
+    masses = np.zeros((len(made), 4), dtype=np.int64)
     for c, (rate, rows, own, pair) in enumerate(made):
         # The states stand in front, the level and the 1 at the very end.
         n = rate.shape[-1] - 2
@@ -170,7 +176,7 @@ def _short_step(turned: FloatArray) -> FloatArray:
 
 def _tables(
     machine: Machine, name: str, values: Values
-) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, int]]:
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, int, int, int]]:
     """Return generators (V, K, n + 2, n + 2), rows (V, ROWS, n + 2), numbers (V, NUMBERS)."""
     cylinder, plant = machine.cylinders[name], cylinder_equations(machine, name, values)
     count, n, where = values.count, len(plant.states), f"cylinders.{name}"
@@ -208,7 +214,7 @@ def _tables(
     numbers[:, _BREAK] = stiction
     numbers[:, _SHARE] = plant.piston_share
     numbers[:, SPEED] = number("speed", cylinder.speed)
-    return np.stack(rates, axis=1), rows, numbers, (plant.piston, plant.housing)
+    return np.stack(rates, axis=1), rows, numbers, (plant.piston, plant.housing, n - 2, n - 1)
 
 
 def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray:
@@ -355,6 +361,23 @@ def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Moti
                 motion.state[c, i] += term[i]
 
 
+def _exhaust(c: int, bank: Bank, motion: Motion) -> None:
+    """Let the exhaust of a piston that is pressed against its stop run empty, and no further.
+
+    On the way back the other chamber is the exhaust, under full pressure from the first.
+    """
+    mode = motion.mode[c]
+    if mode not in (AT_START, AT_END):
+        return
+    sign = 1.0 if mode == AT_END else -1.0
+    x, flow, air = motion.state[c], bank.masses[c, 2], bank.masses[c, 3]
+    most = _EMPTY * bank.numbers[c, _LENGTH]
+    if sign * x[air] > 0.9 * most and sign * x[flow] < 0.0:
+        x[air] = 0.0
+    elif sign * x[air] > most:
+        x[air] = sign * most
+
+
 dot = njit(cache=True, nogil=True)(_dot)
 put = njit(cache=True, nogil=True)(_put)
 times = njit(cache=True, nogil=True)(_times)
@@ -365,4 +388,5 @@ ended = njit(cache=True, nogil=True)(_ended)
 released = njit(cache=True, nogil=True)(_released)
 change = njit(cache=True, nogil=True)(_change)
 advance = njit(cache=True, nogil=True)(_advance)
+exhaust = njit(cache=True, nogil=True)(_exhaust)
 advance_share = njit(cache=True, nogil=True)(_advance_share)

@@ -27,6 +27,7 @@ from threadline.twin.switching_cylinder import (
     Bank,
     Motion,
     advance_share,
+    exhaust,
     frame_of,
     stroke_of,
 )
@@ -282,6 +283,7 @@ def _move(
         motion.state[c, -2] = level if abs(level) > _SHUT else 0.0
         queue[1] += 1
     advance_share(c, (end - now) / whole, orders.step_s, bank, motion)
+    exhaust(c, bank, motion)
 
 
 def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:

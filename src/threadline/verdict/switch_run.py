@@ -342,16 +342,14 @@ class SwitchRun:
         """Every move; none unless the schedule was followed."""
         if not self.followed:
             return ()
-        position = dict(zip(self.plan.job.axes, self.plan.job.start, strict=True))
         found = []
         for move in self.plan.scheduled.moves:
             cylinder = self.plan.machine.cylinders[move.axis]
-            position[move.axis] += move.levels.wanted_m * (1.0 if move.forward else -1.0)
             end_s = self.instant_s(move.last_tick)
             found.append(
                 RunMove(
                     planned=move,
-                    target_m=position[move.axis],
+                    target_m=move.end_m,
                     begin_s=self.instant_s(move.first_tick),
                     end_s=end_s,
                     rest_s=end_s + cylinder.rest_s(move.forward),
