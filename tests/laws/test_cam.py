@@ -16,6 +16,7 @@ from threadline.laws.cam import MeasuredCam, Triangle, read_cam
 from threadline.laws.cam_study import CamStudy, Fairing, study_cam
 from threadline.laws.fairing import differences, rebound
 from threadline.laws.measured_rise import noise_of
+from threadline.report.cam import law_figure, rows_figure
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "schiffli-cam.csv"
 TRIANGLE = Triangle(b_m=0.165, c_m=0.135)
@@ -238,6 +239,31 @@ def test_the_command_writes_law_and_report(
     assert code == 0 and "printed 46.16, is 49.092 deg" in text and "4 printed angles" in err
 
 
+def test_the_picture_shows_the_curve_between_the_rows() -> None:
+    """Nine rows: a polyline through them would not be the spline that is the law."""
+    study = study_cam(read_cam(EXAMPLE, TRIANGLE), noise_m=NOISE, draws=2)
+    top = rows_figure(study).axes[0]
+    (curve,) = (line for line in top.lines if line.get_label() == "faired: spline")
+    angle, distance = (np.asarray(curve.get_data()[k], dtype=float) for k in (0, 1))
+    assert len(angle) > 1000
+    faired = study.faired(Fairing.SPLINE)
+    assert faired is not None
+    at_rows = np.interp(np.degrees(study.cam.alpha_rad), angle, distance)
+    assert at_rows == pytest.approx(1e3 * faired.distances_m, abs=1e-4)
+    middle = (angle > 15) & (angle < 75)
+    straight = np.interp(angle, np.degrees(study.cam.alpha_rad), 1e3 * faired.distances_m)
+    assert np.abs(distance - straight)[middle].max() > 1.0
+
+
+def test_the_picture_of_the_law_tells_its_peaks_and_their_spread(studies: list[CamStudy]) -> None:
+    panels = law_figure(studies[0]).axes
+    titles = [panel.get_title() or panel.get_title(loc="left") for panel in panels]
+    faired = studies[0].faired(Fairing.SPLINE)
+    assert faired is not None
+    for title, name, peak in zip(titles[1:], ("Cv", "Ca", "Cj"), faired.peaks, strict=True):
+        assert title.startswith(f"{name} = {peak:.4g}, spread over draws")
+
+
 @pytest.mark.parametrize("fairing", ["rebound", "differences", "none"])
 def test_the_other_fairings_give_a_law_too(tmp_path: Path, fairing: str) -> None:
     study = study_cam(synthetic(tmp_path, 4), fairing=Fairing(fairing), draws=10)
@@ -262,6 +288,7 @@ GOOD = [f"{a},{89 + 0.3 * a}" for a in range(0, 120, 5)]
         (rows(*GOOD[:5], GOOD[3], *GOOD[5:]), SIDES, "bad.csv:7: cam: the angle 15 deg falls"),
         (rows(*GOOD[:5], "22,301", *GOOD[5:]), SIDES, "bad.csv:7: cam: a distance of 301 mm"),
         (rows(*GOOD[:5], "22,29", *GOOD[5:]), SIDES, "does not close the triangle"),
+        (rows(*GOOD[:5], "22,1e250", *GOOD[5:]), SIDES, "does not close the triangle"),
         (rows(*GOOD[:5], "22,x", *GOOD[5:]), SIDES, "bad.csv:7: cam: '22,x' is not a row"),
         (rows(*GOOD[:5]), SIDES, "5 rows, at least 6"),
         ("beta,h\n1,2\n", SIDES, "'beta' is no column"),

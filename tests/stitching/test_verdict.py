@@ -16,6 +16,7 @@ from threadline.machine import load_machine
 from threadline.options import Options, parse_feed
 from threadline.pipeline import Proof, plan_job, prove
 from threadline.report import write_report
+from threadline.report.stitched_figures import design_figure
 from threadline.signals import Recording, RecordingBlock
 from threadline.verdict import Status, judge, load_spec
 
@@ -84,6 +85,19 @@ def test_a_stitch_is_out_where_either_axis_is() -> None:
     verdict = judge([changed(push)], plan, SPEC)
     for axis in "XY":
         assert "3 of 185 stitches" in verdict.result("stitch_residual", axis).note
+
+
+def test_the_picture_draws_the_way_of_every_stitch() -> None:
+    """Those out of spec too, each with a cross; travel is drawn as well."""
+    fast = prove(
+        EXAMPLES / "rosette.dst", MACHINE, SPEC, Options(feed=parse_feed("120 stitch/min"))
+    )
+    turns = fast.plan.stitched.turns
+    panel = design_figure(fast, fast.recording).axes[0]
+    assert sum(len(drawn.get_segments()) for drawn in panel.collections) == len(turns)
+    crosses = max(len(line.get_xdata()) for line in panel.lines)
+    count = int(fast.verdict.result("stitch_residual", "X").note.split("; ")[1].split()[0])
+    assert crosses == count > 100
 
 
 def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:

@@ -61,8 +61,9 @@ class Triangle:
     def angle_rad(self, h_m: FloatArray) -> FloatArray:
         """Return phi for distances (n,) to the edge; NaN where the triangle cannot close."""
         side = h_m + self.roller_m
-        cosine = (self.b_m**2 + self.c_m**2 - side**2) / (2.0 * self.b_m * self.c_m)
-        with np.errstate(invalid="ignore"):
+        # What is too long for a number does not close a triangle either.
+        with np.errstate(invalid="ignore", over="ignore"):
+            cosine = (self.b_m**2 + self.c_m**2 - side**2) / (2.0 * self.b_m * self.c_m)
             return np.asarray(np.where(side > 0.0, np.arccos(cosine), np.nan))
 
     def distance_m(self, phi_rad: FloatArray) -> FloatArray:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.laws.cam_study import CamStudy, Fairing, second_differences
+from threadline.arrays import FloatArray
+from threadline.laws.cam_study import CamStudy, Faired, Fairing, second_differences
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _POINTS = 1201
+_PEAKS = ("Cv", "Ca", "Cj")
 
 
 def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
@@ -34,12 +36,12 @@ def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
             verdicts=(),
             warnings=study.warnings,
             tables=tables,
-            figures={"rows": _rows(study), "law": _law(study)},
+            figures={"rows": rows_figure(study), "law": law_figure(study)},
             captions={
                 "rows": "Distances as measured and faired, what fairing moved, and second "
                 "differences before and after. Triangles: outliers, kept. Upright: the rise.",
-                "law": "The law of the chosen fairing, dashed the clamped cubic spline through the "
-                "rows as they were measured.",
+                "law": "The law of the chosen fairing, light the clamped cubic spline through the "
+                "rows as they were measured, which may leave the picture.",
             },
             facts=[
                 *origin_facts(),
@@ -50,7 +52,8 @@ def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
         return write_document(document, folder, "cam")
 
 
-def _rows(study: CamStudy) -> Figure:
+def rows_figure(study: CamStudy) -> Figure:
+    """Draw the rows, what fairing moved, and second differences before and after."""
     from matplotlib.figure import Figure
 
     cam = study.cam
@@ -59,7 +62,8 @@ def _rows(study: CamStudy) -> Figure:
     angle = np.degrees(cam.alpha_rad)
     figure = Figure(figsize=(7.2, 8.0))
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
-    top.plot(angle, 1e3 * faired.distances_m, label=f"faired: {study.chosen}", **ACTUAL)
+    dense, between = _between(study, faired.distances_m)
+    top.plot(np.degrees(dense), 1e3 * between, label=f"faired: {study.chosen}", **ACTUAL)
     top.plot(angle, 1e3 * cam.h_m, label="measured", **PROGRAMMED)
     top.set_ylabel("distance [mm]")
     top.set_title("Distances")
@@ -88,7 +92,19 @@ def _rows(study: CamStudy) -> Figure:
     return figure
 
 
-def _law(study: CamStudy) -> Figure:
+def _between(study: CamStudy, at_rows_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (m,) angles and the faired distances there, the law between its rows."""
+    cam, rise = study.cam, study.rise
+    span = rise.end_rad - rise.start_rad
+    dense = np.union1d(np.linspace(cam.alpha_rad[0], cam.alpha_rad[-1], _POINTS), cam.alpha_rad)
+    risen, at = (study.law(np.clip((x - rise.start_rad) / span, 0.0, 1.0))
+                 for x in (cam.alpha_rad, dense))  # fmt: skip
+    base = np.polynomial.polynomial.polyfit(risen, cam.follower_of(at_rows_m), 1)
+    return dense, cam.distance_of(base[0] + base[1] * at)
+
+
+def law_figure(study: CamStudy) -> Figure:
+    """Draw the law of the chosen fairing, and that of the rows as they were measured."""
     from matplotlib.figure import Figure
     from scipy.interpolate import CubicSpline
 
@@ -107,17 +123,24 @@ def _law(study: CamStudy) -> Figure:
     names = ("rise", "velocity", "acceleration", "jerk")
     for derivative, (panel, name) in enumerate(zip(panels, names, strict=True)):
         if study.chosen is not Fairing.NONE:
-            panel.plot(t, raw(t, derivative), label="as measured", **PLANNED)
+            panel.plot(t, raw(t, derivative), label="as measured", color="0.72", linewidth=0.7)
         panel.plot(t, study.law(t, derivative), label=f"faired: {study.chosen}", **ACTUAL)
         peak = float(np.abs(study.law(t, derivative)).max())
         if derivative:
             # The unfaired curve may be many times as high: it leaves the picture, not the law.
-            panel.set_ylim((-0.3 if derivative == 1 else -2.6) * peak, 2.6 * peak)
-            panel.set_ylabel(f"{name}\n+-{chosen.spread[derivative - 1]:.2g}")
-        else:
-            panel.set_ylabel(name)
-    panels[0].set_title("Law, with the spread of its peaks over draws of the noise")
+            panel.set_ylim((-0.3 if derivative == 1 else -1.6) * peak, 1.6 * peak)
+            panel.set_title(_peak_words(chosen, derivative), fontsize=8.0)
+        panel.set_ylabel(name)
+    panels[0].set_title("Law: rise 1 in time 1, and its derivatives")
     panels[-1].set_xlabel("time, of the rise")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
+
+
+def _peak_words(faired: Faired, derivative: int) -> str:
+    """Return the peak of a derivative of the law and its spread."""
+    peak, spread = faired.peaks[derivative - 1], faired.spread[derivative - 1]
+    if not np.isfinite(peak):
+        return f"{_PEAKS[derivative - 1]} infinite"
+    return f"{_PEAKS[derivative - 1]} = {peak:.4g}, spread over draws of the noise {spread:.2g}"

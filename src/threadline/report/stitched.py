@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 _CAPTIONS = {
     "design": "The design as it is sewn. The more of the limit a stitch uses, the thicker and the "
-    "darker it is; crosses mark stitches out of spec, dotted lines travel with the needle up.",
+    "darker it is; a cross stands on those out of spec, dotted lines travel with the needle up.",
     "moves": "How many moves there are of each length, the longer of both axes; how long the "
     "frame swings decides how slowly the longest are made.",
     "pace": "Speed of the shaft at each stitch, and the time until then; dashed, the speed "

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _THIN, _THICK = 0.35, 2.4
 _LEVELS = 5
+_OUT = "#D55E00"
 _MINUTE = 60.0
 _SLOWEST = "all as slow as the slowest stitch alone"
 
@@ -57,9 +58,15 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
             )
         )
     over = use > 1.0
+    panel.add_collection(LineCollection(list(ends[over]), colors=_OUT, linewidths=_THICK, zorder=8))
+    middle = ends[over].mean(axis=1)
     panel.plot(
-        ends[over, 1, 0], ends[over, 1, 1], linestyle="none", marker="x", color="#D55E00",
-        markersize=5, label=f"over it: {int(over.sum())}", zorder=9,
+        middle[:, 0], middle[:, 1], linestyle="none", marker="x", color="black",
+        markersize=4, markeredgewidth=0.8, zorder=9,
+    )  # fmt: skip
+    panel.plot(
+        [], [], color=_OUT, linewidth=_THICK, marker="x", markersize=4, markeredgecolor="black",
+        markeredgewidth=0.8, label=f"over it: {int(over.sum())}",
     )  # fmt: skip
     panel.set_aspect("equal", adjustable="datalim")
     panel.autoscale_view()
