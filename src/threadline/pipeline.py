@@ -18,8 +18,9 @@ from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.kinds.rejects import rejects
 from threadline.kinds.unanswered import answering, unanswered
 from threadline.machine import Machine
+from threadline.machine.dynamics import check_dynamics
 from threadline.machine.radii import with_radii
-from threadline.machine.variants import drawn, ends_then_drawn, uncertain
+from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
 from threadline.options import Options
 from threadline.plan import Plan
 from threadline.signals import Commands, Recording, RecordingBlock
@@ -308,8 +309,10 @@ def prove_plan(
     Raises
     ------
     OptionError
-        If other machines are asked for and no number has a tolerance.
+        If other machines are asked for, and no number has a tolerance or one has no dynamics.
     """
+    if actual is not None or trials.machines:
+        check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
     random = np.random.default_rng(REPEAT_SEED)
     machine = plan.machine if actual is None else actual
@@ -317,7 +320,7 @@ def prove_plan(
     recordings = kind.days(plan.commands, machine, trials.repeats, random)
     parts = np.empty((0, 0))
     if trials.machines and trials.wished is None:
-        _check_uncertain(machine)
+        check_uncertain(machine)
         parts = ends_then_drawn(machine, trials.machines, VARIANT_SEED)
     others = kind.others(plan.commands, machine, parts, random) if len(parts) else ()
 
@@ -336,7 +339,7 @@ def prove_plan(
         stuck = unanswered(len(parts), why)
         verdict = replace(verdict, results=(*verdict.results, stuck), machines=len(parts))
     if trials.wished is not None:
-        _check_uncertain(machine)
+        check_uncertain(machine)
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
         of_them = plan if actual is None else replace(plan, machine=machine)
         found, tried = rejects(kind, of_them, judge, parts, trials.wished, random)
@@ -347,7 +350,7 @@ def prove_plan(
         verdict=verdict,
         spec=spec,
         judged=(*recordings, *others),
-        runs=trials.repeats,
+        runs=verdict.runs,
         actual=actual,
     )
 
@@ -361,15 +364,6 @@ def try_plan(
     if trials == NOMINAL or failed:
         return nominal
     return prove_plan(plan, spec, None, trials, actual)
-
-
-def _check_uncertain(machine: Machine) -> None:
-    if not uncertain(machine):
-        raise OptionError(
-            f"no number of {machine.name} has a tolerance that may vary",
-            place=machine.place,
-            remedy='Write them in the machine file: "111 kg +- 10 %".',
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

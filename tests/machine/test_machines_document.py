@@ -27,6 +27,7 @@ PARTS = {
     "`[drives.NAME]`, stepper": ("drives.x.stepper",),
     "`winding` of a stepper": ("drives.x.stepper.winding",),
     "`[drives.NAME]`, pulse servo": ("drives.x.pulse-servo",),
+    "`[drives.NAME]`, kinematic": ("drives.x.kinematic",),
     "`amplifier` of a drive": ("drives.x.dc-motor.amplifier",),
     "`[sensors.NAME]`": ("sensors.x.encoder",),
     "`[sensors.NAME]`, potentiometer": ("sensors.x.potentiometer",),

@@ -164,6 +164,11 @@ def show_comparison(found: Comparison, shown: Sequence[str]) -> None:
         print_table(title, header, rows)
     for name, why in found.refused:
         say(f"{name} is refused: {why}")
+    if found.proofs[0].plan.machine.without_dynamics:
+        say(
+            "No fastest feed within placement is searched: the machine file has no dynamics; "
+            "threadline fastest finds the feeds within its limits."
+        )
 
 
 def comparison_tables(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -72,11 +73,17 @@ def _check_options(machine: Machine, options: Options) -> None:
             f"feed {text!r}: {machine.name} has no shaft that turns a stitch at a time",
             remedy=f'The needle speed of a seam stands in its file: needle_speed = "{text}".',
         )
-    if options.following is Following.LOAD and machine.position_sources:
+    if options.following is Following.LOAD and machine.told_positions:
         raise OptionError(
             f"--feed-forward goes in through the controllers of the axes, and {machine.name} has "
-            f"none: drives.{next(iter(machine.position_sources))} is told positions",
+            f"none: drives.{machine.axes[next(iter(machine.axes))].drive} is told positions",
             remedy="Leave it out; --shaper keeps the load from ringing.",
+        )
+    if math.isfinite(options.contour_m or math.inf) and machine.told_positions:
+        raise OptionError(
+            f"--contour bounds what loops make of a motion, and {machine.name} has none: "
+            f"drives.{machine.axes[next(iter(machine.axes))].drive} is told positions",
+            remedy="Leave it out.",
         )
     if options.following is Following.LOAD and options.timing.shaper is not None:
         raise OptionError(
@@ -148,7 +155,7 @@ def _days(
 ) -> Sequence[Recording]:
     """Simulate with friction within +-30 %, supply within +-5 %, and encoders at any phase."""
     table = tick_table(commands)
-    if count == 1:
+    if count == 1 or machine.without_dynamics:  # of limits alone no day differs from another
         return [simulate(table, machine)]
     friction, supply = np.ones(count), np.ones(count)
     phases = np.full((count, len(table.axes)), 0.5)
@@ -218,7 +225,7 @@ TICKS = Kind(
     simulate=_simulate,
     days=_days,
     others=_others,
-    together=lambda machine: not machine.position_sources,
+    together=lambda machine: not machine.told_positions,
     asked=_asked,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},

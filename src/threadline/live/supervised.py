@@ -73,7 +73,7 @@ def check_machine_runs(machine: Machine) -> None:
     OptionError
         If the machine has no axes, or a drive of it is given positions.
     """
-    if not machine.axes or machine.position_sources:
+    if not machine.axes or machine.told_positions:
         raise OptionError(
             f"{machine.name} cannot be run yet: the executor sends counts per tick to controllers "
             "with loops",

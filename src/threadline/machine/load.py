@@ -25,7 +25,7 @@ from threadline.machine.model import Machine
 from threadline.machine.schema import ADAPTER, field_names, in_file, kinds_with, line_of
 
 _MAX_BYTES = 1_000_000
-_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)+)(?: names the \w+ '([^']*)'|: )")
+_REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*)(?: names the \w+ '([^']*)'|: )")
 _DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
 _OURS = ("sha256", "file", "reference", "parameters")
 """Fields of ``Machine`` that are not keys of a file."""

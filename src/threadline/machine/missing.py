@@ -21,6 +21,7 @@ _SAMPLES = {
     "count/tick": "10 count/tick",
 }
 _AXES = ("axes",)
+_BODIES = ("bodies",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,9 @@ def missing_keys(
         # Rules that need several keys are checked only when all others are right: too late here.
         node = field_node(_AXES)
         found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
+    if found and "bodies" not in content and not _limits_alone(content):
+        node = field_node(_BODIES)
+        found.append(MissingKey(_BODIES, _assigned(_BODIES, node, sample(node))))
     turns = any(
         _kind(content, (*_AXES, name, "kind")) == "rotary" and "radius" not in content["axes"][name]
         for name in _axes_of(content)
@@ -156,6 +160,12 @@ def _unit(units: Sequence[str], kind: str) -> str:
     if kind == "linear":
         return next((unit for unit in units if unit not in turning), units[0])
     return "A/V" if kind == "current" and "A/V" in units else units[0]
+
+
+def _limits_alone(content: Mapping[str, Any]) -> bool:
+    drives = content.get("drives")
+    parts = drives.values() if isinstance(drives, Mapping) else ()
+    return any(isinstance(part, Mapping) and part.get("kind") == "kinematic" for part in parts)
 
 
 def _axes_of(content: Mapping[str, Any]) -> list[str]:

@@ -30,12 +30,18 @@ from threadline.machine.parts import (
 from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc, check_interlocks
 from threadline.machine.program_rules import Programs
 from threadline.machine.quantity import Quantity, Units
-from threadline.machine.sources import PulseServo, Source, Stepper
+from threadline.machine.sources import (
+    Kinematic,
+    PulseServo,
+    Source,
+    Stepper,
+    check_limits_alone,
+)
 from threadline.machine.stitching import Shaft, Tables
-from threadline.machine.tolerances import Tolerances, matches, quantities
+from threadline.machine.tolerances import Tolerances, check_named, quantities
 from threadline.signals import Clock
 
-Drive = Annotated[DcMotor | Stepper | PulseServo, Field(discriminator="kind")]
+Drive = Annotated[DcMotor | Stepper | PulseServo | Kinematic, Field(discriminator="kind")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 AxisName = Annotated[str, Field(pattern=r"^[A-Z]$")]
 MAX_AXES = 6
@@ -44,6 +50,7 @@ NUMBERED = (
     "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "tool", "operator",
 )  # fmt: skip
 """Fields of ``Machine`` whose numbers may have tolerances."""
+_WITH_DYNAMICS = ("bodies", "links", "sensors", "controllers", "cylinders", "tables", "design")
 CommandedBy = Literal["ticks", "switches", "steps"]
 """The kinds of commands that a machine may take."""
 
@@ -93,7 +100,7 @@ class Machine:
     sources: tuple[str, ...]
     tick_budget: Annotated[Quantity, Units(("tick",), positive=True)]
     clocks: dict[Name, PositiveTime] = Field(min_length=1)
-    bodies: dict[Name, Body] = Field(min_length=1)
+    bodies: dict[Name, Body] = Field(default_factory=dict)
     links: dict[Name, Link] = Field(default_factory=dict)
     drives: dict[Name, Drive] = Field(default_factory=dict)
     sensors: dict[Name, Sensor] = Field(default_factory=dict)
@@ -119,6 +126,11 @@ class Machine:
 
     @model_validator(mode="after")
     def _references(self) -> Machine:
+        if self.without_dynamics:
+            beside = {name: getattr(self, name) for name in _WITH_DYNAMICS}
+            check_limits_alone(self.drives, self.axes, beside)
+        elif not self.bodies:
+            raise ValueError("a machine needs [bodies.x], at least one")
         for name, link in self.links.items():
             _known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
             if link.eccentric is not None:
@@ -127,9 +139,10 @@ class Machine:
         for name, drive in self.drives.items():
             if isinstance(drive, DcMotor):
                 _known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
-            else:
+                continue
+            _known([drive.clock], self.clocks, f"drives.{name}.clock", "clock")
+            if not isinstance(drive, Kinematic):
                 _known([drive.body], self.bodies, f"drives.{name}.body", "body")
-                _known([drive.clock], self.clocks, f"drives.{name}.clock", "clock")
         for name, sensor in self.sensors.items():
             _known(sensor.reads, self.bodies, f"sensors.{name}.reads", "body")
         for name, controller in self.controllers.items():
@@ -145,7 +158,8 @@ class Machine:
             where = f"axes.{name}"
             if axis.drive:
                 at = f"{where}.drive"
-                _known([axis.drive], self.position_sources, at, "drive")
+                told = [n for n, d in self.drives.items() if not isinstance(d, DcMotor)]
+                _known([axis.drive], told, at, "drive")
             else:
                 _known([axis.controller], self.controllers, f"{where}.controller", "controller")
             _known(axis.load or {}, self.bodies, f"{where}.load", "body")
@@ -168,7 +182,8 @@ class Machine:
                     raise ValueError(f"planner.jump.{name} is in {jump.unit}, the axis in {unit}")
         self._on_off_references()
         self._stitching_references()
-        self._tolerance_references()
+        numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
+        check_named(self.tolerances, [path for of in numbers for path, _ in of])
         return self
 
     def _on_off_references(self) -> None:
@@ -234,26 +249,6 @@ class Machine:
                     f"{at}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
                 )
 
-    def _tolerance_references(self) -> None:
-        paths = [path for table in NUMBERED for path, _ in quantities(getattr(self, table), table)]
-        for where, pattern in self.tolerances.named():
-            if not any(matches(path, (pattern,)) for path in paths):
-                close = difflib.get_close_matches(pattern, paths, n=1)
-                hint = (
-                    f"did you mean {close[0]!r}?" if close else "name it by its place in the file."
-                )
-                raise ValueError(
-                    f"{where} names the number {pattern!r}, which does not exist; {hint}"
-                )
-        taken: dict[str, str] = {}
-        for name, members in self.tolerances.groups.items():
-            for path in (path for path in paths if matches(path, members)):
-                if path in taken:
-                    raise ValueError(
-                        f"tolerances.groups.{name}: {path} is in the group {taken[path]!r} already"
-                    )
-                taken[path] = name
-
     @property
     def place(self) -> Place | None:
         """Place of its file, for an error; None for a machine that was not read from a file."""
@@ -271,7 +266,7 @@ class Machine:
         """Everything that moves, by name, each with its kind.
 
         A kind is ``linear`` or ``rotary`` (an axis with a loop), ``stepper``, ``pulse-servo``,
-        ``cylinder``, or ``stepped`` (an axis that plays tables between stitches).
+        ``kinematic``, ``cylinder``, or ``stepped`` (an axis that plays tables between stitches).
         """
         if self.tables is not None:
             return dict.fromkeys(self.axes, "stepped")
@@ -293,8 +288,18 @@ class Machine:
 
     @property
     def position_sources(self) -> dict[str, Source]:
-        """Drives that are given positions (steppers and pulse servos), by name."""
-        return {name: d for name, d in self.drives.items() if not isinstance(d, DcMotor)}
+        """Drives that are given positions and whose load is known, by name."""
+        return {n: d for n, d in self.drives.items() if isinstance(d, Stepper | PulseServo)}
+
+    @property
+    def without_dynamics(self) -> bool:
+        """Whether its file has limits alone: nothing is known of what its drives move."""
+        return any(isinstance(drive, Kinematic) for drive in self.drives.values())
+
+    @property
+    def told_positions(self) -> bool:
+        """Whether its drives are told positions: it has axes, and none with a loop."""
+        return any(axis.drive for axis in self.axes.values())
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -310,7 +315,7 @@ class Machine:
         return self.motors[self.controller_of(axis).drive]
 
     def source_of(self, axis: str) -> Source | None:
-        """Return the stepper or pulse servo of an axis; None for an axis with a loop."""
+        """Return the stepper or pulse servo of an axis; None for any other axis."""
         return self.position_sources.get(self.axes[axis].drive)
 
     def clock(self, name: str) -> Clock:
@@ -323,9 +328,9 @@ class Machine:
     def tick_clock(self) -> Clock:
         """The clock on which the axes' references are given: that of the first axis."""
         name = next(iter(self.axes))
-        source = self.source_of(name)
-        if source is not None:
-            return self.clock(source.clock)
+        told = self.drives.get(self.axes[name].drive)
+        if told is not None and not isinstance(told, DcMotor):
+            return self.clock(told.clock)
         first = self.controller_of(name)
         return self.clock(first.reference_clock or first.clock)
 

@@ -3,10 +3,13 @@
 Such a drive makes the coordinate of its body a prescribed one: it follows the commands whatever
 force opposes it. The force determines the torque that the drive needs. Where that is more than the
 drive has, a stepper loses steps and a servo stops with a fault.
+Of a kinematic drive nothing is known but that it is given positions: it has no body, and its axis
+has limits alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -15,7 +18,7 @@ from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.arrays import FloatArray
-from threadline.machine.parts import STRICT
+from threadline.machine.parts import STRICT, Axis
 from threadline.machine.quantity import Quantity, Units
 
 Torque = Annotated[Quantity, Units(("N*m", "N"), positive=True)]
@@ -126,7 +129,33 @@ class PulseServo:
         return np.full(np.shape(speed_si), self.torque_limit.si)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Kinematic:
+    """A drive that is told positions on ``clock``, and of which nothing else is known."""
+
+    kind: Literal["kinematic"]
+    clock: str
+
+
 Source = Stepper | PulseServo
+"""Drives whose load is known."""
+
+
+def check_limits_alone(
+    drives: Mapping[str, object], axes: Mapping[str, Axis], tables: Mapping[str, object]
+) -> None:
+    """Refuse what has dynamics beside kinematic drives; a ``ValueError`` begins with the key."""
+    why = "beside kinematic drives, of which only limits are known"
+    for name, drive in drives.items():
+        if not isinstance(drive, Kinematic):
+            raise ValueError(f"drives.{name}: a drive of another kind {why}: make all of one sort")
+    for name, axis in axes.items():
+        for key, weights in (("load", axis.load), ("frame", axis.frame)):
+            if weights is not None:
+                raise ValueError(f"axes.{name}.{key}: a {key} {why}: take it out")
+    for table, parts in tables.items():
+        if parts:
+            raise ValueError(f"{table}: [{table}] {why}: take it out")
 
 
 def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> FloatArray:

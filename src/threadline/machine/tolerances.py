@@ -6,7 +6,8 @@ numbers are distributed uniformly over their intervals and independent of each o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from fnmatch import fnmatchcase
 from typing import Annotated, Any
@@ -62,6 +63,29 @@ class Tolerances:
 def matches(path: str, patterns: tuple[str, ...]) -> bool:
     """Return whether one of ``patterns`` names the number ``path``."""
     return any(fnmatchcase(path, pattern) for pattern in patterns)
+
+
+def check_named(tolerances: Tolerances, paths: Sequence[str]) -> None:
+    """Refuse patterns that name none of the numbers ``paths``, and a number in two groups.
+
+    Raises
+    ------
+    ValueError
+        Beginning with the key in the file.
+    """
+    for where, pattern in tolerances.named():
+        if not any(matches(path, (pattern,)) for path in paths):
+            close = difflib.get_close_matches(pattern, paths, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else "name it by its place in the file."
+            raise ValueError(f"{where} names the number {pattern!r}, which does not exist; {hint}")
+    taken: dict[str, str] = {}
+    for name, members in tolerances.groups.items():
+        for path in (path for path in paths if matches(path, members)):
+            if path in taken:
+                raise ValueError(
+                    f"tolerances.groups.{name}: {path} is in the group {taken[path]!r} already"
+                )
+            taken[path] = name
 
 
 def quantities(part: Any, path: str = "") -> Iterator[tuple[str, Quantity]]:

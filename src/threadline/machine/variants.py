@@ -92,6 +92,24 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     )
 
 
+def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:
+    """Return the numbers and groups of ``machine`` that vary, of which there must be one at least.
+
+    Raises
+    ------
+    OptionError
+        If there is none, or one that no variant can change.
+    """
+    found = uncertain(machine)
+    if not found:
+        raise OptionError(
+            f"no number of {machine.name} has a tolerance that may vary",
+            place=machine.place,
+            remedy='Write them in the machine file: "111 kg +- 10 %".',
+        )
+    return found
+
+
 def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
     """Return (k, n) parts of the variants number ``index`` in the random sequence of a seed.
 

@@ -30,6 +30,8 @@ def suspicions(machine: Machine) -> list[str]:
       a stepper or pulse servo, than the drive has,
     - a controller that rounds an error of several counts at rest to no DAC level.
     """
+    if machine.without_dynamics:
+        return []
     found = [text for name in machine.motors for text in _constants(machine, name)]
     for name in machine.axes:
         if machine.source_of(name) is not None:

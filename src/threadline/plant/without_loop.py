@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
+from threadline.machine.dynamics import check_dynamics
 from threadline.plant.analysis import analyse_axis
 from threadline.plant.boundaries import DOUBLE, size_of, swinging
 from threadline.plant.cylinders import cylinder_equations
@@ -236,5 +237,8 @@ def analyse_moving(machine: Machine, name: str) -> Analysis:
     ------
     MachineError
         If its equations allow no analysis.
+    OptionError
+        If the machine file has no dynamics.
     """
+    check_dynamics(f"how axis {name} swings and what its drive can do", machine)
     return ANALYSES[machine.moving[name]](machine, name)

@@ -72,7 +72,7 @@ def _facts(cases: list[Case]) -> list[tuple[str, str]]:
 
 def _figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
     machine = proof.plan.machine
-    moving = [axis for axis in traces.actual if moves(traces, axis)]
+    moving = [axis for axis in traces.drawn_axes if moves(traces, axis)]
     linear = [axis for axis in moving if machine.axes[axis].kind == "linear"]
     figures = {f"profile-{axis}": profile_figure(proof, traces, axis) for axis in linear}
     if len(linear) > 1:

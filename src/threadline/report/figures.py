@@ -34,7 +34,7 @@ def display(proof: Proof, axis: str) -> tuple[float, str]:
 
 def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
     """Return every figure that this job has a shape for, by file name."""
-    axes = [axis for axis in proof.plan.motion.trajectory.axes if axis in traces.actual]
+    axes = [axis for axis in proof.plan.motion.trajectory.axes if axis in traces.drawn_axes]
     linear = [a for a in axes if proof.plan.machine.axes[a].kind == "linear" and moves(traces, a)]
     rotary = [a for a in axes if proof.plan.machine.axes[a].kind == "rotary" and moves(traces, a)]
     figures: dict[str, Figure] = {}
@@ -45,7 +45,10 @@ def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
             figures[f"path-{turning}{along}"] = path_figure(proof, traces, turning, along)
     for axis in [*linear, *rotary]:
         figures[f"profile-{axis}"] = profile_figure(proof, traces, axis)
-    figures["errors"] = error_figure(proof, traces)
+    if traces.actual:
+        figures["errors"] = error_figure(proof, traces)
+    else:
+        figures["criteria"] = criteria_figure(proof)
     return figures
 
 
@@ -100,10 +103,10 @@ def _draw_path(
     (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
     dots = traces.stride > 1 and not near
     gone = np.where(traces.whole | (not near), 0.0, np.nan)
-    for label, look, size, x, y in (
-        ("planned", PLANNED, 2.6, traces.planned[first][:, 0], traces.planned[second][:, 0]),
-        ("actual", ACTUAL, 1.0, traces.actual[first], traces.actual[second]),
-    ):
+    lines = [("planned", PLANNED, 2.6, *(traces.planned[axis][:, 0] for axis in pair))]
+    if traces.actual:
+        lines.append(("actual", ACTUAL, 1.0, *(traces.actual[axis] for axis in pair)))
+    for label, look, size, x, y in lines:
         dotted = (
             {"linestyle": "none", "marker": ".", "markersize": size, "rasterized": True}
             if dots
@@ -144,23 +147,25 @@ def _mark_worst_on_path(
 
 
 def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
-    """Draw displacement, velocity and acceleration of one axis, planned and actual."""
+    """Draw displacement, velocity and acceleration of one axis, planned and, if known, actual."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=PROFILE_IN)
     rows = figure.subplots(3, 1, sharex=True)
     factor, unit = display(proof, axis)
     limits = proof.plan.machine.axes[axis]
-    actual = (traces.actual[axis], traces.velocity[axis], traces.acceleration[axis])
+    known = (traces.actual, traces.velocity, traces.acceleration)
+    actual = [of.get(axis) for of in known]
     bounds = (None, limits.velocity.si, limits.acceleration.si)
     names = ("displacement", "velocity", "acceleration")
     units = (unit, f"{unit}/s", f"{unit}/s²")
     planned = traces.planned[axis]
     for row, (name, shown_unit, bound) in enumerate(zip(names, units, bounds, strict=True)):
         panel: Axes = rows[row]
-        _profile(panel, traces, planned[:, row] * factor, actual[row] * factor)
+        went = actual[row]
+        _profile(panel, traces, planned[:, row] * factor, None if went is None else went * factor)
         panel.set_ylabel(f"{name} [{shown_unit}]", fontsize=7.5)
-        if bound is not None and _near(planned[:, row], actual[row], bound):
+        if bound is not None and _near(planned[:, row], went, bound):
             for sign in (-1.0, 1.0):
                 label = "limit" if sign > 0 else None
                 panel.axhline(sign * bound * factor, label=label, **LIMIT)
@@ -175,27 +180,30 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
     return figure
 
 
-def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArray) -> None:
-    """Draw planned and actual over time; of a long job the bands that they fill.
+def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArray | None) -> None:
+    """Draw planned and, if known, actual over time; of a long job the bands that they fill.
 
     A line through what was kept of a long job would tell nothing of what lies between.
     """
     if traces.stride == 1:
         panel.plot(traces.time_s, planned, label="planned", **PLANNED)
-        panel.plot(traces.time_s, actual, label="actual", **ACTUAL)
+        if actual is not None:
+            panel.plot(traces.time_s, actual, label="actual", **ACTUAL)
         return
     time_s, low, high = envelope(traces.time_s, planned)
     panel.fill_between(
         time_s, low, high, step="post", facecolor="0.8", edgecolor="0.45", lw=1.0, label="planned"
     )
+    if actual is None:
+        return
     time_s, low, high = envelope(traces.time_s, actual)
     for edge, label in ((low, "actual"), (high, None)):
         panel.plot(time_s, edge, drawstyle="steps-post", label=label, **ACTUAL)
 
 
-def _near(planned: FloatArray, actual: FloatArray, bound: float) -> bool:
+def _near(planned: FloatArray, actual: FloatArray | None, bound: float) -> bool:
     """Say whether a limit belongs in the picture, or would only flatten it."""
-    peak = max(float(np.abs(planned).max()), float(np.abs(actual).max()))
+    peak = max(float(np.abs(one).max()) for one in (planned, actual) if one is not None)
     return bool(np.isfinite(bound)) and 0.35 * bound < peak
 
 
@@ -226,6 +234,15 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     tracking.set_title("Tracking error along the job, at the tool (lag counts)")
     _legend_beside(tracking)
     _bars(proof, bars)
+    return figure
+
+
+def criteria_figure(proof: Proof) -> Figure:
+    """Draw each measured figure by its limit alone: no place is known."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, max(2.0, _BAR_IN * len(_limited(proof)))))
+    _bars(proof, figure.subplots())
     return figure
 
 

@@ -65,6 +65,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
                     rows=[
                         [part.strip() for part in line.split(":", 1)]
                         for line in [
+                            *asked_lines(proof),
                             *feed_lines(plan),
                             *motion_lines(plan),
                             *([] if bound is None else binding_lines(bound)),
@@ -75,7 +76,8 @@ def write_motion(proof: Proof, folder: Path) -> Path:
             ],
             figures=figures,
             captions={
-                name: _caption(name) + (sewn_run.words(proof) if name == "seam" else thinned)
+                name: _caption(name, known=bool(traces.actual))
+                + (sewn_run.words(proof) if name == "seam" else thinned)
                 for name in figures
             },
             facts=facts(proof),
@@ -88,6 +90,7 @@ def about_motion(proof: Proof) -> list[str]:
     plan = proof.plan
     added = plan.motion.path.summary.get("points_added")
     return [
+        *asked_lines(proof),
         *feed_forward_lines(plan.motion.demands),
         *feed_lines(plan),
         *motion_lines(plan),
@@ -115,6 +118,13 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
             + f"{current}{demand.volts:.2f} V of {demand.volt_limit:g} V "
             f"({demand.share:.0%} of the {demand.bound_by})"
         )
+
+
+def asked_lines(proof: Proof) -> list[str]:
+    """Return a line with what is asked where that may be no more than the machine's limits."""
+    if not proof.plan.machine.without_dynamics:
+        return []
+    return [f"Asked:                {proof.spec.name}"]
 
 
 def feed_lines(plan: Plan) -> list[str]:
@@ -172,19 +182,27 @@ def thinned_words(stride: int) -> str:
     )
 
 
-def _caption(name: str) -> str:
+def _caption(name: str, *, known: bool) -> str:
+    """Return what a figure shows; ``known`` is where the driven masses went."""
     if name == "seam":
         return (
             "Each mark is a needle-down, its shape and size by how much of its limits the stitch "
             "uses: the length error, unless it is exempt, or the distance from the seam."
         )
     if name.startswith("path-"):
-        return "Programmed points, planned path, and where the driven mass went."
+        gone = ", and where the driven mass went" if known else "; where the mass went is not known"
+        return f"Programmed points, planned path{gone}."
     if name.startswith("profile-"):
+        actual = "; actual velocity and acceleration are differences over one tick" if known else ""
         return (
-            "Planned and actual displacement, velocity and acceleration; actual velocity and "
-            "acceleration are differences over one tick. Where the planned velocity steps, its "
+            f"Planned {'and actual ' if known else ''}displacement, velocity and acceleration"
+            f"{actual}. Where the planned velocity steps, its "
             "acceleration is infinite, and not drawn."
+        )
+    if name == "criteria":
+        return (
+            "Each figure as a share of its limit. Where the driven mass is, is not known: the "
+            "machine file has no dynamics."
         )
     if name == "limits":
         return (

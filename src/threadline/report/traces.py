@@ -70,6 +70,11 @@ class Traces:
     run: DrawnRun
     contour: tuple[FloatArray, FloatArray] | None = None
 
+    @property
+    def drawn_axes(self) -> tuple[str, ...]:
+        """The axes whose motion is known; of a machine without dynamics all, as planned."""
+        return tuple(self.actual or self.planned)
+
 
 def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     """Read the run with the worst place, trajectory and programmed path once each and thin them.

@@ -4,8 +4,8 @@
 them is the contour allowance: how far the loads may leave the path. Encoder counts, levels of the
 DAC and the spread from run to run add to that error, and how much is known only after a proof. So a
 few plans are proved, with larger allowances until one fails and with smaller ones until one passes.
-With feed-forward the loads follow the motion itself: the share of the acceleration and jerk limits
-is lowered until a plan passes.
+With feed-forward the loads follow the motion itself, and drives that are told positions have no
+loop: the share of the acceleration and jerk limits is lowered until a plan passes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def fastest_allowed(
     """
     top = feed_range_m_s(machine)[1] if high is None else high
     options = replace(options, feed=Feed(FeedMode.FASTEST_AXIS, top))
-    by_contour = options.follows_contour
+    by_contour = options.follows_contour and not machine.told_positions  # no loop, no lag
 
     def proved(amount: float) -> Rung:
         if progress is not None:
@@ -87,9 +87,9 @@ def fastest_allowed(
             # The motion of loads that follow breaks a limit by what smooths it.
             if by_contour or error.quantity == "travel":
                 raise
-            return _rung(chosen, top, beyond(error, machine), None)
+            return _rung(chosen, top, beyond(error, machine), None, by_contour)
         verdict = try_plan(plan, spec, trials, actual).verdict
-        return _rung(chosen, top, verdict, plan.duration_s)
+        return _rung(chosen, top, verdict, plan.duration_s, by_contour)
 
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
@@ -118,7 +118,13 @@ def options_at(
     )
 
 
-def _rung(options: Options, feed_m_s: float, verdict: Verdict, duration_s: float | None) -> Rung:
+def _rung(
+    options: Options,
+    feed_m_s: float,
+    verdict: Verdict,
+    duration_s: float | None,
+    by_contour: bool,
+) -> Rung:
     passed = verdict.passed
     found = Fastest(
         intervals=(Interval(low=feed_m_s, high=feed_m_s),) if passed else (),
@@ -130,7 +136,7 @@ def _rung(options: Options, feed_m_s: float, verdict: Verdict, duration_s: float
         share=options.limit_share,
         found=found,
         duration_s=duration_s if passed else None,
-        contour_m=options.timing.contour_m if options.follows_contour else None,
+        contour_m=options.timing.contour_m if by_contour else None,
     )
 
 

@@ -69,7 +69,8 @@ def compare(
 ) -> Comparison:
     """Prove ``job`` with every interpolation, feed and shaper; find the fastest feed of each.
 
-    A job that is paced by switchings or by a shaft has no feed to search.
+    A job that is paced by switchings or by a shaft has no feed to search, and a machine without
+    dynamics none within criteria of placement.
 
     Parameters
     ----------
@@ -82,7 +83,8 @@ def compare(
         If a plan without a shaper fails, or those of all shapers do.
     """
     check_machine(machine)
-    with_fastest = with_fastest and job.paced_by in ("feed", "needle")
+    searched = job.paced_by in ("feed", "needle") and not machine.without_dynamics
+    with_fastest = with_fastest and searched
     proofs = []
     refused: list[tuple[str, str]] = []
     why: PlanError | None = None

@@ -13,14 +13,15 @@ from threadline.errors import OptionError
 from threadline.escaping import toml_string
 from threadline.kinds import kind_of
 from threadline.machine import Machine
+from threadline.machine.dynamics import check_dynamics
 from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.variants import (
     MOST_CORNERS,
     Uncertain,
+    check_uncertain,
     drawn,
     numbers_at,
     one_at_a_time,
-    uncertain,
 )
 from threadline.plan import Plan
 from threadline.plant.values import Values
@@ -110,18 +111,13 @@ class MachineYield:
     Raises
     ------
     OptionError
-        If no number of the machine varies.
+        If no number of the machine varies, or its file has no dynamics.
     """
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
+        check_dynamics("what varies from machine to machine", plan.machine)
         self.plan = plan
-        self.numbers = uncertain(plan.machine)
-        if not self.numbers:
-            raise OptionError(
-                f"no number of {plan.machine.name} has a tolerance that may vary",
-                place=plan.machine.place,
-                remedy='Write them in the machine file: "111 kg +- 10 %".',
-            )
+        self.numbers = check_uncertain(plan.machine)
         self._many: RunsJudge | None = None
         self._alone = AloneJudge(plan, spec)
         if kind_of(plan.machine).together(plan.machine):

@@ -83,7 +83,7 @@ def _current_time_s(way: FloatArray, axis: str, machine: Machine) -> FloatArray:
 
     At each u the current is f + c v/T + k a/T^2, so that 1/T is bounded by a quadratic equation.
     """
-    if machine.source_of(axis) is not None:  # told positions: its torque is judged
+    if machine.axes[axis].drive:  # told positions: its torque is judged
         return np.zeros(len(way))
     drive = machine.drive_of(axis)
     most = drive.amplifier.current_limit

@@ -29,8 +29,7 @@ from threadline.signals import (
     Stream,
     TickTable,
 )
-
-_MOST_ROWS = 1 << 14
+from threadline.twin.commanded import told_rows
 
 
 def simulate_prescribed(
@@ -264,28 +263,6 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
 follow = njit(cache=True, nogil=True)(_follow)
 
 
-def _rows(
-    commands: TickTable, settle_ticks: int
-) -> Iterator[tuple[int, IntArray, IntArray, tuple[Event, ...]]]:
-    """Yield first tick, (n + 1, axes) counts at the ticks, (n,) operations, and events."""
-    tick, last = 0, 0
-    position = commands.start_counts.copy()
-    for block in commands:
-        for at in range(0, len(block), _MOST_ROWS):
-            counts = block.counts[at : at + _MOST_ROWS]
-            operation = block.operation[at : at + _MOST_ROWS]
-            end = tick + len(counts)
-            rows = np.concatenate((position[None], position + np.cumsum(counts, axis=0)))
-            yield tick, rows, operation, tuple(e for e in block.events if tick <= e.tick < end)
-            position, tick, last = rows[-1], end, int(operation[-1])
-    left = settle_ticks + 1
-    while left:
-        count = min(left, _MOST_ROWS)
-        still = np.broadcast_to(position, (count + 1, len(position)))
-        yield tick, still, np.full(count, last), ()
-        tick, left = tick + count, left - count
-
-
 def _read(
     commands: TickTable,
     machine: Machine,
@@ -298,7 +275,7 @@ def _read(
     start, clock = commands.start_counts, machine.tick_clock
     settle_ticks = ceil(settle_s / float(clock.period_s))
     carried: FloatArray = np.zeros(len(machine.axes))
-    for tick, position, operation, events in _rows(commands, settle_ticks):
+    for tick, position, operation, events in told_rows(commands, settle_ticks):
         first = -(-tick // every)
         kept = slice(first * every - tick, len(operation), every)
         samples: dict[str, FloatArray] = {}

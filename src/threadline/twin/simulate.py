@@ -24,6 +24,7 @@ from threadline.signals import (
     TickTable,
 )
 from threadline.twin.channels import encoder_phases, run_phases, tick_channels
+from threadline.twin.commanded import record_commanded
 from threadline.twin.kernel import Engine
 from threadline.twin.prescribed import simulate_prescribed
 from threadline.twin.session import Session
@@ -59,7 +60,8 @@ def simulate(
     ``X.current_peak``, the value of largest magnitude since the sample before. Then ``operation``
     and one channel for each input, 1 from the instant at which a switch has cut its drive.
 
-    A machine whose drives are told positions has other channels: see ``prescribed``.
+    A machine whose drives are told positions has other channels: see ``prescribed``, and
+    ``commanded`` for one without dynamics.
 
     Parameters
     ----------
@@ -87,12 +89,14 @@ def simulate(
         If the commands are not for this machine, or an option is out of range.
     """
     check_commands(commands, machine, record_every, settle_s)
-    if machine.position_sources:
+    if machine.told_positions:
         if answers is not None:
             raise OptionError(
                 f"the drives of {machine.name} are told positions: how long the operator takes at "
                 "a stop is not simulated there"
             )
+        if machine.without_dynamics:
+            return record_commanded(commands, machine, record_every, settle_s)
         phases = encoder_phases(machine, encoder_phase)
         return simulate_prescribed(commands, machine, phases, record_every, settle_s)
     options = _Options(

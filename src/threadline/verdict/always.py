@@ -1,7 +1,7 @@
 """The criteria that every verdict lists, whatever the specification says, and the machine's limits.
 
-They depend on what moves: a servo axis, an axis driven by pulses, a cylinder, or an axis that plays
-step tables.
+They depend on what moves: a servo axis, an axis driven by pulses or one of which limits alone are
+known, a cylinder, or an axis that plays step tables.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ _PULSED = Always(
     limited=(*PLAN_DEMANDS, "step_loss"),
     limit=_of_pulsed,
 )
+_KINEMATIC = Always(listed=(*PLAN_DEMANDS, "path_deviation"), limited=PLAN_DEMANDS, limit=_of_axis)
 _STITCH_LIMITS = ("servo_force", "window_use", "step_rate", "fetch_use", "travel")
 
 
@@ -102,6 +103,7 @@ _BY_WHAT_MOVES: Mapping[str, Always] = {
     "rotary": _AXIS,
     "stepper": _PULSED,
     "pulse-servo": _PULSED,
+    "kinematic": _KINEMATIC,
     "stepped": _STEPPED,
     "cylinder": _CYLINDER,
 }

@@ -97,9 +97,11 @@ class Judge:
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
         ]
+        simulated = all(recording.simulated for recording in (*recordings, *others))
         return Verdict(
             results=tuple(with_passes(tuple(_with_lines(told, plan)), plan.job)),
-            simulated=all(recording.simulated for recording in (*recordings, *others)),
+            simulated=simulated,
+            limits_alone=simulated and plan.machine.without_dynamics,
             runs=sum(recording.runs for recording in recordings),
             machines=sum(recording.runs for recording in others),
             incomplete=why,

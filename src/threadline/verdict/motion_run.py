@@ -28,6 +28,7 @@ from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 _ROUNDING = 1e-9
+NO_DYNAMICS = "the machine file has no dynamics: nothing is known of what its drives move"
 _ARRIVED_M = 1e-4  # at the tool: a few counts, which is how near a quantised command comes
 
 
@@ -81,20 +82,24 @@ class MotionRun(Setting):
             # A measure of single axes takes what there is; one of the tool needs every axis.
             every = not per_axis or reading.of_every_axis in alternatives
             if lacking and (every or len(lacking) == len(self.axes)):
-                return (
-                    f"no {' or '.join(alternatives)} channel of {', '.join(lacking)}: "
-                    + _how_to_give(alternatives, lacking[0])
-                )
+                return self._why(alternatives, lacking)
         return self._too_coarse(reading.needs) if reading.follows else ""
 
     def _absent(self, reading: RunReading) -> dict[str, str]:
         """Return the axes that a measure of single axes cannot measure, each with what it lacks."""
         return {
-            axis: f"no {' or '.join(alternatives)} channel of {axis}: "
-            + _how_to_give(alternatives, axis)
+            axis: self._why(alternatives, [axis])
             for alternatives in reading.needs
             for axis in self._lacking(alternatives)
         }
+
+    def _why(self, alternatives: Sequence[ChannelKind], axes: Sequence[str]) -> str:
+        """Say why there is none of these channels of some axes, and what would give it."""
+        if self.recording.simulated and self.plan.machine.without_dynamics:
+            return NO_DYNAMICS
+        return f"no {' or '.join(alternatives)} channel of {', '.join(axes)}: " + _how_to_give(
+            alternatives, axes[0]
+        )
 
     def _lacking(self, alternatives: Sequence[ChannelKind]) -> list[str]:
         """Return the axes of which the recording has none of these channels."""

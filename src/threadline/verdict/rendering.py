@@ -11,7 +11,7 @@ from threadline import __version__
 from threadline.arrays import finite
 from threadline.plan import Plan
 from threadline.units import without_noise
-from threadline.verdict.types import Result, Status, Verdict
+from threadline.verdict.types import Level, Result, Status, Verdict
 
 _SHOWN = {
     "m": (1e3, "mm"),
@@ -121,6 +121,8 @@ def closing_of_all(verdicts: Sequence[Verdict]) -> str:
 
 
 def _level(verdict: Verdict) -> str:
+    if verdict.level is Level.LIMITS:
+        return f"{verdict.level}: placement is not proven, the machine file has no dynamics"
     told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
     if verdict.machines:
         told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"

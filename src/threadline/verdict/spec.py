@@ -32,6 +32,11 @@ _ROUNDING = 1e-12  # relative: a limit written out is no other limit than the ma
 _LAG_S = 0.1
 _FEWEST = 2  # recordings that can differ
 _MOST_LAG_S = 3600.0
+_LIMITS_ALONE = """
+name = "the limits of the machine file, which has no specification beside it"
+[[criteria]]
+name = "path_deviation"
+"""
 
 
 def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
@@ -49,7 +54,8 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     reference
         A file; None for the default: beside a machine file ``NAME.toml`` the file
         ``NAME.spec.toml`` or ``spec.toml``, else the one that the library has for its name or for
-        the machine that it is based on.
+        the machine that it is based on. A machine without dynamics needs none: it is asked to keep
+        its limits.
     machine
         Gives the axes, their units and their limits.
 
@@ -88,6 +94,8 @@ def _default(machine: Machine) -> tuple[str, str]:
         base, _ = split_reference(str(tomllib.loads(content).get("base", "")))
         here = Path() if file is None else file.parent
         file = here / base if base.endswith(".toml") else None
+    if machine.without_dynamics:
+        return _LIMITS_ALONE, ""
     raise SpecError(
         f"machine {name!r} has no default specification",
         remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",

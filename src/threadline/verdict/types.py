@@ -27,6 +27,7 @@ class Status(StrEnum):
 class Level(StrEnum):
     """How far a verdict reaches."""
 
+    LIMITS = "limits and time alone"  # the machine file has no dynamics: nothing is said of places
     NOMINAL = "nominal"  # few runs of one machine: nothing is said of others
     REPEATED = "repeated"  # so many runs that what varies from run to run is in them
     TOLERANCES = "over tolerances"  # of other machines within the tolerances of the file as well
@@ -200,6 +201,9 @@ class Verdict:
         How a run ended before its last row; empty where none did.
     late_ticks
         Ticks of all runs at which a row was due and had not come.
+    limits_alone
+        Whether only limits and time were judged: the runs are simulated, and the machine file has
+        no dynamics.
     """
 
     results: tuple[Result, ...]
@@ -208,10 +212,13 @@ class Verdict:
     machines: int = 0
     incomplete: str = ""
     late_ticks: int = 0
+    limits_alone: bool = False
 
     @property
     def level(self) -> Level:
         """How far it reaches."""
+        if self.limits_alone:
+            return Level.LIMITS
         if self.machines:
             return Level.TOLERANCES
         return Level.REPEATED if self.runs >= REPEATED_RUNS else Level.NOMINAL

@@ -66,7 +66,7 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
     """
     demand = np.zeros((len(_UNITS), len(axes), 2))
     for k, axis in enumerate(axes):
-        if machine.source_of(axis) is not None:
+        if machine.axes[axis].drive:  # told positions: its torque is judged
             continue
         kept = machine.drive_of(axis).amplifier.reserve
         reserve = RESERVE if kept is None else kept.si

@@ -1,0 +1,303 @@
+"""A machine of which limits alone are known: limits and time are judged, no place is made up."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import re
+from pathlib import Path
+
+import pytest
+
+import threadline as tl
+from tests.cli.test_commands import run
+from threadline.errors import MachineError, OptionError
+from threadline.machine import Machine, load_machine
+from threadline.options import Options
+from threadline.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
+from threadline.signals import ChannelKind
+from threadline.verdict import Status, closing, load_spec
+from threadline.verdict.types import Level
+
+MACHINE = """name = "limits"
+title = "two axes of which limits alone are known"
+sources = ["assumed"]
+tick_budget = "1e9 tick exact, assumed"
+[clocks]
+pulse = "1 ms exact, assumed"
+[programs]
+dialect = "grbl"
+[planner]
+kind = "grbl"
+junction_deviation = "0.01 mm exact, assumed"
+[drives.x]
+kind = "kinematic"
+clock = "pulse"
+[drives.a]
+kind = "kinematic"
+clock = "pulse"
+[axes.A]
+kind = "rotary"
+drive = "a"
+counts = "100 count/deg exact, assumed"
+velocity = "900 deg/s exact, assumed"
+acceleration = "60 rad/s^2 exact, assumed"
+endless = true
+[axes.X]
+kind = "linear"
+drive = "x"
+counts = "800 count/mm exact, assumed"
+velocity = "100 mm/s +- 5 %, assumed"
+acceleration = "500 mm/s^2 exact, assumed"
+travel = ["-500 mm exact, assumed", "500 mm exact, assumed"]
+[tool]
+radius = "50 mm exact, assumed"
+"""
+PLACE = """name = "place"
+[[criteria]]
+name = "contour_error"
+limit = "0.5 mm"
+"""
+
+
+def files(folder: Path, program: str, machine: str = MACHINE) -> tuple[Path, Path]:
+    """Return a machine file and a job."""
+    (folder / "limits.toml").write_text(machine)
+    (folder / "job.gcode").write_text(f"G21\nG90\n{program}\n")
+    return folder / "limits.toml", folder / "job.gcode"
+
+
+def proof_of(folder: Path, program: str, options: Options, machine: str = MACHINE) -> Proof:
+    file, job = files(folder, program, machine)
+    chosen = load_machine(file)
+    return prove(job, chosen, load_spec(None, chosen), options, trials=REPEATED)
+
+
+def broken(folder: Path, old: str, new: str) -> MachineError:
+    assert old in MACHINE
+    file, _ = files(folder, "G1 X1 F100", MACHINE.replace(old, new))
+    with pytest.raises(MachineError) as caught:
+        load_machine(file)
+    return caught.value
+
+
+def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
+    machine = load_machine(files(tmp_path, "")[0])
+    assert machine.without_dynamics and machine.told_positions
+    assert machine.moving == {"A": "kinematic", "X": "kinematic"}
+    assert float(machine.tick_clock.period_s) == 1e-3
+    assert machine.velocity_limit.tolist() == pytest.approx([5.0 * math.pi, 0.1])
+    for other in ("stepper-winder", "lathe-winder", "letter-placer", "schiffli-frame"):
+        assert not load_machine(other).without_dynamics, other
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ('drive = "x"\n', 'drive = "x"\nload = { x = "1 exact, assumed" }\n', 28, "axes.X.load"),
+        ('drive = "x"\n', 'drive = "x"\nframe = { x = "1 exact, assumed" }\n', 28, "axes.X.frame"),
+        ('[drives.x]\nkind = "kinematic"\n', '[drives.x]\nkind = "kinematic"\nbody = "x"\n', 14,
+         "unknown key 'drives.x.body'"),
+        ('[drives.x]\nkind = "kinematic"\nclock = "pulse"', '[drives.x]\nkind = "kinematic"', 12,
+         "'drives.x.clock' is missing"),
+        ('clock = "pulse"\n[axes.A]', 'clock = "beat"\n[axes.A]', 17, "'beat'"),
+        ("[tool]", '[bodies.x]\nkind = "linear"\ninertia = "1 kg exact, assumed"\n[tool]', 32,
+         "[bodies] beside kinematic drives"),
+        ('[drives.x]\nkind = "kinematic"\nclock = "pulse"',
+         '[bodies.x]\nkind = "linear"\ninertia = "1 kg exact, assumed"\n[drives.x]\n'
+         'kind = "pulse-servo"\nbody = "x"\nclock = "pulse"\nbandwidth = "10 Hz exact, assumed"\n'
+         'resolution = "800 count/mm exact, assumed"\ntorque_limit = "9 N exact, assumed"', 15,
+         "drives.x: a drive of another kind beside kinematic drives"),
+    ],
+)  # fmt: skip
+def test_what_has_dynamics_is_refused_beside_limits_alone(
+    tmp_path: Path, old: str, new: str, line: int, said: str
+) -> None:
+    """One line: the key, why, the file and its line, what to do."""
+    error = broken(tmp_path, old, new)
+    assert said in str(error) and "\n" not in str(error)
+    assert error.place is not None and error.place.line == line
+
+
+def test_a_machine_with_motors_still_needs_bodies(tmp_path: Path) -> None:
+    error = broken(tmp_path, 'kind = "kinematic"\nclock = "pulse"\n[axes.A]',
+                   'kind = "pulse-servo"\nclock = "pulse"\n[axes.A]')  # fmt: skip
+    assert "'drives.a.body'" in str(error)
+    told = re.sub(r'\[drives\.\w\]\nkind = "kinematic"\nclock = "pulse"\n', "", MACHINE)
+    file, _ = files(tmp_path, "", told.replace("[clocks]", "[not_clocks]"))
+    with pytest.raises(MachineError):
+        load_machine(file)
+
+
+@pytest.mark.parametrize("interpolation", ["auto", "optimal", "firmware"])
+@pytest.mark.parametrize("way_mm", [100.0, 10.0])
+def test_the_time_is_that_of_a_trapezoid(tmp_path: Path, interpolation: str, way_mm: float) -> None:
+    """From rest to rest: s/v + v/a, and 2 sqrt(s/a) where the limit of speed is not reached.
+
+    Planned rows end on whole ticks, hence the two ticks of 1 ms; firmwares have no such grid.
+    """
+    v, a, s = 0.1, 0.5, way_mm / 1e3
+    expected = s / v + v / a if s >= v * v / a else 2.0 * math.sqrt(s / a)
+    options = Options(interpolation=interpolation)
+    proof = proof_of(tmp_path, f"G1 X{way_mm:g} F9000", options)
+    within_s = 1e-6 if interpolation == "firmware" else 2e-3
+    assert proof.plan.duration_s == pytest.approx(expected, abs=within_s)
+    assert proof.verdict.passed
+    assert proof.verdict.result("velocity", "X").measured == pytest.approx(
+        min(v, math.sqrt(s * a)), rel=5e-3
+    )
+
+
+def test_the_twin_makes_no_load_up(tmp_path: Path) -> None:
+    proof = proof_of(tmp_path, "G1 X100 F6000\nG1 A90 X0", Options())
+    kinds = {channel.name: channel.kind for channel in proof.recording.channels}
+    assert kinds == {
+        "A.commanded": ChannelKind.COMMANDED,
+        "X.commanded": ChannelKind.COMMANDED,
+        "operation": ChannelKind.OPERATION,
+    }
+    time_s, x = proof.recording.samples("X.commanded")
+    assert x.max() == pytest.approx(0.1, abs=2e-4)  # the corner is rounded within 0.1 mm
+    assert abs(x[-1]) < 1e-9 and time_s[-1] == pytest.approx(proof.plan.duration_s + 0.5, abs=2e-3)
+    _, a = proof.recording.samples("A.commanded")
+    assert a[-1] == pytest.approx(math.pi / 2.0, abs=1e-4)
+
+
+def test_the_verdict_says_that_placement_is_not_proven(tmp_path: Path) -> None:
+    """All that asks for a place is not measured, whatever asks; the level has a word of its own."""
+    file, job = files(tmp_path, "G1 X100 F6000\nG1 A90 X0")
+    machine = load_machine(file)
+    spec = tmp_path / "place.toml"
+    names = (
+        "contour_error", "progress_error", "turning_point_error", "repeatability",
+        "tracking_error", "velocity_ripple", "residual_vibration", "settling_time", "step_loss",
+        "dac_saturation", "current_peak", "stitch_placement_error", "seam_error",
+    )  # fmt: skip
+    spec.write_text('name = "place"\n' + "".join(f'[[criteria]]\nname = "{n}"\n' for n in names))
+    verdict = prove(job, machine, load_spec(spec, machine), Options(), trials=REPEATED).verdict
+    for name in names:
+        for result in (r for r in verdict.results if r.name == name):
+            assert result.status is Status.NOT_MEASURED, name
+            assert result.measured is None and "no dynamics" in result.note, name
+    assert verdict.result("path_deviation").measured is not None
+    assert verdict.passed and verdict.level is Level.LIMITS and verdict.runs == 1
+    assert closing(verdict).startswith(
+        "IN SPEC (limits and time alone: placement is not proven, the machine file has no dynamics"
+    )
+    text = PLACE + "required = true\n"
+    spec.write_text(text)
+    verdict = prove(job, machine, load_spec(spec, machine), Options()).verdict
+    assert not verdict.passed
+    assert closing(verdict).startswith("NOT PROVEN (limits and time alone: placement is not")
+
+
+def test_a_recording_of_the_real_machine_is_judged_by_what_it_holds(tmp_path: Path) -> None:
+    """Loads that somebody measured are places: the level is then that of runs, as ever."""
+    file, job = files(tmp_path, "G1 X10 F600")
+    machine = load_machine(file)
+    proof = prove(job, machine, load_spec(None, machine), Options())
+    time_s, x = proof.recording.samples("X.commanded")
+    measured = tmp_path / "measured.csv"
+    rows = "".join(
+        f"{t!r},0,{1e3 * p!r}\n" for t, p in zip(time_s.tolist(), x.tolist(), strict=True)
+    )
+    measured.write_text("time [s],A.load [deg],X.load [mm]\n" + rows)
+    (tmp_path / "place.toml").write_text(PLACE)
+    verdict = tl.judge(measured, job=job, machine=str(file), spec=tmp_path / "place.toml").verdict
+    assert verdict.level is Level.NOMINAL
+    assert verdict.result("contour_error").measured is not None
+
+
+def test_limits_that_are_broken_are_out_of_spec(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Chords at programmed times run at F, which the machine cannot: exit 1, and what failed."""
+    file, job = files(tmp_path, "G1 X100 F9000")
+    code, out, _ = run(capsys, "prove", job, "-m", file, "--interpolation", "linear")
+    assert code == 1
+    assert "OUT OF SPEC (limits and time alone: placement is not proven" in out
+    assert "Asked:                the limits of the machine file, which has no spec" in out
+
+
+def test_json_exit_and_report_say_the_level(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, job = files(tmp_path, "G1 X50 F3000\nG1 A90 X0")
+    report = tmp_path / "report"
+    code, out, _ = run(capsys, "prove", job, "-m", file, "--json", "--report", report)
+    said = json.loads(out)
+    assert code == 0 and said["passed"] is True
+    assert said["level"] == "limits and time alone" and said["runs"] == 1
+    page = (report / "report.html").read_text()
+    assert "limits and time alone: placement is not proven" in page
+    assert ">IN SPEC<" not in page and "actual" not in page.split("<svg")[0].lower()
+    drawn = {path.stem for path in report.glob("*.png")}
+    assert drawn == {f"report-{n}" for n in ("path-AX", "profile-A", "profile-X", "criteria")}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["prove", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
+        (["prove", "JOB", "-m", "M", "--yield", "99 %"], "has no dynamics"),
+        (["prove", "JOB", "-m", "M", "--actual", "M"], "has no dynamics"),
+        (["prove", "JOB", "-m", "M", "--feed-forward"], "drives.a is told positions"),
+        (["prove", "JOB", "-m", "M", "--interpolation", "optimal", "--contour", "0.1 mm"],
+         "drives.a is told positions"),
+        (["fastest", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
+        (["yield", "JOB", "-m", "M"], "has no dynamics"),
+        (["design", "JOB", "-m", "M"], "has no [design] table"),
+        (["analyse", "M"], "has no dynamics"),
+        (["analyse", "M", "--experiments"], "--experiments is of loops"),
+        (["run", "JOB", "-m", "M"], "cannot be run yet"),
+    ],
+)  # fmt: skip
+def test_what_needs_dynamics_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    file, job = files(tmp_path, "G1 X10 F600")
+    given = [{"JOB": str(job), "M": str(file)}.get(word, word) for word in words]
+    code, out, err = run(capsys, *given)
+    assert code == 2 and not out and said in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_trials_of_other_machines_are_refused_from_python(tmp_path: Path) -> None:
+    file, job = files(tmp_path, "G1 X10 F600")
+    machine: Machine = load_machine(file)
+    for trials in (TOLERANCES, yielding(0.9)):
+        with pytest.raises(OptionError, match="no dynamics"):
+            prove(job, machine, load_spec(None, machine), Options(), trials=trials)
+
+
+def test_the_fastest_optimal_plan_is_that_of_the_limits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One plan is proved: no loop is there that a contour allowance could mean anything to."""
+    file, job = files(tmp_path, "G1 X100 F600")
+    code, out, _ = run(capsys, "fastest", job, "-m", file, "--interpolation", "optimal", "--json")
+    found = json.loads(out)
+    assert code == 0 and found["verdict"]["level"] == "limits and time alone"
+    assert "--contour" not in found["command"]
+
+
+def test_hostile_files_of_limits_alone_have_one_line_each(tmp_path: Path) -> None:
+    """Random keys of other kinds of machines, put in or left out: read, or refused in a line."""
+    draw = random.Random(13)
+    lines = MACHINE.splitlines()
+    others = [
+        'body = "x"', 'load = { x = "1 exact, assumed" }', "[bodies.x]", 'kind = "stepper"',
+        "[links.y]", "[tables]", "[cylinders.Z]", 'kind = "kinematic"', "[shaft]", 'clock = ""',
+        "[design]", "[controllers.x]", 'drive = "x"', "[inputs.i]", "drives = 3", "endless = 7",
+    ]  # fmt: skip
+    file = tmp_path / "hostile.toml"
+    for _ in range(400):
+        kept = [line for line in lines if draw.random() > 0.05]
+        for _ in range(draw.randrange(3)):
+            kept.insert(draw.randrange(len(kept)), draw.choice(others))
+        file.write_text("\n".join(kept) + "\n")
+        try:
+            load_machine(file)
+        except MachineError as error:
+            assert "\n" not in str(error)
