@@ -163,7 +163,10 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
     ("arguments", "said"),
     [
         (["grbl-winder", "mine"], "Name them with --from"),
-        (["winder", "mine", "--set", "mass=1 kg"], "--from and --set are not of the kind"),
+        (
+            ["winder", "mine", "--set", "mass=1 kg"],
+            "--limits-only are not of the kind",
+        ),
         (["marlin-winder", "mine", "--from", "dump.txt"], "threadline new grbl-winder"),
     ],
 )

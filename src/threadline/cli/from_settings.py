@@ -10,7 +10,13 @@ from pathlib import Path
 from threadline import __version__
 from threadline.errors import OptionError, Place
 from threadline.machine import library_file, load_machine
-from threadline.machine.firmware import Settings, machine_text, parse_answers, read_settings
+from threadline.machine.firmware import (
+    Settings,
+    dialect_of,
+    machine_text,
+    parse_answers,
+    read_settings,
+)
 
 FIRMWARES = ("grbl", "fluidnc", "marlin", "klipper")
 KINDS = tuple(f"{name}-winder" for name in FIRMWARES)
@@ -19,7 +25,9 @@ _SPEC = "stepper-winder"
 _WAY_MM, _FEED_MM_MIN = 20.0, 1200.0
 
 
-def settings_files(kind: str, source: Path, answers: Sequence[str]) -> dict[str, bytes]:
+def settings_files(
+    kind: str, source: Path, answers: Sequence[str], *, limits_only: bool = False
+) -> dict[str, bytes]:
     """Return the files of a project: names and contents.
 
     Parameters
@@ -30,6 +38,8 @@ def settings_files(kind: str, source: Path, answers: Sequence[str]) -> dict[str,
         What the firmware lists.
     answers
         What it does not say, ``"mass=1.2 kg"``.
+    limits_only
+        Whether the machine has limits alone: nothing is asked of motors and masses.
 
     Raises
     ------
@@ -46,15 +56,21 @@ def settings_files(kind: str, source: Path, answers: Sequence[str]) -> dict[str,
             remedy=f"Make it with: threadline new {settings.firmware}-winder.",
         )
     said = parse_answers(answers)
-    text = machine_text(settings, said, kind)
+    text = machine_text(settings, said, kind, limits_only=limits_only)
     _check(text)
     head = f"# From the settings of {settings.firmware}, by Threadline {__version__}.\n#\n"
-    specification = library_file(_SPEC).with_suffix(".spec.toml").read_text(encoding="utf-8")
-    readme = resources.files("threadline.cli") / "projects" / "firmware" / "README.md"
+    projects = resources.files("threadline.cli") / "projects"
+    own = projects / ("limits" if limits_only else "firmware")
+    if limits_only:
+        specification = (own / "spec.toml").read_text(encoding="utf-8")
+    else:
+        theirs = library_file(_SPEC).with_suffix(".spec.toml")
+        specification = theirs.read_text(encoding="utf-8")
+    readme = (own / "README.md").read_text(encoding="utf-8")
     return {
         "machine.toml": (head + text).encode(),
         "spec.toml": specification.replace(f'"{_SPEC}"', f'"{kind}"').encode(),
-        "README.md": readme.read_bytes(),
+        "README.md": readme.replace("TARGET", dialect_of(settings)).encode(),
         "there-and-back.gcode": _job(settings, said.rotary).encode(),
     }
 

@@ -73,6 +73,14 @@ def new(
         list[str] | None,
         typer.Option("--set", help='What the settings do not say: "mass=1.2 kg", "mass.X=1.2 kg".'),
     ] = None,
+    limits_only: Annotated[
+        bool,
+        typer.Option(
+            "--limits-only",
+            help="Of a firmware's machine: take its limits alone, ask nothing of motors and "
+            "masses. Jobs are then proven for limits and time, and not for placement.",
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Make a working project: machine.toml, spec.toml, a job, and a README with the commands.
@@ -84,6 +92,9 @@ def new(
 
     Of a machine with grbl: threadline new grbl-winder my-winder --from settings.txt
     --set rotary=A --set "torque=1.26 N m"
+
+    The same with its limits alone: threadline new grbl-winder my-winder --from settings.txt
+    --limits-only --set rotary=A --set "radius=50 mm"
     """
     if kind in KINDS:
         if from_ is None:
@@ -91,12 +102,14 @@ def new(
                 f"a {kind} is made from the settings of its firmware",
                 remedy="Name them with --from.",
             )
-        prove, contents = PROVE, settings_files(kind, from_, answers or [])
+        prove = PROVE
+        contents = settings_files(kind, from_, answers or [], limits_only=limits_only)
     else:
         prove, contents = _project(kind).prove, project_files(kind)
-        if from_ is not None or answers:
+        if from_ is not None or answers or limits_only:
             raise OptionError(
-                f"--from and --set are not of the kind {kind!r}", remedy=f"Use {', '.join(KINDS)}."
+                f"--from, --set and --limits-only are not of the kind {kind!r}",
+                remedy=f"Use {', '.join(KINDS)}.",
             )
     _check(folder)
     _write(folder, contents)

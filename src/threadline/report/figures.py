@@ -103,16 +103,17 @@ def _draw_path(
     (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
     dots = traces.stride > 1 and not near
     gone = np.where(traces.whole | (not near), 0.0, np.nan)
-    lines = [("planned", PLANNED, 2.6, *(traces.planned[axis][:, 0] for axis in pair))]
+    planned = {axis: traces.planned[axis][:, 0] for axis in pair}
+    lines = [("planned", PLANNED, 2.6, planned)]
     if traces.actual:
-        lines.append(("actual", ACTUAL, 1.0, *(traces.actual[axis] for axis in pair)))
-    for label, look, size, x, y in lines:
+        lines.append(("actual", ACTUAL, 1.0, traces.actual))
+    for label, look, size, place in lines:
         dotted = (
             {"linestyle": "none", "marker": ".", "markersize": size, "rasterized": True}
             if dots
             else {}
         )
-        panel.plot((x + gone) * fx, y * fy, label=label, **look | dotted)
+        panel.plot((place[first] + gone) * fx, place[second] * fy, label=label, **look | dotted)
     panel.plot(
         traces.vertices[:, columns[0]] * fx,
         traces.vertices[:, columns[1]] * fy,

@@ -35,26 +35,37 @@ _TURNS = {
     "rate": ("greatest speed a minute, where the settings have none", "36000 deg/min"),
     "acceleration": ("where the settings have none", "2000 deg/s^2"),
 }
+_OF_DYNAMICS = ("torque", "current", "resistance", "inductance", "supply", "mass", "inertia",
+                "rotor", "friction", "microsteps")  # fmt: skip
 _STRAIGHT = {"travel": "m", "rate": "m/s", "acceleration": "m/s^2"}
 _TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
 
 
-def machine_text(settings: Settings, answers: Answers, name: str) -> str:
+def machine_text(
+    settings: Settings, answers: Answers, name: str, *, limits_only: bool = False
+) -> str:
     """Return the machine file of a winder with steppers, from its firmware's settings and answers.
 
     Every axis is rigid: its load is added to the inertia of its motor. Limits of speed and
     acceleration are those of the firmware.
 
+    Parameters
+    ----------
+    limits_only
+        Whether the drives are kinematic: nothing is asked of motors and masses.
+
     Raises
     ------
     OptionError
         If numbers are missing (all of them are named, each with an example), or an answer is of an
-        axis that does not exist or in a wrong unit.
+        axis that does not exist, in a wrong unit, or of dynamics that are left out.
     MachineError
         If the settings lack the steps of an axis, or limits that Klipper requires.
     """
     _check_axes(settings, answers)
-    missing = list(_missing(settings, answers))
+    if limits_only:
+        _refuse_dynamics(answers)
+    missing = list(_missing(settings, answers, limits_only))
     if missing:
         asked = "; ".join(
             f'--set "{key}={example}" ({what})' for key, (what, example) in dict.fromkeys(missing)
@@ -63,11 +74,11 @@ def machine_text(settings: Settings, answers: Answers, name: str) -> str:
             f"{Place(settings.file)} does not say all that a machine is, the rest is yours to say",
             remedy=f"Add: {asked}.",
         )
-    dialect = _DIALECTS.get(settings.firmware, settings.firmware)
     turning = [axis for axis in settings.axes if axis in answers.rotary]
+    driven = "with limits alone" if limits_only else "by steppers"
     parts = [
         f'name = "{name}"',
-        f'title = "winder of {len(settings.axes)} axes by steppers, made from the settings of '
+        f'title = "winder of {len(settings.axes)} axes {driven}, made from the settings of '
         f'{settings.firmware}"',
         f'sources = ["settings of {settings.firmware}; what they do not say, its owner"]',
         'tick_budget = "1e9 tick exact, assumed: 11 days at 1 ms"',
@@ -76,14 +87,21 @@ def machine_text(settings: Settings, answers: Answers, name: str) -> str:
         'pulse = "1 ms exact, assumed: the segment within which pulses come evenly"',
         "",
         "[programs]",
-        f'dialect = "{dialect}"',
+        f'dialect = "{dialect_of(settings)}"',
     ]
     parts += ["", *_planner(settings, turning)]
     if turning:
         parts += ["", "[tool]", f'radius = "{answers.of("radius", "")} exact, assumed: the owner"']
     for axis, said in settings.axes.items():
-        parts += ["", *_axis(axis, said, settings, answers)]
+        turns = axis in answers.rotary
+        drive = _kinematic(axis) if limits_only else _stepper(axis, said, answers, turns)
+        parts += ["", *drive, "", *_limits_of(axis, said, settings, answers)]
     return "\n".join(parts) + "\n"
+
+
+def dialect_of(settings: Settings) -> str:
+    """Return the dialect of part programs that a firmware reads."""
+    return _DIALECTS.get(settings.firmware, settings.firmware)
 
 
 def _check_axes(settings: Settings, answers: Answers) -> None:
@@ -111,7 +129,18 @@ def _check_axes(settings: Settings, answers: Answers) -> None:
             raise OptionError(f"--set {key}={text!r} must be greater than 0")
 
 
-def _missing(settings: Settings, answers: Answers) -> Iterator[tuple[str, tuple[str, str]]]:
+def _refuse_dynamics(answers: Answers) -> None:
+    for key in answers.given:
+        if key.partition(".")[0] in _OF_DYNAMICS:
+            raise OptionError(
+                f"--set {key} is of motors and masses, which --limits-only leaves out",
+                remedy="Leave one of them out.",
+            )
+
+
+def _missing(
+    settings: Settings, answers: Answers, limits_only: bool
+) -> Iterator[tuple[str, tuple[str, str]]]:
     if "rotary" not in answers.given:
         yield "rotary", ASKED["rotary"]
     for axis, said in settings.axes.items():
@@ -122,14 +151,8 @@ def _missing(settings: Settings, answers: Answers) -> Iterator[tuple[str, tuple[
                 place=Place(settings.file),
                 remedy="Dump them whole: $100 and on, M92, steps_per_mm or rotation_distance.",
             )
-        for name in ("torque", "current", "resistance", "inductance", "supply"):
-            if answers.of(name, axis) is None:
-                yield name, ASKED[name]
-        if said.microsteps is None and answers.of("microsteps", axis) is None:
-            yield "microsteps", ASKED["microsteps"]
-        load = "inertia" if turns else "mass"
-        if answers.of(load, axis) is None:
-            yield load, ASKED[load]
+        if not limits_only:
+            yield from _missing_of_motor(axis, said, answers, turns)
         for what in ("rate", "acceleration"):
             own = answers.given.get(f"{what}.{axis}") if turns else answers.of(what, axis)
             if getattr(said, what) is None and own is None:
@@ -138,6 +161,19 @@ def _missing(settings: Settings, answers: Answers) -> Iterator[tuple[str, tuple[
             yield f"travel.{axis}", OPTIONAL["travel"]
     if answers.rotary and "radius" not in answers.given:
         yield "radius", ASKED["radius"]
+
+
+def _missing_of_motor(
+    axis: str, said: AxisSettings, answers: Answers, turns: bool
+) -> Iterator[tuple[str, tuple[str, str]]]:
+    for name in ("torque", "current", "resistance", "inductance", "supply"):
+        if answers.of(name, axis) is None:
+            yield name, ASKED[name]
+    if said.microsteps is None and answers.of("microsteps", axis) is None:
+        yield "microsteps", ASKED["microsteps"]
+    load = "inertia" if turns else "mass"
+    if answers.of(load, axis) is None:
+        yield load, ASKED[load]
 
 
 def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
@@ -175,8 +211,13 @@ def _of_planner(said: Said, unit: str, firmware: str) -> str:
     return f"{said.value!r} {unit}".rstrip() + f" exact, checked: {firmware}, line {said.line}"
 
 
-def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -> Iterator[str]:
-    turns = axis in answers.rotary
+def _kinematic(axis: str) -> Iterator[str]:
+    yield f"[drives.{axis.lower()}]"
+    yield 'kind = "kinematic"'
+    yield 'clock = "pulse"'
+
+
+def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> Iterator[str]:
     unit = "deg" if turns else "mm"
     assert said.steps is not None
     steps = said.steps.value
@@ -189,7 +230,6 @@ def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -
     inertia = parse_quantity(rotor_text, "kg*m^2") + moved * lever**2
     friction = answers.of("friction", axis) or _DEFAULTS["friction"]
     low = axis.lower()
-    of = settings.firmware
     load = answers.of("inertia" if turns else "mass", axis)
     yield f"[bodies.{low}]"
     yield 'kind = "rotary"'
@@ -213,11 +253,19 @@ def _axis(axis: str, said: AxisSettings, settings: Settings, answers: Answers) -
             ("inductance", "inductance"), ("supply", "supply"),
         )
     ) + " }"  # fmt: skip
-    yield ""
+
+
+def _limits_of(
+    axis: str, said: AxisSettings, settings: Settings, answers: Answers
+) -> Iterator[str]:
+    turns = axis in answers.rotary
+    unit = "deg" if turns else "mm"
+    assert said.steps is not None
+    of, steps = settings.firmware, said.steps
     yield f"[axes.{axis}]"
     yield f'kind = "{"rotary" if turns else "linear"}"'
-    yield f'drive = "{low}"'
-    yield f'counts = "{steps!r} count/{unit} exact, checked: {of}, line {said.steps.line}"'
+    yield f'drive = "{axis.lower()}"'
+    yield f'counts = "{steps.value!r} count/{unit} exact, checked: {of}, line {steps.line}"'
     yield f'velocity = "{_limit(said.rate, answers, "rate", axis, f"{unit}/min", of)}"'
     yield (
         f'acceleration = "'

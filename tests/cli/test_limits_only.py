@@ -1,0 +1,109 @@
+"""From the settings of a firmware to proofs of its limits, with two answers of the owner."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from tests.cli.test_commands import run
+from tests.machine.test_firmware import FLUIDNC, GRBL, KLIPPER, MARLIN
+
+from threadline.machine import load_machine
+from threadline.machine.firmware import machine_text, parse_answers, read_settings
+
+SETTINGS = {
+    "grbl": (GRBL, "A", ["rotary", "radius"]),
+    "fluidnc": (FLUIDNC, "A", ["rotary", "radius"]),
+    "marlin": (MARLIN, "A", ["rotary", "travel.X", "radius"]),
+    "klipper": (KLIPPER, "Y", ["rotary", "radius"]),
+}
+
+
+def made(
+    folder: Path, firmware: str, capsys: pytest.CaptureFixture[str]
+) -> tuple[Path, dict[str, str]]:
+    """Return a project folder, and what was asked on the way to it with examples."""
+    text, turning, _ = SETTINGS[firmware]
+    dump = folder / "settings.txt"
+    dump.write_text(text)
+    words = ("new", f"{firmware}-winder", folder / "mine", "--from", dump, "--limits-only")
+    asked: dict[str, str] = {}
+    given = ["--set", f"rotary={turning}"]
+    code, _, err = run(capsys, *words)
+    assert code == 2 and "rotary" in err
+    asked["rotary"] = turning
+    code, _, err = run(capsys, *words, *given)
+    assert code == 2
+    for name, value in re.findall(r'--set "([a-zX.]+)=([^"]+)"', err):
+        asked[name] = value
+        given += ["--set", f"{name}={value}"]
+    code, out, err = run(capsys, *words, *given, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["files"] == sorted(p.name for p in (folder / "mine").iterdir())
+    return folder / "mine", asked
+
+
+@pytest.mark.parametrize("firmware", SETTINGS)
+def test_two_answers_make_a_machine_that_is_proven_for_limits(
+    firmware: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No torque, no mass: the limits are those that the same settings give with all of them."""
+    folder, asked = made(tmp_path, firmware, capsys)
+    assert list(asked) == SETTINGS[firmware][2]
+    machine = load_machine(folder / "machine.toml")
+    assert machine.without_dynamics and not machine.bodies
+    owner = [f"{name}={value}" for name, value in asked.items()] + [
+        "torque=1.26 N m", "current=2.8 A", "resistance=0.9 ohm", "inductance=2.5 mH",
+        "supply=36 V", "microsteps=16", "mass=1.2 kg", "inertia=4e-3 kg m^2",
+    ]  # fmt: skip
+    full = tmp_path / "full.toml"
+    settings = read_settings(tmp_path / "settings.txt")
+    full.write_text(machine_text(settings, parse_answers(owner), "full"))
+    whole = load_machine(full)
+    for name in ("counts_per_unit", "velocity_limit", "acceleration_limit", "travel", "radius_m"):
+        assert getattr(machine, name).tolist() == getattr(whole, name).tolist(), name
+    assert machine.planner == whole.planner and machine.programs == whole.programs
+    monkeypatch.chdir(folder)
+    code, out, _ = run(capsys, "prove", "there-and-back.gcode", "-m", "machine.toml", "--json")
+    said = json.loads(out)
+    assert code == 0 and said["level"] == "limits and time alone"
+    limited = {row["name"] for row in said["criteria"] if row["limit"] is not None}
+    assert limited == {"travel", "velocity", "acceleration"}
+    assert "measured" not in (folder / "spec.toml").read_text()
+
+
+def test_the_commands_of_the_project_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every command that the README has, and a program for grbl: none asks for dynamics."""
+    folder, _ = made(tmp_path, "grbl", capsys)
+    monkeypatch.chdir(folder)
+    commands = re.findall(r"^threadline +(.*)$", (folder / "README.md").read_text(), re.M)
+    assert len(commands) == 5
+    for command in commands:
+        code, out, err = run(capsys, *command.split())
+        assert code == 0, (command, err)
+        assert "IN SPEC" not in out or "IN SPEC (limits and time alone: placement" in out
+    assert (folder / "faster.gcode").read_text().startswith("G21 G90 G94 G17")
+
+
+def test_answers_about_motors_are_refused_beside_limits_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dump = tmp_path / "settings.txt"
+    dump.write_text(GRBL)
+    for given in ("mass.X=1 kg", "torque=1 N m"):
+        code, _, err = run(
+            capsys, "new", "grbl-winder", tmp_path / "mine", "--from", dump, "--limits-only",
+            "--set", "rotary=A", "--set", "radius=50 mm", "--set", given,
+        )  # fmt: skip
+        assert code == 2 and "which --limits-only leaves out" in err
+        assert len(err.strip().splitlines()) == 1
+    code, _, err = run(capsys, "new", "winder", tmp_path / "mine", "--limits-only")
+    assert code == 2 and "--limits-only" in err
+    assert not (tmp_path / "mine").exists()
