@@ -247,7 +247,7 @@ def test_json_exit_and_report_say_the_level(
          "drives.a is told positions"),
         (["fastest", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
         (["yield", "JOB", "-m", "M"], "has no dynamics"),
-        (["design", "JOB", "-m", "M"], "has no [design] table"),
+        (["design", "JOB", "-m", "M"], "limits cannot be redesigned"),
         (["analyse", "M"], "has no dynamics"),
         (["analyse", "M", "--experiments"], "--experiments is of loops"),
         (["run", "JOB", "-m", "M"], "cannot be run yet"),
