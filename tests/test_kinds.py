@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.errors import ThreadlineError
 from threadline.kinds import KINDS, kind_of, kind_of_commands
 from threadline.machine import Machine, library_names, load_machine
 from threadline.options import Options
@@ -85,3 +86,21 @@ def test_a_measure_reads_one_input() -> None:
     }
     assert mixed == {"travel"}
     assert any(isinstance(reading, OfPlan) for reading in MEASURES["travel"].reads)
+
+
+@pytest.mark.parametrize("machine", ["lathe-winder", "letter-placer", "table-embroiderer"])
+@pytest.mark.parametrize(
+    "file", ["x-180.prg", "letter-cycle.toml", "rosette.dst", "strap.seam.toml"]
+)
+def test_a_job_is_planned_or_refused_in_one_line(machine: str, file: str) -> None:
+    """Jobs of one kind of machine on another: no defect, and a message that names the job."""
+    chosen = load_machine(machine)
+    own = {"lathe-winder": (".prg", ".seam.toml"), "letter-placer": ("letter-cycle.toml",),
+           "table-embroiderer": (".dst",)}[machine]  # fmt: skip
+    if file.endswith(own):
+        assert open_job(EXAMPLES / file, chosen, Options()).file
+        return
+    with pytest.raises(ThreadlineError) as refused:
+        plan_job(open_job(EXAMPLES / file, chosen, Options()), chosen, Options())
+    assert str(refused.value).startswith((f"[JOB] {file}: ", f"[PLAN] {file}: "))
+    assert "\n" not in str(refused.value)

@@ -22,9 +22,10 @@ from threadline.jobs.operations import (
     ToolEvent,
 )
 from threadline.jobs.seam import read_seam
+from threadline.jobs.seam.journeys import swinging_modes
 from threadline.jobs.seam.placement import stitch_count, stitch_lengths
 from threadline.jobs.seam.settings import Accelerations, Stitching
-from threadline.machine import Machine
+from threadline.machine import Machine, load_machine
 from threadline.path import programmed_path
 from threadline.sizing import corner_error_m
 
@@ -383,3 +384,12 @@ def test_read_job_knows_seams(sewer: Machine, examples: Path) -> None:
     slower = read_job(examples / "strap.csv", sewer, **{**SPEED, "needle_speed": "25 stitch/s"})
     assert tag(slower, "needle_s")[-1] > 1.9 * tag(job, "needle_s")[-1]
     assert job.sha256 == slower.sha256
+
+
+def test_a_frame_on_pulse_servos_is_sewn(tmp_path: Path) -> None:
+    """It has no loops; what rings while its drives stand is at 70 Hz, as its file says."""
+    frame = replace(load_machine("table-embroiderer"), shaft=None, tables=None)
+    job = sew(tmp_path, frame, "points = [[0, 0], [100, 0], [100, 100]]")
+    assert len(stitches(job)) >= 80  # of 2.5 mm over 200 mm, and the locks
+    found = [mode.frequency_hz for mode in swinging_modes(frame, ("X", "Y"))]
+    assert found == pytest.approx([70.0, 70.0], rel=1e-3)

@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.described import describe
-from threadline.errors import OptionError
+from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
 from threadline.kinds.retold import retold
@@ -57,6 +57,12 @@ def _check_options(machine: Machine, options: Options) -> None:
 
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     """Plan the turns of the shaft: all at the given speed, else each as slow as its move needs."""
+    if job.paced_by != "shaft":
+        raise PlanError(
+            f"{machine.name} sews embroidery designs, and {job.name} is none",
+            place=Place(job.file),
+            remedy="Give a design such as .dst, or take a machine for such jobs.",
+        )
     assert machine.tables is not None
     named = options.timing.law or machine.tables.law
     stitched = stitch(

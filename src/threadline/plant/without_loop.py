@@ -194,6 +194,17 @@ class ToldAnalysis:
         }
 
 
+def told_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+    """Return the modes of an axis' load while its drive, which is given positions, stands still.
+
+    Raises
+    ------
+    MachineError
+        If its piece has a part that is not linear.
+    """
+    return _oscillations(piece_of(machine, axis).matrix)
+
+
 def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
     """Return the analysis of an axis whose drive is given positions.
 
@@ -210,7 +221,7 @@ def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
     return ToldAnalysis(
         axis=axis,
         drive=part.drive,
-        locked=_oscillations(piece.matrix),
+        locked=told_modes(machine, axis),
         resonance_hz=resonance_hz(source, float(piece.inertia[piece.drives.index(part.drive)])),
         torque=still,
         torque_at_speed=fast,

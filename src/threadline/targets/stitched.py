@@ -341,8 +341,8 @@ def _on_grid(item: MoveRun, unit_m: float) -> IntArray:
     if (off > _WHOLE).any():
         wrong = int(np.argmax(off > _WHOLE))
         raise PlanError(
-            f"a stitch at {item.targets[wrong] * 1e3} mm is between the units of "
-            f"{unit_m * 1e3:g} mm in which the machine moves",
+            f"a stitch at {', '.join(f'{m * 1e3:g}' for m in item.targets[wrong])} mm is between "
+            f"the units of {unit_m * 1e3:g} mm in which the machine moves",
             place=Place(item.file, int(item.line[wrong])),
             remedy="Scale the design, or take a machine with a finer unit.",
         )

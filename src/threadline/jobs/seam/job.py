@@ -71,7 +71,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         if axis not in machine.axes or machine.axes[axis].kind != "linear":
             raise JobError(
                 f"a seam needs the linear axes X and Y; machine {machine.name!r} has "
-                f"{', '.join(machine.axis_names)}",
+                f"{', '.join(machine.axis_names) or 'no axes'}",
                 place=Place(str(path)),
                 remedy="Choose a machine that sews.",
             )
