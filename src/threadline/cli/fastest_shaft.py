@@ -138,8 +138,17 @@ def _content(found: FastestShaft) -> dict[str, Any]:
 
 
 def _show(found: FastestShaft, title: str) -> None:
-    rows = [[f"{i.low * _MINUTE:.2f}", f"{i.high * _MINUTE:.2f}"] for i in found.constant.intervals]
-    print_table(f"{title}: constant speeds in spec", ["from stitch/min", "to stitch/min"], rows)
+    begun = found.constant.low
+    rows = [
+        [
+            f"{i.low * _MINUTE:.2f}",
+            f"{i.high * _MINUTE:.2f}",
+            "begins where the search did: --low for slower ones" if i.low == begun else "",
+        ]
+        for i in found.constant.intervals
+    ]
+    header = ["from stitch/min", "to stitch/min", "note"]
+    print_table(f"{title}: constant speeds in spec", header, rows)
     if found.constant.best is None:
         say(f"no constant speed is in spec: {limit_words(found.limited_by)}")
     else:

@@ -29,6 +29,7 @@ from threadline.shaping import (
     shaped_windows,
     usual_jerk_m_s3,
 )
+from threadline.shaping.types import MAX_DAMPING_RATIO
 from threadline.writing import together
 
 COPIED = "modified-sine"
@@ -50,7 +51,7 @@ def study(
     OptionError
         If an option cannot be read, lacks another, or has a value that no machine has.
     """
-    flexible = FlexibleMode(parse_mode_hz(mode), damping)
+    flexible = _mode(mode, damping)
     if move is None or time is None:
         raise OptionError(
             f"--mode {mode} needs the move", remedy='Add --move "16.5 mm" --time "120 ms".'
@@ -103,6 +104,22 @@ def study(
             say(table.note)
     if written is not None:
         say(f"Report: {written}")
+
+
+def _mode(mode: str, damping: float) -> FlexibleMode:
+    """Return the mode, or refuse its options by their names."""
+    frequency_hz = parse_mode_hz(mode)
+    if not 0.0 < frequency_hz < np.inf:
+        raise OptionError(
+            f"--mode {mode!r}: a frequency must be greater than 0 Hz",
+            remedy='Measure at which frequency the load swings: --mode "12 Hz".',
+        )
+    if not 0.0 <= damping < MAX_DAMPING_RATIO:
+        raise OptionError(
+            f"--damping {damping:g}: a damping ratio must be from 0 to below {MAX_DAMPING_RATIO:g}",
+            remedy="It is a share of critical damping, 0.02 for a frame on belts or screws.",
+        )
+    return FlexibleMode(frequency_hz, damping)
 
 
 def _report(

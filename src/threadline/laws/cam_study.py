@@ -15,7 +15,7 @@ from threadline.laws.cam import MeasuredCam
 from threadline.laws.fairing import MOST_PASSES, Rebound, Smoothed, Smoother, differences, rebound
 from threadline.laws.law import Law
 from threadline.laws.law_table import law_through
-from threadline.laws.measured_rise import Rise, noise_of, refuse_fall, rise_of
+from threadline.laws.measured_rise import Rise, noise_of, refuse_no_rise, rise_of
 from threadline.laws.spline import law_of_velocity
 
 DRAWS = 200
@@ -155,7 +155,7 @@ def study_cam(
             place=Place(cam.file),
             remedy='Say how far to trust them: --noise "0.001 mm".',
         )
-    refuse_fall(cam, noise)
+    refuse_no_rise(cam, noise)
     own = noise * np.abs(cam.follower_slope)
     rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
     t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)

@@ -16,7 +16,7 @@ _NEAR = 1.8  # five rows that span more than this times the median have a gap: n
 _OUTLYING = 4.0
 _FEWEST = 8
 _FEW = 20  # rows: each is looked at for itself
-_FALL = 7.0  # times the noise
+_FALL, _RISE = 7.0, 6.0  # times the noise
 _DWELL = 3  # least number of rows of a dwell
 _STIFF = 1e-9  # weight of the jerk per row: so stiff that the ends matter more than the noise
 _TRIED = 0.03  # first step of the search for an end, as a share of the rise's length
@@ -79,8 +79,8 @@ def noise_of(x: FloatArray, y: FloatArray) -> float:
     return float(np.sqrt(np.mean(kept**2)))
 
 
-def refuse_fall(cam: MeasuredCam, noise_m: float) -> None:
-    """Refuse a cam whose distance falls by more than its noise explains.
+def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
+    """Refuse a cam whose distance does not rise, or falls by more than its noise explains.
 
     Of many rows each is looked at as the median of itself and its neighbours: an outlier is no
     fall. What remains of the noise then differs by less than seven of its deviations.
@@ -97,6 +97,14 @@ def refuse_fall(cam: MeasuredCam, noise_m: float) -> None:
     highest = np.maximum.accumulate(h)
     fallen = np.flatnonzero(highest - h > _FALL * noise_m)
     if not len(fallen):
+        rise_m = cam.h_m[-1] - cam.h_m[0]
+        if not rise_m > _RISE * noise_m:
+            raise OptionError(
+                f"cam: the distances rise by {1e3 * rise_m:g} mm from the first row to the last, "
+                f"which the noise of {1e3 * noise_m:.3g} mm explains",
+                place=Place(cam.file, cam.lines[-1]),
+                remedy="Give the rows of one rise, in the direction in which the distance grows.",
+            )
         return
     low = int(fallen[0])
     top = int(np.flatnonzero(h[:low] >= highest[low] - 0.5 * _FALL * noise_m)[-1])
@@ -146,12 +154,6 @@ def rise_of(
     OptionError
         If an angle that was given leaves no rise, or the distances do not rise.
     """
-    if not h_m[-1] - h_m[0] > 6.0 * noise_m:
-        raise OptionError(
-            f"cam: the distances rise by {1e3 * (h_m[-1] - h_m[0]):g} mm from the first row to the "
-            f"last, which the noise of {1e3 * noise_m:.3g} mm explains",
-            remedy="Give the rows of one rise, in the direction in which the distance grows.",
-        )
     first, early = _foot(alpha_rad, h_m, noise_m)
     mirrored, late = _foot(-alpha_rad[::-1], -h_m[::-1], noise_m)
     start = first if start_rad is None else start_rad

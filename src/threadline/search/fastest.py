@@ -61,6 +61,8 @@ class Fastest:
     step, near_step
         Relative distance of neighbouring feeds in the scan, and near the edges of intervals. A
         narrower interval can be missed.
+    low
+        Where the scan began: whether feeds below it pass is not known.
     """
 
     intervals: tuple[Interval, ...]
@@ -69,6 +71,7 @@ class Fastest:
     tried: int
     step: float = 0.0
     near_step: float = 0.0
+    low: float = 0.0
 
     @property
     def best(self) -> float | None:
@@ -141,7 +144,7 @@ def find_fastest(
     edges = sum(before != after for before, after in pairwise(passes))
     expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
     step = (high / low) ** (1.0 / (points - 1))
-    steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0}
+    steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0, "low": low}
     intervals: list[Interval] = []
     start: float | None = None
     for index, feed in enumerate(feeds):
