@@ -77,11 +77,19 @@ def test_two_answers_make_a_machine_that_is_proven_for_limits(
     assert "measured" not in (folder / "spec.toml").read_text()
 
 
+@pytest.mark.parametrize(
+    ("firmware", "begins"),
+    [("grbl", "G21 G90 G94 G17\n"), ("klipper", "; no [input_shaper]: the machine file has no")],
+)
 def test_the_commands_of_the_project_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    firmware: str,
+    begins: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Every command that the README has, and a program for grbl: none asks for dynamics."""
-    folder, _ = made(tmp_path, "grbl", capsys)
+    """Every command that the README has, and a program for the firmware: none asks for dynamics."""
+    folder, _ = made(tmp_path, firmware, capsys)
     monkeypatch.chdir(folder)
     commands = re.findall(r"^threadline +(.*)$", (folder / "README.md").read_text(), re.M)
     assert len(commands) == 5
@@ -89,7 +97,8 @@ def test_the_commands_of_the_project_run(
         code, out, err = run(capsys, *command.split())
         assert code == 0, (command, err)
         assert "IN SPEC" not in out or "IN SPEC (limits and time alone: placement" in out
-    assert (folder / "faster.gcode").read_text().startswith("G21 G90 G94 G17")
+        assert "--target" not in command or f"s as the planner of {firmware} runs it" in err + out
+    assert (folder / "faster.gcode").read_text().startswith(begins)
 
 
 def test_answers_about_motors_are_refused_beside_limits_only(

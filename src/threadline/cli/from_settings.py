@@ -12,7 +12,6 @@ from threadline.errors import OptionError, Place
 from threadline.machine import library_file, load_machine
 from threadline.machine.firmware import (
     Settings,
-    dialect_of,
     machine_text,
     parse_answers,
     read_settings,
@@ -70,7 +69,7 @@ def settings_files(
     return {
         "machine.toml": (head + text).encode(),
         "spec.toml": specification.replace(f'"{_SPEC}"', f'"{kind}"').encode(),
-        "README.md": readme.replace("TARGET", dialect_of(settings)).encode(),
+        "README.md": readme.replace("TARGET", settings.firmware).encode(),
         "there-and-back.gcode": _job(settings, said.rotary).encode(),
     }
 

@@ -14,7 +14,7 @@ from threadline.machine.dynamics import check_dynamics
 from threadline.plant.analysis import analyse_axis
 from threadline.plant.boundaries import DOUBLE, size_of, swinging
 from threadline.plant.cylinders import cylinder_equations
-from threadline.plant.modes import Oscillation
+from threadline.plant.modes import Oscillation, locked_modes
 from threadline.plant.pneumatic import flow_mode
 from threadline.plant.prescribed import piece_of, resonance_hz
 from threadline.plant.rigid import drive_rate, drive_unit, rigid_force, rigid_motion
@@ -228,6 +228,19 @@ def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
         needed=rigid_force(machine, axis, part.velocity.si, part.acceleration.si) / turns,
         unit=drive_unit(machine, axis),
     )
+
+
+def modes_held(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+    """Return the modes of an axis of ``machine`` with its drive held still, the slowest first.
+
+    Raises
+    ------
+    MachineError
+        If its equations are not linear.
+    """
+    if machine.axes[axis].drive:
+        return _oscillations(piece_of(machine, axis).matrix)
+    return tuple(sorted(locked_modes(machine, axis), key=lambda mode: mode.frequency_hz))
 
 
 ANALYSES: Mapping[str, Callable[[Machine, str], Analysis]] = {

@@ -21,6 +21,11 @@ from threadline.shaping.vibration import residual_vibration
 MATCH = 0.01
 """A type fits where V differs by at most this over f (1 +- 25 %)."""
 
+BAND = 0.1
+"""Share by which a frequency may be off where the shortest type is chosen."""
+LEFT = 0.05
+"""Largest V that such a type may leave: Klipper's own tolerance of its ``ei`` types."""
+
 _MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
 
 # Times in undamped periods and amplitudes as polynomials of the damping ratio, constant first.
@@ -120,6 +125,23 @@ def _ei_middle(zeta: float) -> float:
         + (4.26169 - 108.644 * v) * v * zeta**2
         + (1.75601 + 336.989 * v) * v * zeta**3
     )
+
+
+def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
+    """Return Klipper's shortest type that keeps a mode at rest over a band, and what it leaves.
+
+    What it leaves is the largest V over f (1 +- ``BAND``), at most ``LEFT``. None where no type
+    keeps to that: each takes damping ratios up to a limit of its own.
+    """
+    f = mode.frequency_hz * np.linspace(1.0 - BAND, 1.0 + BAND, 201)
+    for name, most in _MAX_DAMPING.items():
+        if mode.damping_ratio > most:
+            continue
+        train = klipper_impulses(name, mode)
+        left = float(residual_vibration(train, f, mode.damping_ratio).max())
+        if left <= LEFT:
+            return name, left
+    return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ against the plan, before there is a file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from threadline.machine import Machine
 from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import FIRMWARE
 from threadline.signals.files.common import Written, atomic_file, written
+from threadline.targets.boards import BOARDS, dialect_of
 from threadline.targets.nc_blocks import operation_words
 from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
 from threadline.trajectory import plan_trajectory
@@ -38,53 +39,6 @@ _DECIMALS = 4  # of a millimetre or a degree
 _ROUNDED_M = 1e-7  # by how far an end that is so rounded lies off, and a little
 _MOST_POINTS = 100_000
 _RISE = 1e-6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Board:
-    """How a program for a firmware begins and ends, and what it takes.
-
-    Parameters
-    ----------
-    begin, end
-        First and last lines of a program.
-    longest
-        Characters of a line, its end not counted.
-    bytes_s
-        Characters a second that its port takes; 0 where it reads files.
-    pause
-        The word of a dwell, and how many of its units a second has.
-    planner
-        Kind of the ``[planner]`` of machines with this firmware; empty where none is known.
-    """
-
-    begin: tuple[str, ...]
-    end: tuple[str, ...]
-    longest: int
-    bytes_s: int = 0
-    pause: tuple[str, int] = ("P", 1)
-    planner: str = ""
-
-
-BOARDS: Mapping[str, Board] = {
-    "grbl": Board(
-        begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
-    ),
-    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254, planner="grbl"),
-    "marlin": Board(
-        begin=("G21", "G90"),
-        end=("M400",),
-        longest=95,
-        bytes_s=11_520,
-        pause=("P", 1000),
-        planner="marlin",
-    ),
-    "linuxcnc": Board(begin=("G21 G90 G94 G17", "G64 P0.01"), end=("M2",), longest=255),
-    "fanuc": Board(
-        begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
-    ),
-}
-"""By target, which is also the dialect. Serial ports are those of 115200 baud."""
 
 
 class Chord(NamedTuple):
@@ -161,7 +115,7 @@ class _Stretch:
     """
 
     def __init__(self, start: FloatArray, target: str, job: Job, machine: Machine) -> None:
-        mode, _ = RULES[DIALECTS[target].feed_rule]
+        mode, _ = RULES[DIALECTS[dialect_of(target)].feed_rule]
         self._unit = Feed(mode, 1.0)
         self._axes, self._machine = job.axes, machine
         self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
@@ -244,7 +198,7 @@ class _Lines:
     def __init__(self, target: str, timed: Job, job: Job, machine: Machine) -> None:
         self._target, self._timed, self._job, self._machine = target, timed, job, machine
         self._board = BOARDS[target]
-        self._dialect = DIALECTS[target]
+        self._dialect = DIALECTS[dialect_of(target)]
         self._linear = [machine.axes[name].kind == "linear" for name in job.axes]
 
     def __iter__(self) -> Iterator[str]:
@@ -259,6 +213,9 @@ class _Lines:
             yield line
 
     def _body(self, at: list[str], feed: str) -> Iterator[str]:
+        if self._board.head is not None:
+            told = self._board.head(self._machine, self._job.axes)
+            yield from (f"; {line}" for line in told)
         yield from self._board.begin
         modal = False
         for item in chords(self._target, self._timed, self._job, self._machine):
@@ -291,10 +248,10 @@ class _Lines:
             letter, units = self._board.pause
             text = _decimal(item.duration_s * units)
             yield f"G4 {letter}{self._number(text)}"
-        elif isinstance(item, Stop):
+        elif isinstance(item, Stop) and (item.final or self._board.stops):
             if not item.final:
                 yield "M0"
-        elif isinstance(item, ToolEvent) and item.name == "spindle":
+        elif self._board.stops and isinstance(item, ToolEvent) and item.name == "spindle":
             yield "M3" if item.value else "M5"
         else:
             raise PlanError(
@@ -326,7 +283,7 @@ def _read_back(
     PlanError
         If a block of it leaves the plan by more than its chords may.
     """
-    again = read_part_program(path, machine=machine, dialect=target)
+    again = read_part_program(path, machine=machine, dialect=dialect_of(target))
     column = [machine.axis_names.index(axis) for axis in job.axes]
     radius_m = machine.radius_m[column]
     order = [again.axes.index(axis) for axis in job.axes]

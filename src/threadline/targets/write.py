@@ -13,8 +13,9 @@ from threadline.signals import TickTable, tick_table
 from threadline.signals.files.array import write_array
 from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
+from threadline.targets.boards import BOARDS
 from threadline.targets.calculate import CompiledPlan
-from threadline.targets.firmware_program import BOARDS, write_firmware_program
+from threadline.targets.firmware_program import write_firmware_program
 from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen

@@ -1,7 +1,7 @@
 """Machine files from the settings of firmwares (grbl, FluidNC, Marlin, Klipper)."""
 
 from threadline.machine.firmware.axis_settings import AxisSettings, Settings
-from threadline.machine.firmware.machine_text import dialect_of, machine_text
+from threadline.machine.firmware.machine_text import machine_text
 from threadline.machine.firmware.owner_answers import Answers, parse_answers
 from threadline.machine.firmware.read import read_settings
 
@@ -9,7 +9,6 @@ __all__ = [
     "Answers",
     "AxisSettings",
     "Settings",
-    "dialect_of",
     "machine_text",
     "parse_answers",
     "read_settings",

@@ -74,6 +74,7 @@ def machine_text(
             f"{Place(settings.file)} does not say all that a machine is, the rest is yours to say",
             remedy=f"Add: {asked}.",
         )
+    dialect = _DIALECTS.get(settings.firmware, settings.firmware)
     turning = [axis for axis in settings.axes if axis in answers.rotary]
     driven = "with limits alone" if limits_only else "by steppers"
     parts = [
@@ -87,7 +88,7 @@ def machine_text(
         'pulse = "1 ms exact, assumed: the segment within which pulses come evenly"',
         "",
         "[programs]",
-        f'dialect = "{dialect_of(settings)}"',
+        f'dialect = "{dialect}"',
     ]
     parts += ["", *_planner(settings, turning)]
     if turning:
@@ -97,11 +98,6 @@ def machine_text(
         drive = _kinematic(axis) if limits_only else _stepper(axis, said, answers, turns)
         parts += ["", *drive, "", *_limits_of(axis, said, settings, answers)]
     return "\n".join(parts) + "\n"
-
-
-def dialect_of(settings: Settings) -> str:
-    """Return the dialect of part programs that a firmware reads."""
-    return _DIALECTS.get(settings.firmware, settings.firmware)
 
 
 def _check_axes(settings: Settings, answers: Answers) -> None:

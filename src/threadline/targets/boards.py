@@ -1,0 +1,80 @@
+"""The firmwares that programs are written for: how one begins and ends, and what a board takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from threadline.machine import Machine
+from threadline.targets.klipper_shaper import input_shaper
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """How a program for a firmware begins and ends, and what it takes.
+
+    Parameters
+    ----------
+    begin, end
+        First and last lines of a program.
+    longest
+        Characters of a line, its end not counted.
+    bytes_s
+        Characters a second that its port takes; 0 where it reads files.
+    pause
+        The word of a dwell, and how many of its units a second has.
+    planner
+        Kind of the ``[planner]`` of machines with this firmware; empty where none is known.
+    dialect
+        In which it is written and read back; empty for the one of its own name.
+    stops
+        Whether it knows M0, M3 and M5.
+    head
+        Returns comments about a machine and the axes of a job, which come first.
+    """
+
+    begin: tuple[str, ...]
+    end: tuple[str, ...]
+    longest: int
+    bytes_s: int = 0
+    pause: tuple[str, int] = ("P", 1)
+    planner: str = ""
+    dialect: str = ""
+    stops: bool = True
+    head: Callable[[Machine, Sequence[str]], list[str]] | None = None
+
+
+BOARDS: Mapping[str, Board] = {
+    "grbl": Board(
+        begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
+    ),
+    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254, planner="grbl"),
+    "marlin": Board(
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=95,
+        bytes_s=11_520,
+        pause=("P", 1000),
+        planner="marlin",
+    ),
+    "klipper": Board(
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=255,
+        pause=("P", 1000),
+        planner="klipper",
+        dialect="marlin",
+        stops=False,
+        head=input_shaper,
+    ),
+    "linuxcnc": Board(begin=("G21 G90 G94 G17", "G64 P0.01"), end=("M2",), longest=255),
+    "fanuc": Board(
+        begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
+    ),
+}
+"""By target. Serial ports are those of 115200 baud."""
+
+
+def dialect_of(target: str) -> str:
+    """Return the dialect that a target is written in."""
+    return BOARDS[target].dialect or target
