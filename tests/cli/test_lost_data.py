@@ -98,9 +98,10 @@ def test_standard_output_is_written_to_and_not_replaced(folder: Path) -> None:
     piped = subprocess.run([*start, "/dev/stdout"], check=True, capture_output=True, timeout=300)
     assert piped.stdout == wanted
     assert piped.stderr.endswith(b"  /dev/stdout\n")
-    with (folder / "redirected").open("wb") as file:
+    (folder / "redirected").write_bytes(b"what the shell has written before\n")
+    with (folder / "redirected").open("ab") as file:
         subprocess.run(
             [*start, "/dev/stdout"], check=True, stdout=file, stderr=subprocess.DEVNULL, timeout=300
         )
-    assert (folder / "redirected").read_bytes() == wanted
+    assert (folder / "redirected").read_bytes() == b"what the shell has written before\n" + wanted
     assert Path("/dev/stdout").is_symlink()

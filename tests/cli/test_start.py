@@ -119,6 +119,19 @@ def test_the_module_runs_as_the_command_does() -> None:
     assert json.loads(made.stdout)["name"] == "cubic"
 
 
+def test_a_proof_begins_without_what_few_commands_need() -> None:
+    """Of scipy only its linear algebra: special functions and filters took a third of the start."""
+    done = run(
+        "import sys\n"
+        "import threadline.cli.prove\n"
+        "heavy = {'scipy.special', 'scipy.ndimage', 'scipy.stats', 'scipy.optimize'}\n"
+        "heavy |= {'scipy.signal', 'scipy.interpolate', 'matplotlib', 'sqlalchemy'}\n"
+        "heavy &= set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize(("told", "counted"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
 def test_matrices_are_multiplied_by_one_thread(told: dict[str, str], counted: str) -> None:
     """Unless the shell says otherwise: results do not hang on the number of cores."""

@@ -14,7 +14,6 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
@@ -129,6 +128,8 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
     OptionError
         If seed or index is negative or too large, or a number cannot vary.
     """
+    from scipy.special import ndtr, ndtri  # slow to import, and asked for by few commands
+
     numbers = uncertain(machine)
     wanted = [int(i) for i in np.asarray(index).ravel()]
     for value, what in ((seed, "seed"), *((i, "index") for i in wanted)):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from scipy.special import betaincinv
-
 CONFIDENCE = 0.95
 
 
@@ -17,6 +15,8 @@ def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> 
     >>> f"{low:.5f} {high}"
     '0.99963 1.0'
     """
+    from scipy.special import betaincinv  # slow to import, and asked for by few commands
+
     tail = 0.5 * (1.0 - confidence)
     low = 0.0 if not passed else float(betaincinv(passed, tried - passed + 1, tail))
     high = 1.0 if passed == tried else float(betaincinv(passed + 1, tried - passed, 1.0 - tail))

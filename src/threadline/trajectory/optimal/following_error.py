@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import PlanError
@@ -222,6 +221,8 @@ class Strays:
 
     def worst(self, places_s: FloatArray) -> FloatArray:
         """Return the (n,) largest share of the tolerance that the motion at some places causes."""
+        from scipy.ndimage import maximum_filter1d  # slow to import, and asked for by few commands
+
         lag, step = self.follower.lag_s, float(self.time_s[1] - self.time_s[0])
         before, after = (ceil(lags * lag / step) for lags in (_BEFORE, _AFTER))
         width = before + after + 1
