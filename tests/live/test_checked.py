@@ -222,7 +222,7 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
     assert told(capsys, "verify", folder / "proof.json")[0] == 0
     spec.write_text(spec.read_text(encoding="utf-8").replace("6 mm", "2 mm"), encoding="utf-8")
     code, out, err = told(capsys, *again)
-    assert (code, out, "'coarse', is another one now" in err) == (2, "", True)
+    assert (code, out, "'coarse', has changed since" in err) == (2, "", True)
 
 
 @pytest.mark.parametrize(

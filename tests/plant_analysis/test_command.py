@@ -117,7 +117,7 @@ def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
         (["no-such"], "no machine 'no-such'"),
         (["letter-placer", "--axis", "Q"], "'letter-placer' has no axis 'Q'. It has: X, Z."),
         (["letter-placer", "--experiments"], "axis X of 'letter-placer' has none"),
-        (["letter-placer", "--lead", "13 Hz, 60 deg"], "--lead is of loops, and axis X"),
+        (["letter-placer", "--lead", "13 Hz, 60 deg"], "--lead needs a loop, and axis X"),
         (["stitcher", "--data", "sweep.csv"], "Name it with --axis"),
         (["stitcher", "--lead", "13 Hz"], "is not a crossover and a margin"),
         (["stitcher", "--lead", "13 mm, 60 deg"], "not a unit of the kind of 'Hz'"),

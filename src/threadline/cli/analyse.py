@@ -71,7 +71,7 @@ def analyse(
     without = [n for n in names if n not in chosen.axes or not chosen.axes[n].controller]
     if asked and without:
         raise OptionError(
-            f"{asked[0]} is of loops, and axis {without[0]} of {chosen.name!r} has none",
+            f"{asked[0]} needs a loop, and axis {without[0]} of {chosen.name!r} has none",
             remedy="Leave it out, or name a machine with controllers and axes.",
         )
     if data is not None and axis is None and len(chosen.axes) > 1:

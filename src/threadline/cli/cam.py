@@ -30,7 +30,7 @@ def cam(
         Path, typer.Argument(help="Table: alpha [deg], h [mm] and, where printed, phi [deg].")
     ],
     b: Annotated[
-        str | None, typer.Option(help='Side of the triangle from cam to rocker axis: "165 mm".')
+        str | None, typer.Option(help='From the axis of the cam to that of the rocker: "165 mm".')
     ] = None,
     c: Annotated[str | None, typer.Option(help='Length of the rocker: "135 mm".')] = None,
     roller: Annotated[
@@ -45,7 +45,9 @@ def cam(
     start: Annotated[
         str | None, typer.Option(help='Where the rise starts: "7.5 deg"; found unless given.')
     ] = None,
-    end: Annotated[str | None, typer.Option(help="Where it ends.")] = None,
+    end: Annotated[
+        str | None, typer.Option(help="Where the rise ends; found unless given.")
+    ] = None,
     passes: Annotated[int, typer.Option(help="Most passes of the rebound.")] = MOST_PASSES,
     epsilon: Annotated[
         str | None,
@@ -59,8 +61,9 @@ def cam(
 ) -> None:
     """Turn a measured cam into a motion law.
 
-    The distance from the cam's axis to its edge closes a triangle with the sides b and c; the angle
-    between them is what the follower turns. Without them the distance is the follower's own way.
+    With b and c, the sides from the cam's axis to the rocker's axis and on to the roller, each
+    measured distance h is the third side of a triangle, and the angle between b and c is the
+    rotation of the rocker. Without b and c the distance is the stroke of a straight follower.
     Rows whose printed angle is not that of their distance are flagged, the noise is estimated, the
     rise is found, and the law is faired; nothing is left out. Exit status: 0, or 2 for wrong input.
 

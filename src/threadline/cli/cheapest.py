@@ -1,4 +1,4 @@
-"""The cheapest set of tolerances that reaches a yield, for people and for machines."""
+"""The cheapest set of tolerances that reaches a yield, as a table and as JSON content."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from threadline.search.machine_yield import MachineYield
 
 
 def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
-    """Print which tolerances to halve, and what comes of it."""
+    """Print which tolerances to halve, and the yield of machines with these tolerances."""
     low, high = found.interval
     words = f"{found.passed} of {found.tried} machines in spec, {low:.2%} to {high:.2%} of all"
     if not found.reached:
@@ -30,7 +30,7 @@ def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
 
 
 def set_content(found: CheapestSet, judged: MachineYield) -> dict[str, Any]:
-    """Return the same as JSON."""
+    """Return the tolerances to halve and the yield they give as JSON content."""
     return {
         "reached": found.reached,
         "halvings": found.halvings,

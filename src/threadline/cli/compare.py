@@ -98,9 +98,9 @@ def compare(
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
     On an on/off machine shapers are compared instead, on an embroidery machine the laws of its
-    moves. The fastest feed of each
-    interpolation is searched within the placement criteria alone. Exit status: 0 when
-    every proof is in spec, 1 when one is not, 2 wrong input.
+    moves. The fastest feed of each interpolation is searched within the placement criteria alone.
+
+    Exit status: 0 when every proof is in spec, 1 when one is not, 2 wrong input.
 
     Example: threadline compare examples/x-180.prg -m lathe-winder
     --interpolation linear,b-spline,b-spline-pulled --feed "10 count/tick,80 count/tick"
@@ -242,12 +242,12 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
 
 
 def _of_contour(names: Sequence[str], contour: str | None) -> str:
-    """Return the interpolation that options are read for: a contour may be of any of them."""
+    """Return the interpolation to read options for: ``optimal`` where it takes the contour."""
     return OPTIMAL if contour is not None and OPTIMAL in names else names[0]
 
 
 def _label(proof: Proof, key: str) -> str:
-    """Return the value that a compared option has in a case."""
+    """Return the value of the option ``key`` with which a compared proof was planned."""
     if key == "interpolation":
         return proof.plan.interpolation
     return proof.plan.options.get(key, "none")
@@ -274,7 +274,7 @@ def _worst(proof: Proof, name: str) -> str:
 def _values(
     text: str | None, defaults: Mapping[str, tuple[str, ...]], key: str, otherwise: str
 ) -> list[str]:
-    """Return the values of a compared option: those given, else those of the kind of work."""
+    """Return the values of a compared option: those given, else the defaults of the kind."""
     return list(defaults.get(key, (otherwise,))) if text is None else _listed(text, f"--{key}")
 
 

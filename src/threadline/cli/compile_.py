@@ -102,7 +102,9 @@ def compile_(
             f"--json and {str(out)!r} both go to standard output", remedy="Leave one of them out."
         )
     if shaper == UNSHAPED_WORD and (mode is not None or damping is not None):
-        raise OptionError("--mode and --damping are of a shaper", remedy="Give --shaper too.")
+        raise OptionError(
+            "--mode and --damping name the mode of a shaper", remedy="Give --shaper too."
+        )
     asked = None if shaper == UNSHAPED_WORD else shaper
     options = replace(
         options_of(
@@ -129,7 +131,7 @@ def compile_(
         own = kind.targets
         raise OptionError(
             f"{'feed-forward' if feed_forward else 'a shaper'} gives a reference for every tick, "
-            f"which target {target!r} has not",
+            f"and target {target!r} cannot write them",
             remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
         )
     plan = plan_job(open_job(job, chosen, options), chosen, options)

@@ -1,4 +1,4 @@
-"""How a defect of the program ends: an exit status of its own, one line, and a file to send in."""
+"""End of the program at a defect: an exit status of its own, one line, and a traceback file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from threadline import __version__
 
 EXIT_DEFECT = 70
-"""EX_SOFTWARE of sysexits.h: 1 says that a job is out of specification, and no crash may."""
+"""EX_SOFTWARE of sysexits.h; a crash must not end with 1, which says "out of specification"."""
 _SHOWN = 120
 
 

@@ -56,7 +56,8 @@ def design(
     over_tolerances: Annotated[
         bool,
         typer.Option(
-            "--over-tolerances", help="It must hold at every corner of the parameters' tolerances."
+            "--over-tolerances",
+            help="The design must hold at every corner of the parameters' tolerances.",
         ),
     ] = False,
     wished: YieldOption = None,
@@ -67,8 +68,7 @@ def design(
     smoothing: Annotated[
         str | None,
         typer.Option(
-            help='Times to smooth feed-forward over, to try: "36 ms, 50 ms"; '
-            f"default {FEED_FORWARD}."
+            help=f'Smoothing times of feed-forward to try: "36 ms, 50 ms"; default {FEED_FORWARD}.'
         ),
     ] = None,
     plot: Annotated[
@@ -88,7 +88,7 @@ def design(
 ) -> None:
     """Find the smallest change to the machine with which JOB is within specification.
 
-    What may be changed, how far and at which cost stands in the [design] table of the machine.
+    The [design] table of the machine file says what may be changed, how far and at which cost.
 
     Exit status: 0 when a design was found, 1 when there is none within the bounds, 2 wrong input.
 
@@ -110,8 +110,8 @@ def design(
     smoothing_s = _widths_s(feed_forward, smoothing)
     if feed_forward and contour is not None:
         raise OptionError(
-            f"--contour {contour!r} bounds what loops make of a motion that motors follow, and "
-            "--feed-forward has loads that follow",
+            f"--contour {contour!r} bounds how far motors leave their path, and with "
+            "--feed-forward the loads follow the path, not the motors",
             remedy="Leave one of them out.",
         )
     with progress_bar(not json) as progress:

@@ -70,16 +70,16 @@ def fastest(
     robust: Annotated[
         str | None,
         typer.Option(
-            help="Of an on/off machine: the shortest cycle in spec wherever its modes are within "
-            'this of their frequency, "20 %".',
+            help="Of an on/off machine: the shortest cycle that is in spec with every mode within "
+            'this share of its frequency: "20 %".',
         ),
     ] = None,
     mismatch: Annotated[
         bool,
         typer.Option(
             "--mismatch",
-            help="The same with masses and stiffnesses at the ends of their tolerances, planned "
-            "for the machine as its file says.",
+            help="Search again with masses and stiffnesses at the ends of their tolerances, "
+            "planned for the machine as its file says.",
         ),
     ] = False,
     nominal: NominalOption = False,
@@ -111,9 +111,9 @@ def fastest(
     shaper or switchings of its own, and every wait its length; with --robust "20 %" the commands
     hold wherever the modes are within 20 % of their frequency.
     For an embroidery design the speed of the shaft is searched, a constant one and one that is
-    different for each stitch. What is tried is proved by twenty runs, as prove does; --nominal by
-    one. With --interpolation optimal no feed is searched: a few plans are proved, and said is how
-    far the fastest is from what the limits of axes and drives alone allow.
+    different for each stitch. Every trial is proved by twenty runs, as by threadline prove, or with
+    --nominal by one. With --interpolation optimal no feed is searched: a few plans are proved, and
+    the answer tells how much slower the fastest is than the limits of axes and drives alone allow.
 
     Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
 
@@ -156,8 +156,8 @@ def fastest(
         )  # fmt: skip
     if out is not None or robust is not None:
         raise OptionError(
-            f"{'--robust' if out is None else '--out'} is of move lists, which have commands and "
-            "waits to search and to write",
+            f"{'--robust' if out is None else '--out'} is for move lists alone, which have "
+            "commands and waits to search and to write",
             remedy="Leave it out; the command that proves the answer is printed.",
         )
     if read.paced_by == "shaft":

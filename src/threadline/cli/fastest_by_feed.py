@@ -57,7 +57,7 @@ def fastest_by_feed(
     trials: Trials,
     json: bool,
 ) -> NoReturn:
-    """Search the feed and the share of the limits, say what was found, and leave.
+    """Search the feed and the share of the limits, print the result, and end the program.
 
     Parameters
     ----------
@@ -128,12 +128,12 @@ def _command(best: Rung, job: Path, asked: dict[str, str | Path | None], trials:
 
 
 def metres_per_second(text: str) -> float:
-    """Return a feed of a search in m/s of the fastest axis.
+    """Return a feed in m/s of the fastest axis, as ``--low`` and ``--high`` give one.
 
     Raises
     ------
     OptionError
-        If it is in another unit.
+        If the feed is in another unit than a speed.
     """
     feed = parse_feed(text)
     if feed.mode != "fastest-axis":
@@ -151,7 +151,10 @@ def _end_of_mismatch(best: Rung, highest: float | None, machine: Machine) -> flo
 
 
 def _at(options: Options, best: Rung) -> Options:
-    """Return the options of the fastest plan; those of the search where no feed is in spec."""
+    """Return ``options`` with the feed and the limits of ``best``.
+
+    Where no feed is in spec they are returned unchanged.
+    """
     if best.found.best is None:
         return options
     feed = Feed(FeedMode.FASTEST_AXIS, best.found.best)

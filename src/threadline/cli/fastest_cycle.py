@@ -52,7 +52,7 @@ def fastest_moves(
     robust_in: str | None,
     json: bool,
 ) -> NoReturn:
-    """Search the commands and waits of a move list, say what was found, and leave.
+    """Search the commands and waits of a move list, print the result, and end the program.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def fastest_moves(
     asked
         Options that name the machine and what is asked of it, for the command that proves it.
     actual
-        The machine that runs the cycles, where it isn't the one that commands are made for.
+        The machine that runs the cycles; None for the one that the commands are made for.
     mismatch, report
         Whether to search at the ends of the tolerances as well, and the folder of its picture.
     robust_in
@@ -74,7 +74,7 @@ def fastest_moves(
     check_mismatch(mismatch, actual is not None, report)
     if band is not None and (actual is not None or mismatch):
         raise OptionError(
-            "--robust has machines of its own all over its band, and no other",
+            "--robust simulates machines all over its band, and no others",
             remedy="Leave --actual and --mismatch out.",
         )
     warn(machine, read)

@@ -41,7 +41,9 @@ def fastest_optimal(
     trials: Trials,
     json: bool,
 ) -> NoReturn:
-    """Find the fastest plan, say how far it is from what limits alone allow, and leave.
+    """Find the fastest plan in spec, print it beside the bound, and end the program.
+
+    The bound is the shortest duration that the limits of axes and drives alone allow.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ def fastest_optimal(
     low, high = span
     if low is not None or mismatch:
         raise OptionError(
-            f"--low and --mismatch are of searches by feed, which {OPTIMAL} does not need",
+            f"--low and --mismatch belong to a search by feed, and {OPTIMAL} searches no feed",
             remedy="Leave them out; prove --tolerances judges its plan on other machines.",
         )
     highest_m_s = None if high is None else metres_per_second(high)
@@ -101,7 +103,7 @@ def fastest_optimal(
 
 
 def contour_text(contour_m: float) -> str:
-    """Return an allowance as it can be typed."""
+    """Return the allowance ``contour_m`` in metres as ``--contour`` takes it."""
     return NO_CONTOUR if math.isinf(contour_m) else f"{contour_m!r} m"
 
 

@@ -15,7 +15,7 @@ from threadline.verdict import closing, criteria_json, verdict_rows
 
 
 def parse_band(text: str) -> float:
-    """Return half the width of a band, such as ``"20 %"``, as a number.
+    """Return the half width of a band, ``"20 %"`` of the frequency, as a share: 0.2.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def parse_band(text: str) -> float:
 
 
 def show_robust(robust: RobustCycle, title: str, band: float) -> None:
-    """Say what was found for the band, move by move."""
+    """Print the cycle found for the band ``band`` (half width, a share), move by move."""
     header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over"]
     rows = [
         [
@@ -79,7 +79,7 @@ def show_robust(robust: RobustCycle, title: str, band: float) -> None:
 
 
 def show_beside(rows: Sequence[BesideRow], title: str, band: float | None) -> None:
-    """Lay the cycles side by side."""
+    """Print one table of several cycles: a row each, with the verdicts of both machines."""
     header = ["cycle", "s", "rings mm", "as typed"]
     if band is not None:
         header += [f"rings mm, +-{band * 100:g} %", "all over it"]
@@ -97,7 +97,7 @@ def _words(passed: bool) -> str:
 
 
 def robust_json(robust: RobustCycle) -> dict[str, Any]:
-    """Return what was found for the band, for programs."""
+    """Return the cycle found for the band as JSON content."""
     return {
         "best": None if robust.job is None else cycle_s(robust.proof),
         "tried": robust.tried,
@@ -128,7 +128,7 @@ def robust_json(robust: RobustCycle) -> dict[str, Any]:
 
 
 def beside_json(rows: Sequence[BesideRow]) -> list[dict[str, Any]]:
-    """Return the cycles side by side, for programs."""
+    """Return the table of several cycles as JSON content."""
     return [
         {
             "name": row.name,

@@ -40,7 +40,7 @@ def fastest_seam(
     trials: Trials,
     json: bool,
 ) -> NoReturn:
-    """Search the needle speed of a seam, say what was found, and leave."""
+    """Search the needle speed of a seam, print the result, and end the program."""
     check_mismatch(mismatch, actual is not None, report)
     warn(machine, read)
     low, high = span

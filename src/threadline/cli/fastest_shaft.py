@@ -1,4 +1,4 @@
-"""``threadline fastest`` on a design: speeds of the shaft in spec, and the schedule of speeds."""
+"""``threadline fastest`` on an embroidery design: constant shaft speeds, and one per stitch."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def fastest_design(
     trials: Trials,
     json: bool,
 ) -> NoReturn:
-    """Search the speed of the shaft, say what was found, and leave.
+    """Search the speed of the shaft, print the result, and end the program.
 
     Parameters
     ----------

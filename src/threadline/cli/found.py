@@ -1,4 +1,4 @@
-"""What a search found, in words for people."""
+"""Texts about the result of a search: its limit, its resolution, the command that proves it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _ENDS = {
 
 
 def limit_words(limited_by: str) -> str:
-    """Return what ended a search: a criterion by its name, or the search itself."""
+    """Return what stops a search from going faster, in words: mostly the name of a criterion."""
     return _ENDS.get(limited_by, limited_by)
 
 
 def resolution_words(found: Fastest) -> str:
-    """Return how finely a search looked."""
+    """Return the sentence on the steps of a search and the intervals that it can miss."""
     return (
         f"tried in steps of {found.step:.0%}, about the edges of the fastest of "
         f"{found.near_step:.1%}: a narrower interval can be missed"
@@ -30,7 +30,7 @@ def resolution_words(found: Fastest) -> str:
 
 
 def typed(value: float) -> str:
-    """Return a number as it was tried: typed back it means the same.
+    """Return a number with twelve digits: typed into a command it is the value that was tried.
 
     >>> typed(32.4437), typed(0.0395 * 1e3)
     ('32.4437', '39.5')
@@ -39,7 +39,7 @@ def typed(value: float) -> str:
 
 
 def margin_words(margin: float) -> str:
-    """Return what follows a title when part of every limit was kept free.
+    """Return the end of a title that tells which part of every limit is kept free; or "".
 
     >>> margin_words(0.2)
     ', 20 % of every limit kept free'
@@ -48,7 +48,7 @@ def margin_words(margin: float) -> str:
 
 
 def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None]) -> str:
-    """Return a command as it can be typed; options that are None are left out, "" has no value.
+    """Return a command of the shell; options that are None are left out, "" is a flag.
 
     >>> command_line("prove", Path("a b.prg"), {"-m": "lathe-winder", "--feed": "1 mm/s"})
     "threadline prove 'a b.prg' -m lathe-winder --feed '1 mm/s'"
@@ -61,7 +61,7 @@ def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None])
 
 
 def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return rows with those that follow each other and differ in their first cell alone as one.
+    """Join neighbouring rows that differ in their first cell alone.
 
     >>> merged([["100 %", "a"], ["50 %", "a"], ["25 %", "b"]])
     [['100 % to 50 %', 'a'], ['25 %', 'b']]

@@ -34,18 +34,18 @@ def settings_files(
     kind
         One of ``KINDS``.
     source
-        What the firmware lists.
+        File of the settings as the firmware lists them.
     answers
-        What it does not say, ``"mass=1.2 kg"``.
+        Values that the settings lack, ``"mass=1.2 kg"`` each.
     limits_only
-        Whether the machine has limits alone: nothing is asked of motors and masses.
+        Whether to make a machine of limits alone, without values of motors and masses.
 
     Raises
     ------
     MachineError
         If the settings cannot be read.
     OptionError
-        If they are another firmware's, or leave something unsaid.
+        If the settings are another firmware's, or lack a value that ``answers`` does not give.
     """
     settings = read_settings(source)
     if kind != f"{settings.firmware}-winder":
@@ -75,7 +75,7 @@ def settings_files(
 
 
 def _check(text: str) -> None:
-    """Refuse a machine that none of the commands would take, before anything is written."""
+    """Refuse a machine file that cannot be read or used, before anything is written."""
     with tempfile.TemporaryDirectory(prefix="threadline-") as folder:
         file = Path(folder) / "machine.toml"
         file.write_text(text, encoding="utf-8")

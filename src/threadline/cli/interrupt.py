@@ -1,7 +1,7 @@
-"""What an interrupt does: the status it ends with, its one line, and how it ends an import.
+"""Interrupts: the exit status and the line they end the program with, also during imports.
 
-An interrupt is SIGINT, a person's, SIGTERM, that of a time limit or of a batch system, or SIGHUP,
-that of a terminal that is closed. Only the standard library is imported here.
+An interrupt is SIGINT from a person, SIGTERM from a time limit or a batch system, or SIGHUP from a
+terminal that is closed. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _Answer = Callable[[int, FrameType | None], None]
 
 
 class Termination:
-    """Which signal has come that ends the program, SIGINT unless another did."""
+    """The signal that ends the program: SIGINT until another one comes."""
 
     def __init__(self) -> None:
         self.number = signal.SIGINT
         self._came_s = -math.inf
 
     def answer(self, number: int, _frame: FrameType | None) -> None:
-        """Raise an interrupt in what runs, so that its unfinished files are removed.
+        """Raise ``KeyboardInterrupt`` in the running command, which removes its unfinished files.
 
-        Signals that follow within a second are the same interrupt, or they would end the removing.
+        Signals that follow within a second are ignored, or they would interrupt the removing.
         """
         now_s = time.monotonic()
         if now_s - self._came_s < _SAME_S:
@@ -68,7 +68,7 @@ def leaving_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def terminating() -> Iterator[Termination]:
-    """Treat SIGTERM and SIGHUP as interrupts, and yield what knows which one came."""
+    """Treat SIGTERM and SIGHUP as interrupts within the block; yield the signal that came."""
     termination = Termination()
     if _told.locked():  # of a command before it in this process
         _told.release()
@@ -78,7 +78,7 @@ def terminating() -> Iterator[Termination]:
 
 @contextmanager
 def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
-    """Handle signals within the block, except what is ignored, as it is in background jobs."""
+    """Handle signals within the block, but for those ignored, as SIGINT is in background jobs."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""``threadline judge``: recordings from anywhere, judged by the same judge."""
+"""``threadline judge``: the verdict on recordings, Threadline's own or another program's."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from threadline.cli.shared_options import FEED_FORWARD, JsonOption, SpecOption
 from threadline.recorded import judge_files
 from threadline.verdict import closing, verdict_json, verdict_rows
 
+_DEFAULT = "default: what the recording names"
+_AS_WITH_PROVE = f"As with prove; {_DEFAULT}."
+
 
 def judge(
     recordings: Annotated[
@@ -20,32 +23,32 @@ def judge(
         typer.Argument(help="Recordings (.mcap, .npz, .csv, .plt) of one and the same job."),
     ],
     spec: SpecOption = None,
-    job: Annotated[
-        Path | None, typer.Option(help="The job; default: what the recording names.")
-    ] = None,
+    job: Annotated[Path | None, typer.Option(help=f"The job; {_DEFAULT}.")] = None,
     machine: Annotated[
-        str | None, typer.Option("--machine", "-m", help="The machine; default: likewise.")
+        str | None, typer.Option("--machine", "-m", help=f"The machine; {_DEFAULT}.")
     ] = None,
-    interpolation: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    feed: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    dialect: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    feed_mode: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    radius: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    tolerance: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    limits: Annotated[str | None, typer.Option(help="Default: likewise.")] = None,
-    par: Annotated[Path | None, typer.Option(help="FW-CNC.PAR; default: likewise.")] = None,
+    interpolation: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    feed: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    dialect: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    feed_mode: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    radius: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    tolerance: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    limits: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
+    par: Annotated[Path | None, typer.Option(help=f"FW-CNC.PAR; {_DEFAULT}.")] = None,
     actual: Annotated[
-        str | None, typer.Option(help="The machine that ran the plan; default: likewise.")
+        str | None, typer.Option(help=f"The machine that ran the plan; {_DEFAULT}.")
     ] = None,
-    shaper: Annotated[str | None, typer.Option(help="As with prove; default: likewise.")] = None,
+    shaper: Annotated[str | None, typer.Option(help=_AS_WITH_PROVE)] = None,
     feed_forward: Annotated[
         bool,
         typer.Option(
-            "--feed-forward", help="The table was made with it; the recording may say so itself."
+            "--feed-forward",
+            help=f"The plan was made with feed-forward; {_DEFAULT}.",
         ),
     ] = False,
     smoothing: Annotated[
-        str | None, typer.Option(help=f'Of feed-forward: likewise, else "{FEED_FORWARD}".')
+        str | None,
+        typer.Option(help=f'Time of feed-forward; {_DEFAULT}, else "{FEED_FORWARD}".'),
     ] = None,
     json: JsonOption = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""``threadline shaper --klipper`` with two modes: X and Y of a printer, each shaped for its own."""
+"""``threadline shaper --klipper`` with two modes: X and Y of a printer, a shaper for each."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _HEADER = "[input_shaper]\n"
 
 
 DEFAULT_DAMPING = 0.1
-"""Klipper's own, where its file gives none: people write it down again, and mean it."""
+"""Klipper's default damping ratio: no warning is given where a mode repeats it."""
 
 
 def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
-    """Return warnings of damping ratios, but of the one that Klipper has by itself."""
+    """Return warnings of suspicious damping ratios; Klipper's default is none."""
     own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
     return list(suspicions(tuple(own)))
 
@@ -37,12 +37,12 @@ def shape_two_axes(
     Parameters
     ----------
     others
-        What else was asked for, of one train only: None each, or the call is refused.
+        Values of the options that need one train of impulses; each must be None.
 
     Raises
     ------
     OptionError
-        If there are more than two modes, or something is asked for that is of one train.
+        If there are more than two modes, or one of ``others`` is given.
     """
     if len(asked) > 2:
         raise OptionError(
@@ -51,8 +51,8 @@ def shape_two_axes(
         )
     if any(other is not None for other in others):
         raise OptionError(
-            "--klipper with a mode for X and one for Y has two trains, and --tick, --move and "
-            "--report are of one",
+            "--klipper with a mode for X and one for Y gives two trains, and --tick, --move and "
+            "--report take one",
             remedy="Leave them out, or give one --mode.",
         )
     lines, found = _HEADER, {}

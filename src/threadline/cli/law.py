@@ -1,4 +1,4 @@
-"""``threadline law``: motion laws and what they ask of a machine and leave swinging on it."""
+"""``threadline law``: motion laws, their peaks, and the vibration that they leave on a mode."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def law(
         ),
     ] = None,
     mode: Annotated[
-        str | None, typer.Option(help='Rank by what is left swinging on this mode: "12 Hz".')
+        str | None, typer.Option(help='Rank by the vibration left on this mode: "12 Hz".')
     ] = None,
     damping: Annotated[float, typer.Option(help="Damping ratio of the mode.")] = 0.0,
     move: Annotated[str | None, typer.Option(help='Length of the move: "16.5 mm".')] = None,
-    time: Annotated[str | None, typer.Option(help='Its duration: "120 ms".')] = None,
-    mass: Annotated[str, typer.Option(help="What is moved, for the force.")] = "1000 kg",
+    time: Annotated[str | None, typer.Option(help='Duration of the move: "120 ms".')] = None,
+    mass: Annotated[str, typer.Option(help="Mass moved; the force follows.")] = "1000 kg",
     residual: Annotated[
         str | None,
         typer.Option(help='Amplitude allowed after the move: "0.05 mm"; tells shortest windows.'),
@@ -89,7 +89,7 @@ def law(
         return
     for option, given in of_a_mode.items():
         if given is not None:
-            raise OptionError(f"{option} is of a mode", remedy='Add --mode "12 Hz".')
+            raise OptionError(f"{option} needs a mode", remedy='Add --mode "12 Hz".')
     if out is not None and name is None:
         raise OptionError(f"--out {str(out)!r} is for one law", remedy="Name the law.")
     written = None

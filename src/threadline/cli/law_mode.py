@@ -1,4 +1,4 @@
-"""What laws leave swinging on a mode, and the law made for it: tables and JSON content."""
+"""Vibration that laws leave on a mode, and the law made for it: tables and JSON content."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from threadline.shaping.types import MAX_DAMPING_RATIO
 from threadline.writing import together
 
 COPIED = "modified-sine"
-"""The law that a law made for the mode stands beside: what cams of such machines run."""
+"""The law that the made one is compared with: the cams of embroidery machines have it."""
 _RATIOS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 _BAND = 0.1
 _DRAWN = 3
@@ -127,7 +127,7 @@ def _report(
     mode: FlexibleMode, move_m: float, window_s: float, still: float | None,
     tables: Sequence[Table], warnings: Sequence[str],
 ) -> Path:  # fmt: skip
-    """Write the report: the best laws, the copied one and the one made."""
+    """Write the report on the best laws, ``COPIED`` and the made one; return its page."""
     from threadline.report.laws import Curve, write_laws
 
     drawn = [Curve(one.law, window_s) for one in found[:_DRAWN]]
@@ -145,12 +145,12 @@ def _demand(
     mode: FlexibleMode, move_m: float, still: float | None, most: float | None, jerk: str | None,
     band: float | None, out: Path | None,
 ) -> Demand | None:  # fmt: skip
-    """Return what a law is to be made for; None where none is."""
+    """Return the demand on the law to be made; None where none is to be made."""
     if most is not None and still is None:
         raise OptionError("--limit makes a law", remedy='Add --residual "0.05 mm", too.')
     for option, given in (("--jerk", jerk), ("--band", band), ("--out", out)):
         if given is not None and most is None:
-            raise OptionError(f"{option} is of a law that is made", remedy="Add --limit, too.")
+            raise OptionError(f"{option} needs a law to be made", remedy="Add --limit, too.")
     if most is None or still is None:
         return None
     return Demand(

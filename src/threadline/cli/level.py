@@ -1,4 +1,4 @@
-"""The level of a verdict on the command line: which runs it is made of."""
+"""Options for the level of a verdict: how many runs and machines it is made of."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, yielding
 NominalOption = Annotated[
     bool,
     typer.Option(
-        "--nominal", help="One run of the machine as its file says; it says nothing of the next."
+        "--nominal", help="Judge one run of the machine as its file says; the next may differ."
     ),
 ]
 RepeatsOption = Annotated[
@@ -21,14 +21,14 @@ RepeatsOption = Annotated[
     typer.Option(
         min=1,
         max=1000,
-        help="So many runs with other encoder phases, friction and supply; 20 unless said.",
+        help="How many runs, each with other encoder phases, friction and supply; default 20.",
     ),
 ]
 TolerancesOption = Annotated[
     bool,
     typer.Option(
         "--tolerances",
-        help="Other machines within the +- of the machine file, too: 200 of them.",
+        help="Judge 200 other machines within the tolerances of the machine file, too.",
     ),
 ]
 
@@ -37,14 +37,14 @@ YieldOption = Annotated[
     str | None,
     typer.Option(
         "--yield",
-        help='So many of the machines within the +- of the machine file must be in spec: "99 %", '
+        help='Share of the machines within the tolerances that must be in spec: "99 %", judged '
         "by the lower end of the exact 95 % interval of 1000 of them.",
     ),
 ]
 
 
 def level_option(trials: Trials) -> dict[str, str]:
-    """Return the option that asks for a level again, with its value; none for the usual one."""
+    """Return the option that gives the level ``trials``, with its value; none for the default."""
     if trials == REPEATED:
         return {}
     if trials.wished is not None:
@@ -57,7 +57,7 @@ def level_option(trials: Trials) -> dict[str, str]:
 
 
 def level_words(trials: Trials) -> str:
-    """Return the option that asks for a level again, as it is typed; empty for the usual one.
+    """Return the option that gives the level ``trials`` as text; empty for the default level.
 
     >>> level_words(yielding(0.99))
     '--yield "99 %"'
@@ -70,7 +70,7 @@ def level_words(trials: Trials) -> str:
 def trials_of(
     nominal: bool, repeats: int | None, tolerances: bool, wished: str | None = None
 ) -> Trials:
-    """Return which runs are asked for.
+    """Return the level that the options ask for: its number of runs and of machines.
 
     Raises
     ------

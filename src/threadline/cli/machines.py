@@ -1,4 +1,4 @@
-"""``threadline machines``: what the library has, and the files of its machines to begin with."""
+"""``threadline machines``: list the machines of the library, or print the file of one."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _show(name: str, json: bool) -> None:
 
 
 def machine_json(name: str) -> dict[str, Any]:
-    """Return what there is to know of a library machine before it is chosen."""
+    """Return name, title, axes, controllers and overlays of a library machine as JSON content."""
     machine = load_machine(name)
     return {
         "name": machine.name,

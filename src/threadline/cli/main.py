@@ -1,4 +1,4 @@
-"""The entry point: one typer application, and what an error means to the shell."""
+"""The entry point: one typer application, and the exit status and line of every error."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _root(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the program; every error on purpose becomes one line and an exit status."""
+    """Run the program; an error that the package raises becomes one line and an exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     with terminating() as termination:
         status = _run(given)
@@ -97,7 +97,7 @@ def _run(given: list[str]) -> int:
         )
     except BrokenPipeError:
         _nobody_reads()
-    except SystemExit as stopped:  # typer's end of a broken pipe, as if it were out of spec
+    except SystemExit as stopped:  # typer ends a broken pipe with 1, which is "out of spec" here
         if isinstance(stopped.__context__, BrokenPipeError):
             _nobody_reads()
         raise

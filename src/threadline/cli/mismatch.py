@@ -1,4 +1,4 @@
-"""``--mismatch`` of ``threadline fastest``: what machines off their file can do."""
+"""``--mismatch`` of ``threadline fastest``: how fast machines within their tolerances can go."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from threadline.errors import OptionError
 from threadline.search.mismatch import Mismatch, Searched
 
 ABOVE = 1.1
-"""A machine off its file is rarely faster than by that."""
+"""Highest feed that is tried, over the nominal best: other machines are rarely faster."""
 
 
 def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
@@ -31,7 +31,7 @@ def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
 
 
 def mismatch_json(cells: list[Mismatch], drawn: Path | None) -> dict[str, Any]:
-    """Return what is printed of a search over tolerances; nothing where there was none."""
+    """Return a search over tolerances as JSON content; nothing where there was none."""
     found = [
         {
             "mass": cell.mass,
@@ -47,7 +47,7 @@ def mismatch_json(cells: list[Mismatch], drawn: Path | None) -> dict[str, Any]:
 
 
 def show_mismatch(cells: list[Mismatch], title: str, searched: Searched) -> None:
-    """Print the best per mass and stiffness, both at the ends of their tolerances."""
+    """Print the fastest for masses and stiffnesses at the ends of their tolerances."""
     names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
     rows = [
         [

@@ -32,9 +32,9 @@ class Project:
     Parameters
     ----------
     machine
-        Of the library.
+        Name of a machine of the library.
     prove
-        What follows ``threadline prove`` so that the job of the project is in specification.
+        Arguments of ``threadline prove`` with which the job of the project is in specification.
     """
 
     machine: str
@@ -71,7 +71,7 @@ def new(
     ] = None,
     answers: Annotated[
         list[str] | None,
-        typer.Option("--set", help='What the settings do not say: "mass=1.2 kg", "mass.X=1.2 kg".'),
+        typer.Option("--set", help='A value the settings lack: "mass=1.2 kg", "mass.X=1.2 kg".'),
     ] = None,
     limits_only: Annotated[
         bool,
@@ -86,7 +86,7 @@ def new(
     """Make a working project: machine.toml, spec.toml, a job, and a README with the commands.
 
     The machine is one of the library's, to be changed into yours, or the one that a firmware's
-    settings describe; what they do not say is asked for by name.
+    settings describe; values that the settings lack are asked for by name.
 
     Example: threadline new winder my-winder
 

@@ -1,4 +1,4 @@
-"""What an operator does while a machine runs: keys of the terminal, and signals."""
+"""Commands of the operator while a machine runs: keys of the terminal, and signals."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 def at_the_keys(
     desk: Desk, duration_s: float, progress: Progress | None
 ) -> Iterator[Callable[[Executor], None]]:
-    """Let keys and signals reach the desk; yield what is called after each step of a run.
+    """Pass keys and signals to ``desk``; yield the function to call after each step of a run.
 
     Parameters
     ----------
     desk
-        Where commands go.
+        Receives the commands.
     duration_s
-        Of the run as it was planned.
+        Planned duration of the run.
     progress
-        Called with how far it is; None where nobody looks.
+        Called with the share of the run that is done; None for no progress.
     """
     with ExitStack() as stack:
         stack.enter_context(_signals(desk))
@@ -43,7 +43,7 @@ def at_the_keys(
 
 
 class _Watched:
-    """What is looked at after each step."""
+    """Looks after each step of a run for keys, a change of state, and the progress."""
 
     def __init__(
         self, desk: Desk, duration_s: float, progress: Progress | None, terminal: int | None
@@ -53,7 +53,7 @@ class _Watched:
         self._state = State.RUNNING
 
     def step(self, executor: Executor) -> None:
-        """Take keys; tell how far it is, and a change of state."""
+        """Pass the keys to the desk; tell the progress of the run, and that it holds."""
         if self._terminal is not None and select.select([self._terminal], [], [], 0.0)[0]:
             for key in os.read(self._terminal, 16).decode("utf-8", "replace"):
                 self._desk.ask(_KEYS.get(key, Cause.STOP))
@@ -67,7 +67,7 @@ class _Watched:
 
 @contextmanager
 def _signals(desk: Desk) -> Iterator[None]:
-    """Answer a first interrupt by a stop along the path, a second one by leaving."""
+    """Answer a first interrupt by a stop along the path, a second by ``KeyboardInterrupt``."""
     came: list[int] = []
 
     def answer(number: int, _frame: FrameType | None) -> None:
@@ -86,7 +86,7 @@ def _signals(desk: Desk) -> Iterator[None]:
 
 @contextmanager
 def _terminal() -> Iterator[int | None]:
-    """Give the terminal with keys that need no return; None where there is no terminal."""
+    """Yield the descriptor of the terminal, its keys unbuffered; None if there is no terminal."""
     if not sys.stdin.isatty():
         yield None
         return

@@ -1,4 +1,4 @@
-"""What the commands print: tables for people, one JSON object for machines."""
+"""Output of the commands: tables for people, one JSON object for programs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def _to_stdout() -> Iterator[None]:
-    """Name standard output in errors of writing to it, such as that of a full disk."""
+    """Name standard output in an ``OSError`` of writing to it, such as that of a full disk."""
     try:
         yield
     except BrokenPipeError:
@@ -51,7 +51,7 @@ def _to_stdout() -> Iterator[None]:
 
 
 def say_lines(text: str) -> None:
-    """Print the lines of ``text`` as ``say`` prints one."""
+    """Print the lines of ``text``, each by ``say``."""
     for line in text.splitlines():
         say(line)
 
@@ -85,7 +85,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
 
 
 def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:
-    """Say whether the last column has room for its longest text, or enough to be wrapped well."""
+    """Return whether the last column has room for its longest text, or for ``_WRAPPED``."""
     lines = [header, *rows]
     others = sum(max(len(line[k]) for line in lines) + 2 for k in range(len(header) - 1))
     return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
@@ -93,9 +93,9 @@ def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> b
 
 @contextmanager
 def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
-    """Give a progress call that draws a bar on a terminal once a second has passed.
+    """Yield a progress call that draws a bar on a terminal once a second has passed.
 
-    Elsewhere nothing is drawn, and the word of each minute says how far it is.
+    Without a terminal nothing is drawn; the line that ``told`` prints each minute has the share.
     """
     if not wanted or not sys.stderr.isatty():
         yield partial(at_work, shown=False)

@@ -1,4 +1,4 @@
-"""Files that a command writes: refused before the work where they cannot be written."""
+"""Checks that a command can write its output files, made before its work begins."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from threadline.errors import OptionError
 from threadline.writing import check_output, is_stdout
 
 _STEMS = ("report", "comparison", "shaper", "analysis", "design")
-"""Of the pages of reports: a folder or a read-only file of such a name is in the way."""
+"""Names of reports' pages, without suffix, at which no folder or read-only file may be."""
 
 
 def check_outputs(

@@ -87,7 +87,7 @@ def prove(
         Path | None,
         typer.Option(
             "--proof",
-            help="Write the proof to this file (JSON): hashes of all that it was made from, and "
+            help="Write the proof to this file (JSON): hashes of all its inputs, and "
             "the verdict; threadline verify reads it.",
         ),
     ] = None,
@@ -159,7 +159,7 @@ def prove(
 
 
 def plot_every(machine: Machine) -> int | None:
-    """Return the ticks from line to line of a plot file: the operator's setting."""
+    """Return how many ticks lie between lines of a plot file: ``operator.record_every``."""
     return None if machine.operator is None else round(machine.operator.record_every.si)
 
 
@@ -175,7 +175,7 @@ def show_proof(proof: Proof) -> None:
 
 
 def show_steps(verdict: Verdict, how: str = "") -> None:
-    """Print what each step leaves, where the job has steps."""
+    """Print the residual vibration after each step, where the job has steps."""
     header, rows = step_rows(verdict)
     if rows:
         print_table(f"Step by step{how}", header, rows)

@@ -42,10 +42,10 @@ def report(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Judge the recording of a run again, and write what there is to see of it.
+    """Judge the recording of a run again, and write its report.
 
-    The job and the machine must be what they were, and so must the specification, unless -s gives
-    another one.
+    Job, machine and specification must be unchanged since the run, unless -s gives another
+    specification.
 
     Exit status: 0 in spec, 1 out of spec or not complete, 2 wrong input.
 
@@ -58,8 +58,8 @@ def report(
     judged = judge_files([folder / TRACE], {}, known.spec_path if spec is None else spec)
     if spec is None and spec_sha256(judged.spec) != known.sha256("spec"):
         raise StoreError(
-            f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, is "
-            "another one now",
+            f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, "
+            "has changed since",
             remedy=f"Give it with -s; {folder / INPUTS} has a copy if it was a file.",
         )
     recording = judged.recordings[0]

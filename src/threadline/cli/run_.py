@@ -84,7 +84,7 @@ def run(
     machine: MachineOption,
     spec: SpecOption = None,
     link: Annotated[
-        str, typer.Option(help="Which machine: sim, the simulated one, in a process of its own.")
+        str, typer.Option(help="Link to the machine: sim is a simulated one, in its own process.")
     ] = "sim",
     speed: Annotated[
         float,
@@ -92,7 +92,7 @@ def run(
             min=0.0,
             max=_MOST_SPEED,
             callback=_checked_speed,
-            help="Of sim: its seconds in a second; 1 is real time, 0 as fast as it can.",
+            help="Of sim: simulated seconds a second; 1 is real time, 0 as fast as possible.",
         ),
     ] = REAL_TIME,
     store: StoreOption = DEFAULT_STORE,
@@ -100,8 +100,8 @@ def run(
         Path | None,
         typer.Option(
             "--proof",
-            help="Run by this proof (prove --proof FILE), which must be of what there is now; "
-            "default: the job is proved first.",
+            help="Run by this proof (prove --proof FILE), which must hold for the files as they "
+            "are now; default: the job is proved first.",
         ),
     ] = None,
     override: Annotated[
@@ -137,11 +137,11 @@ def run(
     tolerances: TolerancesOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Run JOB on the machine: prove it, execute it, record what happens, and judge that.
+    """Run JOB on the machine: prove it, execute it, record it, and judge the recording.
 
-    Ctrl-C brakes along the path and stands; a second one leaves the machine to its own braking.
-    On a terminal: h holds on the path, r goes on, any other key stops. This stop is no emergency
-    stop: that is a circuit of the machine.
+    Ctrl-C brakes along the path to a standstill; a second Ctrl-C leaves the machine to its own
+    braking. On a terminal: h holds on the path, r goes on, any other key stops. None of them is an
+    emergency stop, which must be a circuit of the machine.
 
     Exit status: 0 in spec, 1 out of spec or stopped, 2 wrong input, 3 a fault of machine or link.
 

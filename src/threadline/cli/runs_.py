@@ -1,4 +1,4 @@
-"""``threadline runs``: what ran, with what result."""
+"""``threadline runs``: list the recorded runs and their verdicts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.store.run_store import RunStore
 
 DEFAULT_STORE = Path("runs")
 StoreOption = Annotated[
-    Path, typer.Option("--store", help="Folder of runs; it is made with the first of them.")
+    Path, typer.Option("--store", help="Folder of runs; the first run makes it.")
 ]
 
 

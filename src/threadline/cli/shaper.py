@@ -46,7 +46,7 @@ from threadline.shaping.onoff.study import MoveStudy, study_move
 from threadline.units import without_noise
 
 _STILL = 0.01  # of one full step: 1 %
-_SI_BAND = 0.2  # of the frequency to either side: what a machine's stiffness is usually known to
+_SI_BAND = 0.2  # of the frequency to either side: how well a stiffness is usually known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +79,8 @@ def shaper(
     band: Annotated[
         float | None,
         typer.Option(
-            help="Half width of the band of frequency, for si (0.2 unless given) and --tick (there "
-            "the band in which the exact shaper keeps its tolerance, unless given)."
+            help="Half width of the band of frequency: of si, 0.2 unless given; of --tick, the "
+            "band in which the exact shaper keeps its tolerance unless given."
         ),
     ] = None,
     tick: Annotated[
@@ -97,14 +97,14 @@ def shaper(
     ] = False,
     move: Annotated[
         str | None,
-        typer.Option(help='Say what a move of this length takes, with --acceleration: "200 mm".'),
+        typer.Option(help='Time a move of this length, with --acceleration: "200 mm".'),
     ] = None,
     acceleration: Annotated[
         str | None, typer.Option(help='Full acceleration of that move: "1 m/s^2".')
     ] = None,
     still: Annotated[
         float | None,
-        typer.Option(help="Ringing allowed after it, of one full step's: 0.01, 1 %, unless given."),
+        typer.Option(help="Ringing allowed after --move, of one full step's; default 0.01, 1 %."),
     ] = None,
     klipper: Annotated[
         bool,
@@ -134,7 +134,7 @@ def shaper(
     moving = move is not None or acceleration is not None
     if still is not None and not moving:
         raise OptionError(
-            "--still is of a move", remedy="Add --move and --acceleration, or leave it out."
+            "--still needs a move", remedy="Add --move and --acceleration, or leave it out."
         )
     own_band = next((one.band for one in asked if one.band is not None), None)
     said_band = band if own_band is None else own_band

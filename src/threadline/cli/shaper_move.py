@@ -1,4 +1,4 @@
-"""What ``threadline shaper --move`` reads and shows."""
+"""Options and tables of ``threadline shaper --move``: a rest-to-rest move, its commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def rest_to_rest(
     Raises
     ------
     OptionError
-        If one of them is missing or unreadable.
+        If ``--move`` or ``--acceleration`` is missing or cannot be read.
     """
     numbers = []
     for option, text, unit, example in (

@@ -1,4 +1,4 @@
-"""What ``threadline shaper`` reads from its options, and the curve that it draws in text."""
+"""Options of ``threadline shaper``, and its sensitivity curve drawn as text."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from threadline.shaping.types import MAX_DAMPING_RATIO
 from threadline.units import without_noise
 
 BANDED = ("si", "um-si")
-"""Made for bands of frequency, of all modes at once."""
+"""Kinds that are designed for the bands of all modes at once."""
 KINDS = (*ShaperKind, *BANDED, "direct", "um-direct")
 SUSPICIOUS_DAMPING = 0.1
-"""Frames, belts and beams have damping ratios of some hundredths."""
+"""Damping ratio above which a warning is given: frames, belts and beams have some hundredths."""
 
 _ROWS, _COLUMNS = 12, 61
 _SPAN = 0.5
@@ -40,16 +40,16 @@ _SPAN = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A mode as it was asked for; None is what counts for all of them.
+    """A mode as ``--mode`` names it; a part that is None takes the value for all modes.
 
     Parameters
     ----------
     mode
         Frequency and damping ratio.
     band
-        Half width of its band of frequency, in (0, 1).
+        Half width of the band over the mode's frequency, in (0, 1).
     tolerance
-        Vibration that it may keep over the band.
+        Vibration allowed over the band, over that of one unit impulse.
     """
 
     mode: FlexibleMode
@@ -141,12 +141,12 @@ def _refuse_overlaps(asked: Sequence[Asked]) -> None:
 
 
 def bands_of(asked: Sequence[Asked], band: float | None) -> tuple[float, ...]:
-    """Return the half width of every mode's band: its own, else ``band``, else 0."""
+    """Return the half width of every mode's band: that of the mode, else ``band``, else 0."""
     return tuple((band or 0.0) if one.band is None else one.band for one in asked)
 
 
 def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
-    """Return the vibration that every mode may keep."""
+    """Return the tolerance of every mode: that of the mode, else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
 
 
@@ -156,9 +156,10 @@ def designed(
     tolerances: Sequence[float],
     bands: Sequence[float],
 ) -> Shaper:
-    """Return the shaper: ``si``, ``um-si``, ``direct`` and ``um-direct`` for all modes at once.
+    """Return the shaper of a kind for ``modes``.
 
-    Others are convolved, mode by mode and kind by kind.
+    ``si``, ``um-si``, ``direct`` and ``um-direct`` are designed for all modes at once; of the other
+    kinds one shaper per mode and kind is designed, and all are convolved.
 
     Raises
     ------
@@ -200,7 +201,7 @@ def designed(
 
 
 def price_table(made: Realised) -> Table:
-    """Return what the ticks of a controller cost over the band of every mode."""
+    """Return a table: vibration over every mode's band, exact and on the controller's ticks."""
     rows = []
     for over in made.bands:
         for name, worst, width in (
@@ -220,7 +221,7 @@ def price_table(made: Realised) -> Table:
 
 
 def price_content(made: Realised) -> list[dict[str, float]]:
-    """Return what the ticks of a controller cost as JSON content."""
+    """Return the vibration over every mode's band, exact and on the ticks, as JSON content."""
     return [
         {
             "frequency_hz": over.mode.frequency_hz,
@@ -239,9 +240,9 @@ def price_content(made: Realised) -> list[dict[str, float]]:
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
-    """Yield a warning for every damping ratio that may be the real part of an eigenvalue.
+    """Yield a warning for every damping ratio that may be the real part of an eigenvalue instead.
 
-    Of a mode so slow that an eigenvalue with that real part would hardly ring, it cannot be.
+    A mode so slow that it would hardly ring with that real part gives no warning.
     """
     for m in modes:
         modulus = 2.0 * np.pi * m.frequency_hz
@@ -260,7 +261,7 @@ def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
 def curve_lines(
     shaper: Shaper, modes: Sequence[FlexibleMode], tolerances: Sequence[float]
 ) -> Iterator[str]:
-    """Yield the sensitivity curve of every mode as text, ``-`` being its tolerance."""
+    """Yield lines that draw the sensitivity curve of every mode; ``-`` marks the tolerance."""
     for m, tolerance in zip(modes, tolerances, strict=True):
         ratio = np.linspace(1.0 - _SPAN, 1.0 + _SPAN, _COLUMNS)
         v = residual_vibration(shaper, ratio * m.frequency_hz, m.damping_ratio)

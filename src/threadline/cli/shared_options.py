@@ -1,4 +1,4 @@
-"""Options that several commands share, so that they read and are explained the same everywhere."""
+"""Options that several commands share, with one name and one help text each."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ DialectOption = Annotated[
 RadiusOption = Annotated[
     str | None,
     typer.Option(
-        help='Where rotary axes act on this job: "A=40 mm" is half of its mandrel. Default: the '
+        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm. Default: the '
         "machine file's."
     ),
 ]
@@ -129,7 +129,7 @@ FeedForwardOption = Annotated[
     bool,
     typer.Option(
         "--feed-forward",
-        help="Command what the exact inverses of the axes say, so that the loads follow.",
+        help="Feed-forward by the inverses of the axes' models, so that the loads follow the path.",
     ),
 ]
 SmoothingOption = Annotated[
@@ -142,7 +142,7 @@ SmoothingOption = Annotated[
 ActualOption = Annotated[
     str | None,
     typer.Option(
-        help="Machine that runs what was planned for --machine: a file or name, as there."
+        help="Machine that runs what was planned for --machine: a file or a library name."
     ),
 ]
 DEFAULT_INTERPOLATION_TEXT = planning.DEFAULT_INTERPOLATION
@@ -157,7 +157,7 @@ def machine_from(reference: str, par: Path | None) -> Machine:
 
 
 def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
-    """Refuse an output file that is one of the input files: it would be written over.
+    """Refuse an output file that is one of the input files, which would be overwritten.
 
     Raises
     ------

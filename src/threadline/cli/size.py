@@ -1,4 +1,4 @@
-"""``threadline size``: from what the product asks for to the machine that it takes."""
+"""``threadline size``: from the demands of the product to gear, motor and encoder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def size(
     needle_speed: Annotated[str | None, _quantity('Stitches a second: "75 stitch/s".')] = None,
     stitch_length: Annotated[str | None, _quantity('"0.1 in".')] = None,
     speed: Annotated[
-        str | None, _quantity('Of the head, where nothing is stitched: "7.5 in/s".')
+        str | None, _quantity('Speed of the head, where nothing is stitched: "7.5 in/s".')
     ] = None,
     ramp_stitches: Annotated[
         float, _quantity("Stitches within which the head has to be at speed.")
@@ -36,29 +36,29 @@ def size(
     acceleration: Annotated[
         str | None, _quantity('Instead of the larger of the two rules: "546 in/s^2".')
     ] = None,
-    load_mass: Annotated[str | None, _quantity('What the motor drives: "111 kg".')] = None,
-    load_damping: Annotated[str, _quantity("Of the load, to the ground.")] = "0 N s/m",
-    friction: Annotated[str, _quantity("Of the load.")] = "0 N",
-    pulley_radius: Annotated[str | None, _quantity('"29 mm".')] = None,
+    load_mass: Annotated[str | None, _quantity('Mass that the motor drives: "111 kg".')] = None,
+    load_damping: Annotated[str, _quantity("Damping of the load to the ground.")] = "0 N s/m",
+    friction: Annotated[str, _quantity("Coulomb friction of the load.")] = "0 N",
+    pulley_radius: Annotated[str | None, _quantity('Of the belt drive: "29 mm".')] = None,
     gear_ratio: Annotated[
         float | None, _quantity("Motor turns a pulley turn; without it the matched one.")
     ] = None,
     motor_inertia: Annotated[
-        str | None, _quantity('Of the rotor and what turns with it: "4.75 kg cm^2".')
+        str | None, _quantity('Inertia of the rotor and what turns with it: "4.75 kg cm^2".')
     ] = None,
-    motor_damping: Annotated[str, _quantity("Of the motor.")] = "0 N m s/rad",
+    motor_damping: Annotated[str, _quantity("Viscous damping of the motor.")] = "0 N m s/rad",
     torque_constant: Annotated[str | None, _quantity('"0.5 N m/A".')] = None,
     back_emf: Annotated[str | None, _quantity('"60 V/krpm".')] = None,
     resistance: Annotated[str | None, _quantity('"0.8 ohm".')] = None,
     current_limit: Annotated[str | None, _quantity('Of the amplifier: "27 A".')] = None,
-    motor_torque: Annotated[str | None, _quantity('What it has at its peak: "38 N m".')] = None,
+    motor_torque: Annotated[str | None, _quantity('Peak torque of the motor: "38 N m".')] = None,
     torque_margin: Annotated[
         float | None,
-        _quantity("Times the torque of the motion that it is to have; 6 to 10 for step tables."),
+        _quantity("Motor torque wanted, over that of the motion; 6 to 10 for step tables."),
     ] = None,
     move: Annotated[str | None, _quantity('Distance of a repeated move: "50 mm".')] = None,
-    move_time: Annotated[str | None, _quantity('Time of it: "80 ms".')] = None,
-    dwell: Annotated[str, _quantity("Pause after each.")] = "0 s",
+    move_time: Annotated[str | None, _quantity('Duration of --move: "80 ms".')] = None,
+    dwell: Annotated[str, _quantity("Pause after each --move.")] = "0 s",
     profile: Annotated[str, _quantity(", ".join(PROFILES) + ".")] = "trapezoidal",
     ramp: Annotated[
         float, _quantity("Share of the move's time in which a trapezoid accelerates.")
@@ -73,8 +73,8 @@ def size(
 ) -> None:
     """Size a machine: speed, acceleration, gear, motor and encoder from the product's demands.
 
-    Every line has its formula and where that stands; what cannot be known is left out. Exit
-    status: 0, or 2 for wrong input.
+    Every line has its formula and the source of the formula; a line is left out where a value for
+    it is missing. Exit status: 0, or 2 for wrong input.
 
     Example: threadline size --needle-speed "75 stitch/s" --stitch-length "0.1 in"
     --placement "0.02 in"

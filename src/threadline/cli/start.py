@@ -1,4 +1,4 @@
-"""Where the program begins.
+"""Start of the program, before its commands are imported.
 
 Interrupts are handled before the commands are imported, which takes seconds: an interrupt ends in
 one line then, too.
@@ -56,11 +56,11 @@ def _silence_libraries() -> None:
 
 
 def _calculate_on_one_thread() -> None:
-    """Let numpy's matrices be multiplied by one thread, unless the shell says otherwise.
+    """Let BLAS multiply numpy's matrices on one thread, unless the environment says otherwise.
 
-    They are small: threads wait for each other longer than they calculate, many times longer where
-    other programs run, and a sum that is split by the number of cores rounds by it. The library
-    reads this when numpy is imported.
+    The matrices are small: threads wait for each other longer than they calculate, and a sum that
+    is split among cores is rounded differently for each number of cores. BLAS reads the variable
+    when numpy is imported.
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")

@@ -1,7 +1,7 @@
-"""What is told on standard error: warnings after the answer, and a word each minute of a long run.
+"""Messages on standard error: warnings after the answer, and a line each minute of a long run.
 
 An error is told alone, in one line: warnings wait until a command has answered, and are dropped if
-it does not. Only the standard library is imported here.
+the command fails. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threadline.escaping import plain
 from threadline.foreign_messages import grouped
 
 STDOUT = "standard output"
-"""What an error calls it where a file would have its name."""
+"""Name of standard output in errors, where a file has its path."""
 _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: what is left then is no measure of the time
 _EVERY_S = 50.0  # a minute without a word is too long
@@ -27,20 +27,20 @@ _EVERY_S = 50.0  # a minute without a word is too long
 
 @dataclass(slots=True)
 class Telling:
-    """What a command has to tell beside its answer.
+    """Warnings and progress of the command that runs.
 
     Attributes
     ----------
     warnings
-        Held until the answer stands.
+        Texts that are printed after the answer.
     stage
-        What the command is doing, as its progress calls it; empty where it does not say.
+        What the command is doing, as its progress call names it; empty where it has none.
     since_s
-        When it began to, on the monotonic clock.
+        Start of the stage, on the monotonic clock.
     fraction
-        How much of it is done.
+        Share of the stage that is done.
     shown
-        Whether a progress bar shows it.
+        Whether a progress bar shows the stage.
     """
 
     warnings: list[str] = field(default_factory=list)
@@ -50,7 +50,7 @@ class Telling:
     shown: bool = False
 
     def doing(self) -> str:
-        """Return what the command is doing, and how long it will be if it goes on like this."""
+        """Return the stage, its share done, and the time left at the same rate."""
         if not self.stage or not self.fraction:
             return self.stage
         percent = int(100.0 * self.fraction + 1e-9)
@@ -67,7 +67,7 @@ _TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)
 def note(text: str) -> None:
     """Print a line for people on standard error, so that --json stays pure.
 
-    Where nobody reads it, the line is lost and nothing fails.
+    Where standard error is closed, the line is lost and nothing fails.
     """
     try:
         sys.stderr.write(plain(text) + "\n")
@@ -87,7 +87,7 @@ def warning(text: str) -> None:
 
 
 def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
-    """Take down what the command is doing, how much of it is done, and whether a bar shows it."""
+    """Record the stage of the command, the share of it done, and whether a bar shows it."""
     telling = _TELLING.get()
     if telling is None:
         return
@@ -109,7 +109,7 @@ def _two_digits(value: float) -> str:
 
 @contextmanager
 def telling() -> Iterator[Telling]:
-    """Hold the warnings of the block, and tell every minute that it is still at work."""
+    """Collect the warnings of the block; print every minute that the command is still at work."""
     held = Telling()
     before = _TELLING.set(held)
     ended = threading.Event()

@@ -1,4 +1,4 @@
-"""Warnings on standard error, said the same way by every command."""
+"""Warnings of every command: of its machine, its job, and more."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from threadline.plant.suspicions import suspicions
 
 
 def warn(machine: Machine, job: Job, more: Iterable[str] = ()) -> None:
-    """Tell what is suspicious about ``machine`` and ``job``, and ``more``."""
+    """Warn of suspicious values of ``machine`` and ``job``, and of ``more``."""
     tell([*suspicions(machine), *job.warnings, *more])
 
 

@@ -59,7 +59,7 @@ def yield_(
     variants: Annotated[
         int, typer.Option(min=1, max=10_000_000, help="How many machines are drawn.")
     ] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the sequence of machines.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn machines.")] = 1,
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     law: LawOption = None,
     feed: FeedOption = None,
@@ -72,25 +72,25 @@ def yield_(
         bool,
         typer.Option(
             "--why",
-            help="Also say what it hangs on: of each number its share in the variance, and the "
-            "yield if its tolerance were halved.",
+            help="Also tell what the yield depends on: the share of each number in the variance, "
+            "and the yield with its tolerance halved.",
         ),
     ] = False,
     at_least: Annotated[
         str | None,
         typer.Option(
-            help='A yield that is wished for, "99 %": where the lower end of the interval is below '
-            "it, the cheapest set of tolerances that reaches it is looked for."
+            help='The yield wanted, "99 %": where the lower end of the interval is below it, the '
+            "cheapest set of tolerances that reaches it is searched."
         ),
     ] = None,
     worst: Annotated[
         Path | None,
-        typer.Option(help="Write the worst machine that is found to this machine file."),
+        typer.Option(help="Write the worst machine found to this machine file."),
     ] = None,
     resume: Annotated[
         Path | None,
         typer.Option(
-            help="Keep what came of the machines in this file, and go on from what it has already."
+            help="Keep the results of the machines in this file, and go on from those it has."
         ),
     ] = None,
     report: ReportOption = None,
@@ -162,7 +162,7 @@ def yield_(
 
 
 def _opened(file: Path, plan: Plan, spec: Spec, seed: int) -> YieldState:
-    """Return what is known already of the machines of a yield; say what was lost of it."""
+    """Return the results that ``file`` has already; warn if its last line was cut short."""
     state = YieldState(file, _identity(plan, spec, seed))
     if state.cut:
         tell([f"{file.name}: its last line was cut short, and is worked out again"])
@@ -170,7 +170,7 @@ def _opened(file: Path, plan: Plan, spec: Spec, seed: int) -> YieldState:
 
 
 def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
-    """Return what drawn machines hang on: a state of another one is refused."""
+    """Return all that the results depend on: a file with other values is refused."""
     return {
         "job": plan.job.sha256,
         "machine": plan.machine.sha256,
@@ -235,7 +235,8 @@ def _show(
         ]
         rows.sort(key=lambda row: -float(row[2]))
         head = ["number", "alone", "with others", "yield if halved"]
-        print_table(f"what it hangs on; of {_WHY_MACHINES} machines {own:.2%} in spec", head, rows)
+        own_words = f"of {_WHY_MACHINES} machines {own:.2%} in spec"
+        print_table(f"what the yield depends on; {own_words}", head, rows)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
     uses = f"{100.0 * bad.share:.1f} % of {bad.binding}"
     if not np.isfinite(bad.share):
