@@ -133,14 +133,14 @@ def test_wrong_options_exit_with_two_and_one_line(
             "fastest",
             "x-180.prg",
             ["--interpolation", "optimal", "--low", "1 mm/s"],
-            ["searches by feed", "Leave them out"],
+            ["a search by feed", "Leave them out"],
         ),
         ("compare", "x-180.prg", ["--contour", "0.2 mm"], ["linear", "--interpolation optimal"]),
         (
             "design",
             "strap.seam.toml",
             ["--interpolation", "optimal", "--feed-forward", "--contour", "0.2 mm"],
-            ["--contour", "loads that follow"],
+            ["--contour", "the loads follow"],
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""Figures and documents of a verdict."""
+"""Reports of proofs, analyses, shapers and laws: figures, tables, HTML pages and PDF."""
 
 from threadline.report.proof import about, write_comparison, write_report
 

@@ -40,7 +40,7 @@ def write_analysis(
     Parameters
     ----------
     measured
-        Frequency response that the model is drawn against.
+        Measured frequency response, drawn with the model's.
     tried
         Experiments on the simulated machine, by axis.
 
@@ -76,7 +76,7 @@ def write_analysis(
 
 
 def analysis_tables(analyses: Mapping[str, Analysis]) -> list[Table]:
-    """Return the tables of an analysis: loops, network, steps; modes of what has no loop."""
+    """Return the tables of an analysis: loops, network, steps; modes of axes without a loop."""
     axes = {name: a for name, a in analyses.items() if isinstance(a, AxisAnalysis)}
     others = {name: a for name, a in analyses.items() if isinstance(a, CylinderAnalysis)}
     told = {name: a for name, a in analyses.items() if isinstance(a, ToldAnalysis)}
@@ -105,10 +105,10 @@ def _told_tables(analyses: Mapping[str, ToldAnalysis]) -> list[Table]:
             title="Drives that are told positions",
             header=("axis", "drive", "load Hz", "step Hz", "at rest", "at speed", "asked"),
             rows=rows,
-            note="Modes (damping ratio) of the load against the motor where it is told to stand; "
-            "at what frequency a stepper without load swings about its step, which full steps at "
-            "that rate excite; torque or force at standstill, at the speed limit of the axis, and "
-            "what the axis asks for at its limits of speed and acceleration, links rigid.",
+            note="Modes (damping ratio) of the load against a motor that keeps its position; the "
+            "frequency at which a stepper without load swings about its step, which full steps at "
+            "that rate excite; torque or force at standstill and at the speed limit of the axis, "
+            "and that which the axis needs at its limits of speed and acceleration, links rigid.",
         )
     ]
 
@@ -317,7 +317,7 @@ def _nichols(a: AxisAnalysis) -> Figure:
 
 
 def _level_of_closed_loop(axes: Axes, level_db: float) -> None:
-    """Draw where ``|L / (1 + L)|`` has one value: L = T / (1 - T) over the circle of T."""
+    """Draw the curve of all L with ``|L / (1 + L)|`` at a level: L = T / (1 - T) on a circle T."""
     angles = np.linspace(0.02, 2 * np.pi - 0.02, 721)
     T = 10 ** (level_db / 20) * np.exp(-1j * angles)
     L = T / (1 - T)
@@ -344,7 +344,7 @@ def _locus(a: AxisAnalysis) -> Figure:
         label = f"on its limit at {gain:.3g} x the gain, {omega * HERTZ:.3g} Hz"
         axes.plot([0, 0], [omega, -omega], label=label, **WORST)
     axes.axvline(0.0, color="black", lw=0.6)
-    # The load's poles matter; a dead time has fast ones without end.
+    # The picture shows the poles of the load; a dead time has ever faster ones beyond it.
     reach = 1.25 * max(float(np.abs(a.loop.plant.poles()).max()), 50.0)
     axes.set_xlim(-reach, 0.4 * reach)
     axes.set_ylim(-reach, reach)

@@ -127,7 +127,7 @@ def law_figure(study: CamStudy) -> Figure:
         panel.plot(t, study.law(t, derivative), label=f"faired: {study.chosen}", **ACTUAL)
         peak = float(np.abs(study.law(t, derivative)).max())
         if derivative:
-            # The unfaired curve may be many times as high: it leaves the picture, not the law.
+            # The unfaired curve may be many times as high: it is cut off at the picture's edge.
             panel.set_ylim((-0.3 if derivative == 1 else -1.6) * peak, 1.6 * peak)
             panel.set_title(_peak_words(chosen, derivative), fontsize=8.0)
         panel.set_ylabel(name)

@@ -1,4 +1,4 @@
-"""The report of a comparison, for any job what Chapter 10 of the winder's thesis is for its own."""
+"""The report of a comparison of interpolations and feeds, one figure after another."""
 
 from __future__ import annotations
 
@@ -24,7 +24,13 @@ if TYPE_CHECKING:
 
 
 def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
-    """Write the report of a comparison; ``tables`` as they were printed: title, header, rows."""
+    """Write the report of a comparison into ``folder``; return the path of the HTML page.
+
+    Parameters
+    ----------
+    tables
+        The tables as they were printed: title, header, rows.
+    """
     first = found.proofs[0]
     with figure_style():
         figures: dict[str, Figure] = {}
@@ -32,7 +38,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
         cases: list[Case] = []
         for proof in found.proofs:
             traces = collect(proof)
-            if traces.stride > 1:  # the turns are drawn from near by
+            if traces.stride > 1:  # the figures of turning points need every sample there
                 traces = collect(proof, turns_s(traces))
             label = f"{proof.plan.motion.path.interpolation}, feed {proof.plan.options['feed']}"
             stem = label.replace(", feed ", "-").replace(" ", "").replace("/", "-per-")
@@ -61,7 +67,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
 
 
 def _facts(cases: list[Case]) -> list[tuple[str, str]]:
-    """Return what all cases share, then per case what the planner says of it."""
+    """Return the facts that all cases share, then the planner's facts case by case."""
     first = cases[0][1]
     found = [*shared_facts(first, ("interpolation", "feed"))]
     for number, (label, proof, _) in enumerate(cases, start=1):

@@ -1,4 +1,4 @@
-"""The report of a redesign: what changes, what that gains, and which machines are in spec."""
+"""The report of a redesign: its changes, their cost and gain, and the region in spec."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _row(title: str, names: list[str], candidate: Candidate) -> list[str]:
 
 
 def what_binds(result: DesignResult) -> str:
-    """Return one sentence: what was found, or what stands in the way."""
+    """Return one sentence: the design that was found, or the criterion that prevents one."""
     over = " over the tolerances" if result.tolerances else ""
     if result.found is not None:
         candidate = result.found.candidate
@@ -153,7 +153,9 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
             figures["region"] = region_figure(result)
             captions["region"] = _region_caption(result)
         figures["pareto"] = pareto_figure(result)
-        captions["pareto"] = "No machine that was tried beats one of these in both."
+        captions["pareto"] = (
+            "No machine that was tried has both less cost and less use of the limit than one here."
+        )
         return write_document(
             Document(
                 title=f"{result.job.name} on {result.machine.name}: redesign",
@@ -185,7 +187,7 @@ def _region_caption(result: DesignResult) -> str:
 
 
 def region_figure(result: DesignResult) -> Figure:
-    """Draw what is in spec in two parameters, with the design and the known answers."""
+    """Draw the region in spec over two parameters, with the design and other machines."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator, NullLocator
 
@@ -219,7 +221,7 @@ def region_figure(result: DesignResult) -> Figure:
         assert result.machine.design is not None
         title = result.machine.design.known[name].title
         _mark(panel, result, title, candidate, _MARKS[k % len(_MARKS)], True)
-    # A ring about what stands on the same place.
+    # The machine as built is a ring, which leaves a mark at the same place visible.
     _mark(panel, result, "as it is", result.as_built, "o", False)
     panel.set_xscale("log")
     panel.set_yscale("log")
@@ -241,7 +243,7 @@ def region_figure(result: DesignResult) -> Figure:
 
 
 def _around(factors: FloatArray) -> tuple[float, float]:
-    """Return the ends of an axis that leaves room about the factors."""
+    """Return the ends of an axis with room on both sides of the factors."""
     low, high = float(factors[0]), float(factors[-1])
     room = (high / low) ** _AROUND
     return low / room, high * room

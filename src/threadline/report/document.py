@@ -1,4 +1,4 @@
-"""What a report says: verdicts, tables, figures with captions, and what it was made from."""
+"""Content of a report: verdicts, tables, figures with captions, and the facts to repeat it."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Table:
 
 
 def failing(row: Sequence[str]) -> tuple[bool, ...]:
-    """Say of each cell of a row whether it tells of something out of specification.
+    """Return for each cell of a row whether it is marked as out of specification.
 
-    A row whose status is ``failed`` or ``OUT`` does so as a whole, others by single cells.
+    A row whose status is ``failed`` or ``OUT`` is marked as a whole, other rows cell by cell.
 
     >>> failing(["jerk", "2 m/s^3", "failed"]), failing(["return", "2 mm (failed)", "0 mm"])
     ((True, True, True), (False, True, False))
@@ -60,20 +60,20 @@ def failing(row: Sequence[str]) -> tuple[bool, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Document:
-    """What a report says.
+    """Content of a report.
 
     Parameters
     ----------
     title, subtitle
-        What was asked.
+        Job and machine, or another name of what the report is about.
     verdicts
-        Text and whether it is good news; on paper they head every page.
+        Text of each verdict, and whether it is passed; on paper they head every page.
     tables, figures, captions
-        In the order in which they are read; captions by figure name.
+        In the order of the page; figures and captions by the name of the figure.
     facts
-        Versions, hashes, options: what is needed to make the report again.
+        Versions, hashes, options: all that is needed to make the report again.
     warnings
-        What deserves a second look before the report is relied on.
+        Doubts about the inputs and the results.
     """
 
     title: str
@@ -86,10 +86,10 @@ class Document:
     warnings: Sequence[str] = field(default_factory=tuple)
 
     def shown(self) -> Document:
-        """Return the document with every text as it is shown; its figures are changed in place.
+        """Return the document with control characters escaped; its figures are changed in place.
 
-        Nothing of a user's text may drive what reads a page, nor be taken by matplotlib for a
-        formula: it would refuse "$x^$". The numbers of logarithmic axes are formulas, and stay.
+        A user's text must neither control a reader of the page nor be a formula to matplotlib,
+        which would refuse "$x^$". The numbers of logarithmic axes are formulas, and stay.
         """
         for figure in self.figures.values():
             without_formulas(figure)
@@ -116,7 +116,7 @@ def _shown_table(table: Table) -> Table:
 
 
 def without_formulas(figure: Figure) -> None:
-    """Let every text of ``figure`` be drawn as it is written, but for the numbers of its axes."""
+    """Turn off matplotlib's formulas in every text of ``figure`` but the numbers of its axes."""
     from matplotlib.text import Text
     from matplotlib.ticker import LogFormatter, ScalarFormatter
 
@@ -134,7 +134,7 @@ def without_formulas(figure: Figure) -> None:
 
 
 def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list[tuple[str, str]]:
-    """Return the facts that every report begins with: versions, and what was read."""
+    """Return the facts that every report begins with: versions, and the files it was made from."""
     facts = [("threadline", __version__), ("Python", platform.python_version())]
     if job is not None:
         facts += [("job", job.name), ("job sha256", job.sha256)]
@@ -149,17 +149,17 @@ def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list
 def options_facts(
     options: Mapping[str, str], machine: Machine, leave_out: Sequence[str] = ()
 ) -> list[tuple[str, str]]:
-    """Return the options of a plan as facts, beside those of ``origin_facts``.
+    """Return the options of a plan as facts.
 
     Parameters
     ----------
     options
-        Of the plan: they name the file of the job, and the machine as it was given. A machine that
-        was given by its name is told by ``origin_facts`` and left out here.
+        Options of the plan. The machine is left out if it was given by its name, which
+        ``origin_facts`` has.
     machine
         The machine of the plan.
     leave_out
-        Options that are not told.
+        More options to leave out.
     """
     named = {"job": "job file", "machine": "machine file"}
     told = {key: value for key, value in options.items() if key not in leave_out}

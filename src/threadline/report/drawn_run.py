@@ -1,4 +1,4 @@
-"""Which of the runs that were judged is drawn: that in which the marked worst was found."""
+"""Choice of the run that a figure shows: the one with the worst value of a criterion."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from threadline.verdict import Result, Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnRun:
-    """The run that a picture is of.
+    """The run that a figure shows.
 
     Parameters
     ----------
     recording
-        The run alone.
+        Recording of this run alone.
     number
-        As ``Result.run`` has it: from 1, those of other machines last.
+        Its number, as in ``Result.run``: from 1, runs of other machines last.
     worst_of
-        The criterion of which it has the worst; empty where the first run is drawn because no run
-        is worse than another.
+        The criterion that is worst in this run; empty where no run is worse than another, and the
+        first one is drawn.
     """
 
     recording: Recording
@@ -30,7 +30,7 @@ class DrawnRun:
     worst_of: str
 
     def words(self, proof: Proof) -> str:
-        """Return the sentence that a caption says of it; empty where one run alone was judged."""
+        """Return the sentence for a caption; empty where only one run was judged."""
         if len(proof.judged) == proof.judged[0].runs == 1:
             return ""
         why = f", in which {self.worst_of} is worst" if self.worst_of else ""
@@ -38,19 +38,19 @@ class DrawnRun:
 
 
 def run_words(verdict: Verdict, number: int) -> str:
-    """Return the name of a run in a caption: of the machine itself, or of one off its file."""
+    """Return the name of a run in a caption: a run of the machine, or a machine in tolerance."""
     if number <= verdict.runs:
         return f"run {number} of {verdict.runs}"
     return f"machine {number - verdict.runs} of {verdict.machines} within the tolerances"
 
 
 def drawn_run(proof: Proof, names: Sequence[str]) -> DrawnRun:
-    """Return the run with the worst of the first criterion of which one run is worse than others.
+    """Return the run that is worst in the first of the criteria in which runs differ.
 
     Parameters
     ----------
     names
-        Criteria that the picture marks or shows, the most important first.
+        Criteria that the figure marks or shows, the most important first.
     """
     for name in names:
         worst = worst_result(proof.verdict, name)

@@ -20,9 +20,9 @@ _ROWS = 4096
 def stitch_lines(proof: Proof, recording: Recording) -> Iterator[str]:
     """Yield the lines of the table, the names of its columns first.
 
-    A row stands for each turn of the shaft in which the needle enters. Residual and force are those
-    of ``recording``; the residual of any day is the planner's forecast with other damping. What was
-    not seen is empty.
+    The table has a row for each turn of the shaft in which the needle enters. Residual and force
+    are those of ``recording``; "residual of any day" is the planner's largest forecast over the
+    dampings that the modes have on different days. Values that were not recorded are empty.
     """
     plan = proof.plan
     stitched, run = plan.stitched, StitchRun(recording, plan)

@@ -25,7 +25,8 @@ _STILL = 0.02
 def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
     """Return a figure of the steps of an axis, and its caption.
 
-    Motor and load over time as shares of each step; below, what current and time each took.
+    Above are motor and load over time, as shares of the step; below, over the size of the step, its
+    largest current and the overshoot of the load.
     """
     from matplotlib.figure import Figure
 
@@ -64,7 +65,7 @@ def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
 
 
 def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -> None:
-    """Draw a number of every step over its size, forth and back apart."""
+    """Draw one number of every step over the size of the step, forward and back separately."""
     back = {**WORST, "markersize": 6}
     for sign, label, style in (
         (1, "forth", {**ACTUAL, "marker": "o", "markersize": 3}),
@@ -81,6 +82,6 @@ def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -
 
 
 def experiment_table(campaign: Campaign) -> Table:
-    """Return the table of the steps of an axis, with what sweep and constant speed gave."""
+    """Return the table of the steps of an axis; sweep and constant speed stand in its note."""
     title, header, rows = campaign.table()
     return Table(title=title, header=tuple(header), rows=rows, note=campaign.summary())

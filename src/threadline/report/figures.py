@@ -33,7 +33,7 @@ def display(proof: Proof, axis: str) -> tuple[float, str]:
 
 
 def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
-    """Return every figure that this job has a shape for, by file name."""
+    """Return all figures of a proof by file name; which there are depends on the axes that move."""
     axes = [axis for axis in proof.plan.motion.trajectory.axes if axis in traces.drawn_axes]
     linear = [a for a in axes if proof.plan.machine.axes[a].kind == "linear" and moves(traces, a)]
     rotary = [a for a in axes if proof.plan.machine.axes[a].kind == "rotary" and moves(traces, a)]
@@ -53,7 +53,7 @@ def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
 
 
 def moves(traces: Traces, axis: str) -> bool:
-    """Say whether the axis was told to move at all."""
+    """Return whether the axis has commands that move it."""
     commanded = traces.commanded.get(axis, np.zeros(1))
     return bool(len(commanded) and np.ptp(commanded) > 0)
 
@@ -95,8 +95,8 @@ def _draw_path(
 ) -> None:
     """Draw the path of two axes: programmed points, planned and actual path.
 
-    A thinned trace is drawn as points, for what lies between its samples is not straight. ``near``
-    draws only where no sample is left out, as lines.
+    A thinned trace is drawn as points, because the path between its samples is not straight. With
+    ``near`` only the parts in which no sample was left out are drawn, as lines.
     """
     first, second = pair
     columns = [proof.plan.motion.programmed.axes.index(axis) for axis in pair]
@@ -127,9 +127,9 @@ def _draw_path(
 def _place_at(
     proof: Proof, traces: Traces, pair: tuple[str, str], time_s: float
 ) -> tuple[float, float]:
-    """Return where the pair was at an instant, as it is shown; the way between samples is straight.
+    """Return the position of two axes at an instant, in the units of the figure.
 
-    The judge takes it so, too: a worst place may lie between two samples.
+    Between samples it is interpolated linearly, as the judge does: a worst place may lie there.
     """
     x, y = (
         float(np.interp(time_s, traces.time_s, traces.actual[axis])) * display(proof, axis)[0]
@@ -182,9 +182,9 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
 
 
 def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArray | None) -> None:
-    """Draw planned and, if known, actual over time; of a long job the bands that they fill.
+    """Draw planned and, if known, actual values over time; of a long job bands of their extremes.
 
-    A line through what was kept of a long job would tell nothing of what lies between.
+    A line through the samples that were kept of a long job would hide those left out.
     """
     if traces.stride == 1:
         panel.plot(traces.time_s, planned, label="planned", **PLANNED)
@@ -203,7 +203,7 @@ def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArra
 
 
 def _near(planned: FloatArray, actual: FloatArray | None, bound: float) -> bool:
-    """Say whether a limit belongs in the picture, or would only flatten it."""
+    """Return whether a limit is near enough to be drawn without flattening the curves."""
     peak = max(float(np.abs(one).max()) for one in (planned, actual) if one is not None)
     return bool(np.isfinite(bound)) and 0.35 * bound < peak
 
@@ -276,7 +276,7 @@ def _worst_label(worst: Result, note: str) -> str:
 
 
 def _legend_beside(panel: Axes) -> None:
-    """Put the legend below the panel's time axis, where it covers nothing."""
+    """Put the legend below the panel's time axis, where it covers no curve."""
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, borderaxespad=0.0)
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def svg_text(figure: Figure) -> str:
-    """Return a figure as SVG, the same text whenever it is drawn."""
+    """Return a figure as SVG; the same figure gives the same text each time."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue()
@@ -43,7 +43,7 @@ def html_page(document: Document, svgs: Mapping[str, str]) -> str:
 
 
 def css_string(text: str) -> Markup:
-    r"""Return ``text`` as a string of CSS that ends neither itself nor the style sheet.
+    r"""Return ``text`` quoted as a CSS string, so that it cannot end the string or the style sheet.
 
     >>> print(css_string('IN SPEC (96 % "used")</style>'))
     "IN SPEC (96 % \22 used\22 )\3c /style\3e "

@@ -1,4 +1,4 @@
-"""The report of motion laws: rise, derivatives, and what they leave swinging on modes."""
+"""The report of motion laws: rise, derivatives, and the vibration left on a mode."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MARKS = ("o", "s", "^", "D", "v", "x")
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A law in the window in which it is drawn."""
+    """A law and the duration of the move for which its residual is drawn."""
 
     law: Law
     window_s: float
@@ -50,9 +50,9 @@ def write_laws(
     Parameters
     ----------
     curves
-        What is drawn over frequency, beside ``mode``, for a move of ``move_m``.
+        Laws whose residual after a move of ``move_m`` is drawn over the frequency of ``mode``.
     residual_m, band
-        The largest amplitude, and the share of the frequency, that a law was made for; else None.
+        Residual and half width of the band that a law was made for; None if none was made.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The picture of a yield: what every criterion came to, machine by machine, beside its limit."""
+"""The figure of a yield: the distribution of every criterion over the machines, and its limit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _POINTS = 400
 
 
 def draw_yield(found: Yield, title: str) -> Figure:
-    """Return a figure: of each criterion with a limit the share of machines up to each value."""
+    """Return a figure with the cumulative distribution of each criterion that has a limit."""
     rows = limited_rows(found)[:_MOST]
     with figure_style():
         figure = Figure(figsize=(7.2, 1.2 + 1.5 * max((len(rows) + 1) // 2, 1)))
@@ -41,7 +41,7 @@ def draw_yield(found: Yield, title: str) -> Figure:
 
 
 def limited_rows(found: Yield) -> list[CriterionRow]:
-    """Return the criteria that can tell one machine from another: those with a limit."""
+    """Return the criteria with a limit that depend on the machine, not on the plan alone."""
     return [
         row
         for row in found.found.rows
@@ -51,7 +51,7 @@ def limited_rows(found: Yield) -> list[CriterionRow]:
 
 
 def _up_to(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return values and the share of machines up to each, thinned to what can be seen."""
+    """Return at most ``_POINTS`` values, and the share of machines up to each."""
     known = np.sort(values[np.isfinite(values)])
     if not len(known):
         return known, known

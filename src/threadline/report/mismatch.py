@@ -1,4 +1,4 @@
-"""The picture of how the fastest in spec varies over the tolerances of a machine."""
+"""The figure of the fastest feed in spec over the tolerances of a machine's masses and links."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
 
 
 def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> Figure:
-    """Return a figure: the best in spec over stiffness, a line per mass."""
+    """Return a figure: the fastest in spec over stiffness, a line for each mass."""
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
         axes = figure.add_subplot()
@@ -47,7 +47,7 @@ def _drawn(cell: Mismatch, searched: Searched) -> float:
 
 
 def _nothing(cells: Sequence[Mismatch], what: str) -> str:
-    """Say that none is in spec on any of the machines, and what fails."""
+    """Return the text for a figure without points: no machine is in spec, and which limit fails."""
     limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
     return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"

@@ -1,4 +1,4 @@
-"""The report of a proof of axes with a path."""
+"""The report of a proof of a motion along a path."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
 
 
 def about_motion(proof: Proof) -> list[str]:
-    """Return the lines that stand below the verdict: what it asks of drives and controllers."""
+    """Return the lines below the verdict: time, and demands on drives and controllers."""
     plan = proof.plan
     added = plan.motion.path.summary.get("points_added")
     return [
@@ -104,7 +104,7 @@ def _points_line(added: float) -> str:
 
 
 def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
-    """Yield a line for each axis that moves: what its model needs, and which limit is nearest."""
+    """Yield a line per moving axis: current and voltage of feed-forward, and the limits' share."""
     for demand in demands:
         if demand.share == 0.0:
             continue
@@ -128,7 +128,7 @@ def asked_lines(proof: Proof) -> list[str]:
 
 
 def feed_lines(plan: Plan) -> list[str]:
-    """Return the lines that say by whose rule F was read, and what time it gives the job."""
+    """Return the lines on the rule by which F was read, and on the time that F alone gives."""
     nominal_s = plan.nominal_s
     if nominal_s is None:
         return []
@@ -153,12 +153,12 @@ def motion_lines(plan: Plan) -> list[str]:
 
 
 def facts(proof: Proof) -> list[tuple[str, str]]:
-    """Return what is needed to make a proof again."""
+    """Return the facts with which a proof can be repeated: versions, files, options, planner."""
     return [*shared_facts(proof), *summary_facts(proof)]
 
 
 def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str, str]]:
-    """Return versions, files and options, but for options that are told elsewhere."""
+    """Return versions, files and options, without the options in ``leave_out``."""
     plan = proof.plan
     return [
         *origin_facts(plan.machine, plan.job),
@@ -168,13 +168,13 @@ def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str,
 
 
 def summary_facts(proof: Proof) -> list[tuple[str, str]]:
-    """Return what the planner says of its path."""
+    """Return the planner's facts on its path."""
     summary = proof.plan.motion.path.summary
     return [(key, f"{without_noise(value):g}") for key, value in summary.items()]
 
 
 def thinned_words(stride: int) -> str:
-    """Return what the caption of a thinned trace says of it."""
+    """Return the sentence for the caption of a trace thinned by ``stride``; empty if it is 1."""
     return (
         f" Of every {stride} samples those at an extreme of position, velocity, acceleration "
         "(planned or actual) or tracking error are drawn, profiles as the band between them; about "

@@ -1,4 +1,4 @@
-"""Figures of an on/off machine: what a broken beam leaves ringing."""
+"""Figures of an on/off machine: vibration of the frame after a light barrier is interrupted."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ MICRO = 1e6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BreakSweep:
-    """Ringing of the frame after a beam was broken, by the instant of the break.
+    """Vibration of the frame after a light barrier was interrupted, over the instant of that break.
 
     Parameters
     ----------
     name
-        Of the shaper.
+        Name of the shaper.
     times_s, ringing_m
-        (n,) since the move began; amplitude of the frame once the valves are shut.
+        (n,) instants of the break since the move began, s; (n,) amplitude of the frame once the
+        valves are shut, m.
     over_level
-        By how much the command exceeds the unshaped level.
+        Largest excess of the command's level over 1 or below 0.
     """
 
     name: str
@@ -43,7 +44,7 @@ class BreakSweep:
 
 
 def train_of(kind: str, mode: FlexibleMode) -> Shaper:
-    """Return the shaper of a word: kinds joined by ``*``, or ``none``."""
+    """Return the shaper that ``kind`` names for ``mode``: kinds joined by ``*``, or ``none``."""
     if kind == "none":
         return UNSHAPED
     return convolve(*(design(word, mode) for word in kind.split("*")))
@@ -58,10 +59,10 @@ def level_steps(shaper: Shaper, on_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 def break_sweep(name: str, shaper: Shaper, on_s: float, ringing: StepRinging) -> BreakSweep:
-    """Return what rings if a beam is broken at each millisecond of a move, on for ``on_s``.
+    """Return the vibration after a break at each millisecond of a move that is on for ``on_s``.
 
-    All valves shut at the break. What rings then is the sum of what every step of the level so far
-    has left, each decayed since, and of one more step: the level down to 0.
+    All valves shut at the break. The vibration is the sum of that of every step of the level before
+    the break, each decayed since, and of the step of the level down to 0.
     """
     return sweep_of_steps(name, *level_steps(shaper, on_s), ringing)
 
@@ -81,7 +82,7 @@ def sweep_of_steps(
 
 
 def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
-    """Return a sweep for the unshaped move and for each kind of shaper, full stroke."""
+    """Return a sweep of the full stroke for the unshaped move and for each kind of shaper."""
     cylinder = machine.cylinders[axis]
     on_s, ringing = cylinder.stroke.si / cylinder.speed.si, step_ringing(machine, axis)
     mode = FlexibleMode(*flow_mode(machine, axis))
@@ -89,11 +90,11 @@ def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
 
 
 def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) -> FloatArray:
-    """Return what the twin has ringing, (n,) m, if the valves shut n ``scans`` after a move began.
+    """Return the simulated amplitude, (n,) m, if the valves shut n ``scans`` after a move began.
 
-    The move is played alone, from the start of the stroke, and a beam is broken half a scan before
-    the valves shut. Amplitudes are those at the instant of the shutting: a sine is fitted to the
-    frame's motion once lag and dead time are over, and traced back.
+    The move is simulated alone, from the start of the stroke, and a light barrier is interrupted
+    half a scan before the valves shut. Amplitudes are those at the instant at which the valves
+    shut: a sine is fitted to the frame's motion after lag and dead time, and extrapolated back.
     """
     machine, commands = scheduled.machine, scheduled.commands
     cylinder, pole = machine.cylinders[move.axis], step_ringing(machine, move.axis).pole
@@ -122,7 +123,7 @@ def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) ->
 def move_sweep(
     scheduled: Scheduled, move: ScheduledMove, breaks: int = 8
 ) -> tuple[BreakSweep, tuple[FloatArray, FloatArray]]:
-    """Return the sweep of a move as it is scheduled, and times and sizes that the twin finds."""
+    """Return the sweep of a scheduled move, and times, s, and amplitudes, m, of the simulation."""
     period_s = float(scheduled.commands.clock.period_s)
     steps = np.array(move.levels.ticks, dtype=np.float64) * period_s
     heights = np.diff(move.levels.levels, prepend=0.0)
@@ -136,9 +137,9 @@ def move_sweep(
 def break_figure(
     sweeps: list[BreakSweep], twin: tuple[FloatArray, FloatArray] | None = None
 ) -> Figure:
-    """Draw the ringing after a break against the instant of the break, a panel per shaper.
+    """Draw the vibration after a break over the instant of the break, a panel per shaper.
 
-    ``twin``: times, s, and sizes, m, that go into the first panel.
+    Simulated points ``twin``, times in s and amplitudes in m, go into the first panel.
     """
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""The cases of a comparison in one picture: how each turns, and where each takes the eye."""
+"""The cases of a comparison in one figure: turning points of an axis, paths of two axes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TALL_IN = 8.6  # of all panels together: a page of paper has room for them
 
 
 def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
-    """Return the pictures that show all cases, and their captions, both by name."""
+    """Return the figures that show all cases, and their captions, both by name."""
     figures: dict[str, Figure] = {}
     captions: dict[str, str] = {}
     _, proof, traces = cases[0]
@@ -49,7 +49,7 @@ def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
 
 
 def turns_s(traces: Traces) -> list[float]:
-    """Return the instants, s, at which each axis is furthest out."""
+    """Return the instants, s, at which each axis has its largest and its least position."""
     return [
         float(traces.time_s[at])
         for position in traces.actual.values()
@@ -94,12 +94,12 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
 
 
 def _tall_in(panels: int, each_in: float) -> float:
-    """Return the height of a figure, inches: many panels are lower, so that a page holds them."""
+    """Return the height of a figure, inches; many panels are made lower to fit a page."""
     return 1.0 + min(each_in * panels, max(_TALL_IN, 1.5 * panels))
 
 
 def _outermost(cases: list[Case], axis: str) -> tuple[float, float]:
-    """Return the end of the programmed travel that is missed by more, and its direction."""
+    """Return the end of the programmed travel, m, with the larger error, and its sign."""
     _, proof, traces = cases[0]
     programmed = traces.vertices[:, proof.plan.motion.programmed.axes.index(axis)]
     ends = [(float(programmed.max()), 1.0), (float(programmed.min()), -1.0)]

@@ -31,10 +31,10 @@ from threadline.report.pdf_text import BOLD, FONT, heading_style, shortened, tex
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 WIDTH_PT, HEIGHT_PT = 595.2756, 841.8898
-"""Of a page of A4, upright: 210 by 297 mm."""
+"""Size of an upright A4 page, points: 210 by 297 mm."""
 _SIDE_PT, _TOP_PT, _BOTTOM_PT = 37.0, 48.0, 46.0
 _ROOM_PT = WIDTH_PT - 2 * _SIDE_PT  # 7.24 inches: a figure of 7.2 stands as it is
-_TALL_PT = HEIGHT_PT - _TOP_PT - _BOTTOM_PT - 12.0  # what a page holds below its verdict
+_TALL_PT = HEIGHT_PT - _TOP_PT - _BOTTOM_PT - 12.0  # room of a page below its verdict
 _GAP_PT = 10.0  # below a caption
 _HEAD_PT = 8.0
 _HEAD_LINES = 2  # of the verdict above a page; the first page has all of it
@@ -42,7 +42,7 @@ _HEAD_LINES = 2  # of the verdict above a page; the first page has all of it
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a figure stands: its name, page from 0, lower left corner in points, and scale."""
+    """Place of a figure: its name, page from 0, lower left corner in points, and scale."""
 
     name: str
     page: int
@@ -52,7 +52,7 @@ class _Place:
 
 
 class _Picture(Flowable):
-    """Room for a figure, which is laid into it once the page is there: it tells its place."""
+    """Empty room for a figure that records its place, for the figure's page to be merged there."""
 
     def __init__(
         self, name: str, size_pt: tuple[float, float], scale: float, places: list[_Place]
@@ -68,7 +68,7 @@ class _Picture(Flowable):
 
 
 def write_pdf(document: Document, file: Path) -> None:
-    """Write ``document``, whose texts are drawn as they are, into ``file``.
+    """Write ``document`` into ``file``; its texts must have control characters escaped.
 
     The same document gives the same bytes.
 
@@ -78,7 +78,7 @@ def write_pdf(document: Document, file: Path) -> None:
         If the file cannot be written.
     """
     figures = {name: _figure_page(figure) for name, figure in document.figures.items()}
-    # Only once all pages are there does any of them know how many there are.
+    # The number of all pages, which stands on each, is known after a first pass.
     text, _ = _text_pages(document, 0)
     text, places = _text_pages(document, len(PdfReader(io.BytesIO(text)).pages))
     writer = PdfWriter(clone_from=io.BytesIO(text))
@@ -99,7 +99,7 @@ def _figure_page(figure: Figure) -> bytes:
 
 
 def _text_pages(document: Document, pages: int) -> tuple[bytes, list[_Place]]:
-    """Return the pages without their figures, ``pages`` in all, and where figures belong."""
+    """Return a PDF without figures, ``pages`` being the number it prints, and figures' places."""
     places: list[_Place] = []
     buffer = io.BytesIO()
     made = BaseDocTemplate(
@@ -170,7 +170,7 @@ def _story(document: Document, places: list[_Place]) -> list[Flowable]:
 
 
 def _verdict_box(text: str, *, good: bool) -> Flowable:
-    """Return a verdict in a frame, which is dashed for bad news."""
+    """Return a verdict in a frame, which is dashed unless ``good``."""
     words = text_style(10.0, bold=True)
     wide_pt = min(width_pt(text, BOLD, 10.0) + 18.0, _ROOM_PT)
     look: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
@@ -193,7 +193,7 @@ def _with_caption(
     above: Sequence[Flowable],
     places: list[_Place],
 ) -> Flowable:
-    """Return a figure with what stands above and below it, as large as a page allows."""
+    """Return a figure with ``above`` over it and its caption below, as large as a page allows."""
     taken_pt = sum(part.wrap(_ROOM_PT, 1e6)[1] + part.getSpaceAfter() for part in (*above, caption))
     inches = figure.get_size_inches()
     wide_pt, tall_pt = 72.0 * float(inches[0]), 72.0 * float(inches[1])

@@ -1,4 +1,4 @@
-"""Tables on paper: every column is there, wrapped where it is wide, or in a second table below."""
+"""Tables on paper: wide columns are wrapped, and too many columns make a second table below."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _SHORT_PT = 260.0  # a table no higher than this, a third of a page, is not torn
 
 
 def table_parts(table: Table, room_pt: float) -> Iterator[Flowable]:
-    """Yield what draws a table: its heading, itself, its note.
+    """Yield the flowables of a table: its heading, the table, its note.
 
     Parameters
     ----------
     table
-        Its texts are drawn as they are.
+        Its texts must have control characters escaped.
     room_pt
-        The width of the page between its margins, points.
+        Width of the page between its margins, points.
     """
     for number, (columns, size_pt, widths_pt) in enumerate(columns_of(table, room_pt)):
         title = table.title + (", continued" if number else "")
@@ -56,11 +56,10 @@ def table_parts(table: Table, room_pt: float) -> Iterator[Flowable]:
 def columns_of(
     table: Table, room_pt: float
 ) -> list[tuple[tuple[int, ...], float, tuple[float, ...]]]:
-    """Return which columns stand in one table, in which size of letters, and how wide each is.
+    """Return, per table that is drawn, its columns, its font size and their widths, in points.
 
-    The largest size is taken in which every short text stands in one line, or else in which every
-    word does. Where there is none, the table is cut into several, and each begins with the first
-    column.
+    The font size is the largest with every short text in one line, or else with no word broken.
+    Where no size does, the table is cut into several that each begin with the first column.
     """
     every = tuple(range(len(table.header)))
     for short_pt, size_pt in product((_SHORT_TEXT_PT, 0.0), _SIZES_PT):
@@ -91,8 +90,8 @@ def shared_widths(
 ) -> tuple[float, ...]:
     """Return a width for each column, all of them together as wide as ``room``.
 
-    Where there is more room than needed it is shared evenly. Where there is less, the columns that
-    ask for most are cut to one width, none below the least that it takes.
+    Room beyond the ``natural`` widths is shared evenly. If there is too little room, the widest
+    columns are cut to one common width, but none below its ``least`` width.
 
     >>> shared_widths([10.0, 30.0, 90.0], [10.0, 20.0, 20.0], 100.0)
     (10.0, 30.0, 60.0)

@@ -1,4 +1,4 @@
-"""Letters on paper: the fonts of the figures, in the sizes of titles, headings and text."""
+"""Fonts and paragraph styles of the PDF; the fonts are those of the figures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from reportlab.pdfbase import pdfmetrics
 from reportlab.pdfbase.ttfonts import TTFont
 
 FONT, BOLD = "DejaVuSans", "DejaVuSans-Bold"
-"""Those that matplotlib brings along and draws figures with."""
+"""The fonts that matplotlib includes and draws figures with."""
 
 
 @cache
@@ -23,7 +23,7 @@ def _load_fonts() -> None:
 
 
 def width_pt(text: str, font: str, size_pt: float) -> float:
-    """Return how wide a line of text is, points; ``font`` is one of this module's."""
+    """Return the width of a line of text, points; ``font`` is ``FONT`` or ``BOLD``."""
     _load_fonts()
     return float(pdfmetrics.stringWidth(text, font, size_pt))
 
@@ -32,7 +32,7 @@ def width_pt(text: str, font: str, size_pt: float) -> float:
 def text_style(
     size_pt: float, *, bold: bool = False, right: bool = False, space_before_pt: float = 0.0
 ) -> ParagraphStyle:
-    """Return how text is set: its size in points, its weight, its side."""
+    """Return the paragraph style of a size in points, bold or not, aligned left or right."""
     _load_fonts()
     return ParagraphStyle(
         f"{size_pt}{bold}{right}{space_before_pt}",
@@ -46,7 +46,7 @@ def text_style(
 
 @cache
 def heading_style() -> ParagraphStyle:
-    """Return how the heading of a part is set."""
+    """Return the paragraph style of the heading of a part."""
     return ParagraphStyle(
         "heading", parent=text_style(11.0, bold=True), spaceBefore=12.0, spaceAfter=4.0
     )

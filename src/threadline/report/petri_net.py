@@ -1,4 +1,4 @@
-"""The Petri net of a schedule, drawn to be read at the width of a page, on screen and on paper."""
+"""The Petri net of a schedule as figures of one page each."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PLACES_IN_ROW, _ROWS_ON_PAGE = 4, 7  # what a page of paper has room for, to be read
+_PLACES_IN_ROW, _ROWS_ON_PAGE = 4, 7  # room of a page of paper at a readable size
 _SMALL, _PLAIN = 7.0, 8.0  # points
 _BREAK = "#B00000"
 
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A place, and what lets the token leave it."""
+    """A place, and the condition of the transition after it."""
 
     place: NetPlace
     label: str
@@ -29,9 +29,9 @@ class _Bar:
 def petri_figures(scheduled: Scheduled) -> list[Figure]:
     """Draw the net: place 0, then rows of places for each step, bars for transitions.
 
-    A bar carries the time of its own place, or the input that is waited for with its timeout. The
-    dashed line beside the rows is every place's way back to place 0. A figure is as high as a page
-    of a report; a long schedule has several.
+    A bar is labelled with the time of the place before it, or with the input that is waited for and
+    its timeout. The dashed line beside the rows is the transition from every place back to place 0.
+    A figure is as high as a page of a report; a long schedule has several.
     """
     net = petri_net(scheduled)
     bars, passed_ms = [], 0

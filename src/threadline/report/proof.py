@@ -1,4 +1,4 @@
-"""The report of a proof, whatever kind of work it is of."""
+"""Reports of proofs and comparisons of every kind: a table of the functions that write them."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from threadline.search import Comparison
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KindReport:
-    """How a kind of work is reported.
+    """Functions that report one kind of work.
 
     Parameters
     ----------
     write
         Writes the report of a proof into a folder; returns the path of the HTML page.
     about
-        The lines of text that stand below its verdict.
+        Returns the lines of text below the verdict.
     compare
-        Writes the report of a comparison, with its tables as they were printed.
+        Writes the report of a comparison, with the tables that were printed, into a folder.
     """
 
     write: Callable[[Proof, Path], Path]
@@ -52,7 +52,7 @@ REPORTS: Mapping[type, KindReport] = {
         write=write_stitched, about=about_stitched, compare=write_stitched_comparison
     ),
 }
-"""By what is intended, one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""
+"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""
 
 
 def write_report(proof: Proof, folder: Path) -> Path:
@@ -67,7 +67,7 @@ def write_report(proof: Proof, folder: Path) -> Path:
 
 
 def about(proof: Proof) -> list[str]:
-    """Return what there is to say of a proof below its verdict, line by line."""
+    """Return the lines of text below the verdict of a proof."""
     return REPORTS[type(proof.plan.intent)].about(proof)
 
 

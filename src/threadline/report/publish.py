@@ -1,4 +1,4 @@
-"""One self-contained HTML page, the same as PDF, and every figure as SVG and PNG."""
+"""Files of a document: one self-contained HTML page, a PDF, and every figure as SVG and PNG."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _PNG_DPI = 160
 def write_document(document: Document, folder: Path, stem: str) -> Path:
     """Write the document into ``folder`` and return the path of its HTML page.
 
-    All files appear together once they are complete, so that a failure leaves nothing half-written,
-    and no new folder either. Figures that an earlier page of that name had are removed with it.
+    All files appear together once they are complete: a failure leaves neither part of them nor a
+    new folder. The figures of an earlier page of the same name are removed.
 
     Raises
     ------
     OptionError, OSError
         If the folder cannot be written.
     """
-    from threadline.report.pdf import write_pdf  # its libraries are heavy, and rarely wanted
+    from threadline.report.pdf import write_pdf  # imported late: its libraries are heavy
 
     document = document.shown()
     with together():
@@ -46,7 +46,7 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
 
 
 def _figure_files(folder: Path, stem: str) -> set[str]:
-    """Return the figures that the page in ``folder`` names as its own and that are files there."""
+    """Return the names of the figure files in ``folder`` that the page there includes."""
     try:
         page = (folder / f"{stem}.html").read_text(encoding="utf-8")
     except (OSError, ValueError):

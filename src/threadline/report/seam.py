@@ -1,4 +1,4 @@
-"""The picture of a seam: every stitch by its margin, told by shape and size as by colour."""
+"""The figure of a seam: every stitch marked by its margin, in shape, size and colour."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_LENGTH, _PLACE = 0.05, 5e-4  # limits where the specification has none: the stitcher thesis's
+_LENGTH, _PLACE = 0.05, 5e-4  # limits of the stitcher's thesis, for a specification without
 _MAX_DRAWN = 20_000
 _ABOUT = 20  # stitches before and after the worst, all drawn
 
-# Share of the limit that is used, up to which value; marker, area, colour, filled.
+# Per band of stitches: label, upper end of the share of the limit, marker, area, colour, filled.
 _BANDS: tuple[tuple[str, float, str, float, str, bool], ...] = (
     ("uses half of the limit or less", 0.5, "o", 7.0, "#0072B2", False),
     ("within 20 % margin", 0.8, "o", 16.0, "#0072B2", True),
@@ -32,21 +32,21 @@ _BANDS: tuple[tuple[str, float, str, float, str, bool], ...] = (
 
 
 _SHARES = ("stitch_length_error", "contour_error")
-"""The criteria of which the picture shows the share that each stitch uses."""
+"""The criteria whose share of the limit the figure shows for each stitch."""
 
 
 def seam_run(proof: Proof) -> DrawnRun:
-    """Return the run in which the stitch is that uses most of its limits."""
+    """Return the run with the stitch that uses the largest share of its limits."""
     worst = [w for w in (worst_result(proof.verdict, name) for name in _SHARES) if w is not None]
     used = max(worst, key=lambda w: abs(w.measured or 0.0) / (w.limit or np.inf), default=None)
     return drawn_run(proof, [] if used is None else [used.name])
 
 
 def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
-    """Draw the stitches of a run where the needle went down; None where the job has none.
+    """Draw the points of a run at which the needle went down; None for a job without stitches.
 
-    The share of its limit that a stitch uses is the larger of two: of its length, unless it is
-    exempt, and of its distance from the seam.
+    The share that a stitch uses is the larger of two: that of the limit of its length error, unless
+    the stitch is exempt, and that of the limit of its distance from the seam.
     """
     from matplotlib.figure import Figure
 
@@ -89,7 +89,7 @@ def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
 
 
 def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> FloatArray:
-    """Return (n, 8) of a run: contour, exempt, needle-down and seam in mm, shares of the limits."""
+    """Return (n, 8) columns: contour, exempt; needle and seam X, Y in mm; two limit shares."""
     exempt = run.stitches.exempt
     return np.column_stack(
         [
@@ -104,10 +104,10 @@ def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> Floa
 
 
 def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
-    """Return what is drawn, and how many stitches of all are in each band.
+    """Return the stitches to draw, (m, 9), and the number of all stitches in each band.
 
-    Of many stitches every second, fourth and so on is drawn, and the worst of all with those about
-    it. Rows are the number of the stitch, then the columns of its run.
+    Of many stitches every second, fourth and so on is drawn, and ``_ABOUT`` stitches on both sides
+    of the worst. A row is the number of the stitch and its row of ``_columns``.
     """
     bounds = np.array([high for _, high, *_ in _BANDS[:-1]])
     counts = np.zeros(len(_BANDS), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The report of a shaper: its impulses, its step and how far the machine may differ."""
+"""The report of a shaper: its impulses, its step and its sensitivity curve."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _sensitivity(
     low = _SPAN[0] * min(m.frequency_hz for m in modes)
     high = _SPAN[1] * max(m.frequency_hz for m in modes)
     f = np.linspace(low, high, _POINTS)
-    # Every curve has its own dash and, at a few places, its own mark: colour is not needed.
+    # Every curve has its own dash and marker, to be told apart without colour.
     dashes = ("-", (0, (6, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
     for i, damping in enumerate(dict.fromkeys((*(m.damping_ratio for m in modes), 0.0))):
         curve = {**ACTUAL, "linestyle": dashes[i % len(dashes)], "color": str(0.18 * min(i, 3))}

@@ -1,4 +1,4 @@
-"""The report of a proof of stitches: the design by its margins, its moves, its speed."""
+"""The report of a proof of an embroidery design: stitches, moves, speed."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ _CAPTIONS = {
 }
 _DRAWN = ("stitch_residual",)
 STITCHES = "report-stitches.csv"
-"""Every stitch as a row of a table, beside the page."""
+"""File beside the page with a row for each stitch."""
 _WORST = 10
 _MINUTE = 60.0
 _LEFT_OUT = ("feed-mode", "limits", "interpolation")
-"""Options that mean nothing to a frame, or that its law says better."""
+"""Options without a meaning for a frame that moves from stitch to stitch by a law."""
 
 
 def write_stitched(proof: Proof, folder: Path) -> Path:
@@ -92,7 +92,7 @@ def write_stitched(proof: Proof, folder: Path) -> Path:
 
 
 def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
-    """Write the report of a comparison of laws or speeds; ``tables`` as they were printed."""
+    """Write the report of a comparison of laws or speeds; return the path of the HTML page."""
     first = found.proofs[0].plan
     good = all(proof.verdict.passed for proof in found.proofs)
     with figure_style():
@@ -124,12 +124,12 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
 
 
 def about_stitched(proof: Proof) -> list[str]:
-    """Return the lines that stand below the verdict: what is sewn, and how long it takes."""
+    """Return the lines below the verdict: stitches, moves, speed and time."""
     return [f"{name}:".ljust(22) + words for name, words in stitch_rows(proof.plan)]
 
 
 def stitch_rows(plan: Plan) -> list[list[str]]:
-    """Return what there is to say of the stitches of a plan: what, in words."""
+    """Return rows of two texts on the stitches of a plan: a name and its value."""
     stitched = plan.stitched
     told = stitched.told(plan.options)["stitches"]
     rows = [
@@ -159,7 +159,7 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
 
 
 def _speed_words(plan: Plan) -> str:
-    """Say how the speed of the shaft was chosen."""
+    """Return the text on how the speed of the shaft was chosen."""
     if plan.stitched.given:
         return "one for the whole design, as was given"
     if plan.stitched.constant:
@@ -173,7 +173,7 @@ def _speed_words(plan: Plan) -> str:
 
 
 def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
-    """Return the stitches that are farthest off in the run that is drawn, the worst first."""
+    """Return a table of the stitches with the largest errors in the drawn run, worst first."""
     plan = proof.plan
     run = StitchRun(drawn.recording, plan)
     turns, residual = plan.stitched.turns, run.sewn.residual_m

@@ -1,4 +1,4 @@
-"""The figures of stitches: the design by margins, lengths of moves, speed along the design."""
+"""The figures of an embroidery design: margins of stitches, lengths of moves, speed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SLOWEST = "all as slow as the slowest stitch alone"
 
 
 def design_figure(proof: Proof, recording: Recording) -> Figure:
-    """Draw the design as a run sewed it, each stitch by how much of its limit it uses."""
+    """Draw the design as a run sewed it; each stitch is shaded by its share of the limit."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
@@ -77,14 +77,14 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
 
 
 def _shade(share: float) -> tuple[float, float, float]:
-    """Return light blue to black: darker in grey as well as in colour."""
+    """Return a colour from light blue at 0 to black at 1, which is darker in grey print, too."""
     light, dark = np.array([0.60, 0.78, 0.92]), np.array([0.0, 0.05, 0.15])
     red, green, blue = (light + share * (dark - light)).tolist()
     return red, green, blue
 
 
 def _use(proof: Proof, run: StitchRun) -> tuple[FloatArray, str]:
-    """Return (s,) share of the limit that each stitch uses, and of what."""
+    """Return (s,) share of the limit that each stitch uses, and the name of that limit."""
     limits = [
         result.limit
         for axis in proof.plan.axes

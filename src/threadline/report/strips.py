@@ -1,4 +1,4 @@
-"""The figure of which limit binds a fastest motion, and when."""
+"""The figure of the limits that bind a fastest motion over time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STRIP = 0.38  # inches
 
 
 def binding_of(plan: Plan) -> Binding | None:
-    """Return which limits bind the motion of a plan; None where it is not the fastest by them."""
+    """Return the limits that bind the motion of a plan over time; None if it is not the fastest."""
     motion = plan.motion
     if motion.path.timing is not Timing.FASTEST:
         return None
@@ -35,7 +35,7 @@ def binding_of(plan: Plan) -> Binding | None:
 
 
 def binding_lines(found: Binding) -> list[str]:
-    """Return a line that says for how much of the time each limit binds, the longest first."""
+    """Return a line with the share of the time in which each limit binds, the largest first."""
     ordered = sorted(found.binds.items(), key=lambda item: -item[1])
     said = ", ".join(f"{kind} {share:.0%}" for kind, share in ordered if share > 0.0)
     return [f"Binding limits:       {said or 'none'} (of the time)"]

@@ -35,7 +35,7 @@ AXES: tuple[dict[str, Any], ...] = (
     {"color": "#CC79A7", "linestyle": (0, (8, 2)), "linewidth": 1.2},
     {"color": "#56B4E9", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.2},
 )
-"""Of several axes in one picture: in grey too, none may look like LIMIT, which is dotted."""
+"""Styles of several axes in one figure; none looks like LIMIT, which is dotted, even in grey."""
 
 _RC: dict[Any, Any] = {
     "figure.dpi": 110,

@@ -76,7 +76,7 @@ def write_switching(proof: Proof, folder: Path) -> Path:
             "frame": frame_figure(proof, run.recording, unshaped),
             "cycle": cycle_figure(proof, run.recording),
         }
-        # Every cylinder starts drawn in: what moves at all moves forward first.
+        # Every cylinder starts retracted, so its first move is forward.
         forward = [move for move in plan.scheduled.moves if move.forward]
         if forward:
             longest = max(forward, key=lambda move: move.levels.wanted_m)
@@ -110,7 +110,7 @@ def write_switching(proof: Proof, folder: Path) -> Path:
 
 
 def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
-    """Write the report of a comparison of shapers; ``tables`` as they were printed."""
+    """Write the report of a comparison of shapers; return the path of the HTML page."""
     first = found.proofs[0].plan
     good = all(proof.verdict.passed for proof in found.proofs)
     names = [proof.plan.options.get("shaper", "none") for proof in found.proofs]
@@ -144,12 +144,12 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
 
 
 def about_switching(proof: Proof) -> list[str]:
-    """Return the lines that stand below the verdict: how each cylinder is shaped."""
+    """Return the lines below the verdict: the shaper of each cylinder."""
     return [f"Cylinder {axis}:".ljust(22) + words for axis, words in shaping_rows(proof.plan)]
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:
-    """Return every cylinder with how it is shaped, in words; nothing if no shaper was asked for."""
+    """Return rows of a cylinder and its shaper, in words; none if no shaper was asked for."""
     if "shaper" not in plan.options:
         return []
     shaping = plan.scheduled.shaping

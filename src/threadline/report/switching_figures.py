@@ -1,4 +1,4 @@
-"""The figures of a proof on an on/off machine: the cycle, the frame, what each step leaves."""
+"""The figures of a proof on an on/off machine: cycle, frame, residual vibration of each step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MICRO = 1e6
 _MOST_SAMPLES = 20_000
 _LEAST_UM = 1.0
-"""Where the logarithmic scale of what rings begins."""
+"""Lower end of the logarithmic scale of residual vibration, micrometres."""
 
 
 def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
@@ -41,7 +41,7 @@ def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
 
 
 def _thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a trace, (n,) each; of a long one the extremes of every stretch."""
+    """Return times and values, (n,) each; of a long trace the extremes of every stretch."""
     if len(values) <= _MOST_SAMPLES:
         return time_s, values
     keep = extremes(values[:, None], np.arange(len(values)) * (_MOST_SAMPLES // 2) // len(values))
@@ -86,7 +86,7 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
 
 
 def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> Figure:
-    """Draw the frame over the cycle of a run, and without shaping."""
+    """Draw the motion of the frame over the cycle of a run, and that of the unshaped proof."""
     from matplotlib.figure import Figure
 
     run = SwitchRun(recording, proof.plan)
@@ -109,7 +109,7 @@ def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> 
 
 
 def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
-    """Draw what each step leaves ringing, with and without shaping, beside its limit."""
+    """Draw the residual vibration after each step, with and without shaping, and its limit."""
     from matplotlib.figure import Figure
 
     axes = proof.plan.job.axes
@@ -143,7 +143,7 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
 
 
 def residuals_figure(proofs: Sequence[Proof]) -> Figure:
-    """Draw what each step leaves ringing under every shaper, beside the limit."""
+    """Draw the residual vibration after each step under every shaper, and its limit."""
     from matplotlib.figure import Figure
 
     axes = proofs[0].plan.job.axes

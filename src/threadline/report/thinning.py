@@ -1,4 +1,4 @@
-"""Long traces with fewer samples, and none of their peaks lost."""
+"""Thinning of long traces that keeps their peaks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from threadline.arrays import FloatArray, IntArray
 def envelope(
     time_s: FloatArray, values: FloatArray, stretches: int = 800
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return beginnings of stretches of time, (k,), and the band that the values fill there.
+    """Return starts of stretches of time, (k,), and their least and largest values, (k,) each.
 
-    The band of a stretch reaches from its least to its largest value, the first one of the next
-    stretch included, so that bands that follow each other have no gap. All three end with the last
-    sample; what is no number is passed over.
+    A stretch includes the first value of the next one, so that the drawn bands have no gap. The
+    last entry of all three is that of the last sample; NaN is left out.
 
     Parameters
     ----------
@@ -38,7 +37,10 @@ def envelope(
 
 
 def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
-    """Return, (n,), where a column of (n, m) is largest or least in its stretch; and both ends."""
+    """Return (n,) True where one of the (n, m) ``columns`` is at an extreme of its stretch.
+
+    ``stretch`` is the (n,) number of each row's stretch. The first and the last row are True.
+    """
     keep = np.zeros(len(columns), dtype=bool)
     keep[[0, -1]] = True
     edges = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(columns)]

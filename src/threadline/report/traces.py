@@ -1,4 +1,4 @@
-"""A recording and its plan, thinned to what a figure can show and whole where it counts."""
+"""A recording and its plan, thinned for figures, but with every sample at the marked places."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from threadline.verdict.samples import Block
 MAX_SAMPLES = 20_000
 MAX_VERTICES = 2_000
 AROUND_SAMPLES = 2_000
-"""So many samples before and after a place that is marked are all drawn."""
+"""Number of samples on both sides of a marked place that are all drawn."""
 AROUND_OPERATIONS = 50
-"""So many operations before and after a place that is marked have all their points drawn."""
+"""Number of operations on both sides of a marked place whose points are all drawn."""
 MARKED = ("contour_error", "tracking_error")
 """The criteria whose worst place is marked in a figure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Traces:
-    """What is drawn.
+    """Samples of a recording and its plan for figures.
 
     Parameters
     ----------
     time_s
         (n,) instants of the samples that were kept, increasing.
     whole
-        (n,) whether no sample was left out between a sample and the one kept before it.
+        (n,) True where no sample was left out before this one.
     commanded, actual
-        Per axis: (n,) m or rad. ``actual`` is what the judge takes for it: the tool or the load
-        where there is one, else the encoder.
+        Per axis: (n,) m or rad. ``actual`` is the position that the judge uses: that of the tool or
+        the load where the recording has one, else that of the encoder.
     velocity, acceleration
         Per axis: (n,) differences of ``actual`` over the recording's own ticks, SI.
     planned
@@ -50,9 +50,9 @@ class Traces:
     vertices
         (m, axes) programmed vertices.
     stride
-        Of so many samples of the recording the extremes were kept; 1 where all were.
+        Number of samples of a stretch, of which the extremes were kept; 1 where all were kept.
     run
-        Of which run the samples are: that in which the first of ``MARKED`` is worst.
+        The run that is drawn: the one in which the first of ``MARKED`` is worst.
     contour
         (k,) times and (k,) contour errors, m, each the largest of a stretch of the job; None
         where it could not be measured.
@@ -77,18 +77,18 @@ class Traces:
 
 
 def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
-    """Read the run with the worst place, trajectory and programmed path once each and thin them.
+    """Read the run with the worst place, its trajectory and the programmed path, and thin them.
 
-    Of every stretch of a long recording the samples are kept at which an axis is at an extreme in
-    position, velocity or acceleration, planned or actual, or in tracking error: a peak of a single
-    sample stays. About the places that figures mark every sample is kept.
+    Of every stretch of a long recording those samples are kept at which an axis has an extreme of
+    position, velocity or acceleration, planned or actual, or of tracking error: a peak of a single
+    sample stays. Near the places that figures mark every sample is kept.
 
     Parameters
     ----------
     proof
         Its plan has axes with a path.
     around_s
-        More instants about which every sample is kept, s.
+        More instants, s, near which every sample is kept.
     """
     plan, run = proof.plan, drawn_run(proof, MARKED)
     recording = as_intended(run.recording, plan)
@@ -131,10 +131,10 @@ def _kept(
     stride: int,
     around_s: Sequence[float],
 ) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield number, time, command, position, velocity, acceleration, plan of what is kept.
+    """Yield block by block the kept samples' number, time, command, positions and their plan.
 
-    A block at a time. Numbers and times are (n,), the others (n, axes), the plan (n, 3, axes) with
-    velocity and acceleration. What a recording lacks is NaN.
+    Numbers and times are (n,), command, position, velocity and acceleration (n, axes), the plan
+    (n, 3, axes): position, velocity, acceleration. A signal that the recording lacks is NaN.
     """
     before: FloatArray | None = None
     reader = TrajectoryReader(trajectory)
