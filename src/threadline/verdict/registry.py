@@ -120,8 +120,8 @@ _KINDS = (
         ),
         options=repeat.OPTIONS,
     ),
-    # The only measure with two inputs: a path tells beforehand how far it goes, a schedule does
-    # not. The allowance is for sums of increments that end a rounding beyond the travel.
+    # The only measure of plans or runs by the intent: a path or step tables tell beforehand how far
+    # they go, a schedule does not. The allowance is for rounded sums that end beyond the travel.
     MeasureKind(
         name="travel",
         dimension="axis",
