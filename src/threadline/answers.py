@@ -92,13 +92,14 @@ class Proved(Answer):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What a search for the fastest found.
+    """The result of a search for the fastest way to do a job in spec.
 
     Parameters
     ----------
     best
-        The highest feed (m/s of the fastest axis) or needle speed (stitch/s) in spec, or the
-        shortest cycle (s); None where nothing is in spec.
+        The highest feed (m/s of the fastest axis) or needle speed (stitch/s) in spec, the shortest
+        cycle of a move list (s), or the shortest duration of an embroidery design (s); None where
+        nothing is in spec.
     unit
         ``"m/s"``, ``"stitch/s"`` or ``"s"``.
     limited_by
