@@ -50,12 +50,6 @@ class PartProgram:
 
     Parameters
     ----------
-    file
-        The file, with its hash.
-    reading
-        Axes and dialect.
-    structure
-        Its programs and their calls.
     linear
         (axes,) whether an axis is linear.
     rule
