@@ -133,6 +133,10 @@ def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[
         (["--mode", "3Hz", "--still", "0.02"], ["--still", "Add --move"]),
         (["--mode", "3Hz", "--band", "0.1"], ["--band", "kind zv", "Add --tick or --move"]),
         (["--mode", "3Hz", "--tick", "5"], ["--tick '5'"]),
+        (
+            ["--mode", "3Hz", "--kind", "um-ei", "--tick", "10ms", "--dwell", "2s"],
+            ["need 2 s between two switchings", "the whole shaper takes 0.2"],
+        ),
         (["--mode", "3Hz", "--tick", "10ms", "--dwell", "1e9s"], ["dwell_s 1e+09", "unit"]),
         (["--mode", "3Hz", "--tick", "1000s"], ["tick_s 1000", "unit"]),
         (["--mode", "3Hz", "--tick", "1e-30s"], ["tick_s 1e-30", "unit"]),

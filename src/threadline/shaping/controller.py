@@ -210,6 +210,13 @@ def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: Controll
                 "the train and the slowest period",
                 remedy="Check its unit: no train for this mode can be played so slowly.",
             )
+    if len(shaper.times_s) > 1 and limits.dwell_s > shaper.duration_s:
+        raise OptionError(
+            f"controller: the valves need {limits.dwell_s:g} s between two switchings, and the "
+            f"whole shaper takes {shaper.duration_s:.4g} s",
+            remedy="So far apart its impulses add to the vibration: take quicker valves, a longer "
+            "shaper, or leave --dwell out.",
+        )
     if longest_s / limits.tick_s > _MOST_TICKS:
         raise OptionError(
             f"controller: tick_s {limits.tick_s:g} divides the train into more than "
