@@ -177,7 +177,7 @@ def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
         for feed in ("programmed", "20.0 count/tick")
     ]
     assert not {"feed", "interpolation"} & set(facts)
-    assert facts["tolerance"] == "0.0001 m"
+    assert facts["tolerance"] == "0.1 mm"
 
 
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:

@@ -11,6 +11,7 @@ from threadline import __version__
 from threadline.escaping import plain
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
+from threadline.options import parse_tolerance_m, tolerance_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -165,4 +166,6 @@ def options_facts(
     told = {key: value for key, value in options.items() if key not in leave_out}
     if told.get("machine") == machine.name:
         del told["machine"]
+    if "tolerance" in told:
+        told["tolerance"] = tolerance_words(parse_tolerance_m(told["tolerance"]))
     return sorted((named.get(key, key), value) for key, value in told.items())
