@@ -17,7 +17,7 @@ from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
-_told = threading.Lock()  # held from where the line of an interrupt is written
+_told = threading.Lock()  # taken when the line of an interrupt is written
 _SAME_S = 1.0
 _ENDS = {
     number: (128 + number, f"error: {said}; nothing was left half-written\n")
@@ -70,7 +70,7 @@ def leaving_on_interrupt() -> Iterator[None]:
 def terminating() -> Iterator[Termination]:
     """Treat SIGTERM and SIGHUP as interrupts within the block; yield the signal that came."""
     termination = Termination()
-    if _told.locked():  # of a command before it in this process
+    if _told.locked():  # by an earlier command in this process
         _told.release()
     with _answering(dict.fromkeys(_ENDS, termination.answer)):
         yield termination
@@ -95,7 +95,7 @@ def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
-    if not _told.acquire(blocking=False):  # a signal on top of another, which is being answered
+    if not _told.acquire(blocking=False):  # an earlier signal is being answered
         return
     status, said = _ENDS[signal.Signals(number)]
     os.write(_STDERR, said.encode())

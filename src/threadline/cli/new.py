@@ -77,7 +77,7 @@ def new(
         bool,
         typer.Option(
             "--limits-only",
-            help="Of a firmware's machine: take its limits alone, ask nothing of motors and "
+            help="Of a firmware's machine: take its limits alone, without values of motors and "
             "masses. Jobs are then proven for limits and time, and not for placement.",
         ),
     ] = False,
@@ -93,7 +93,7 @@ def new(
     Of a machine with grbl: threadline new grbl-winder my-winder --from settings.txt
     --set rotary=A --set "torque=1.26 N m"
 
-    The same with its limits alone: threadline new grbl-winder my-winder --from settings.txt
+    With the limits of the settings alone: threadline new grbl-winder my-winder --from settings.txt
     --limits-only --set rotary=A --set "radius=50 mm"
     """
     if kind in KINDS:

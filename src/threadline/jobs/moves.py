@@ -147,7 +147,7 @@ class _Reader:
         return found
 
     def home(self, table: Mapping[str, Any], operations: list[Operation]) -> tuple[str, ...]:
-        """Return the order of the way home, where the list says it: every cylinder once.
+        """Return the order in which cylinders go home if the list gives one: every cylinder once.
 
         At its top, or by an operation that brings the cylinders home.
         """

@@ -1,4 +1,4 @@
-"""What the needle does while a table's rows are played: columns beside the rows of a seam."""
+"""Columns of a seam's table beside its rows: needle-down instants, needle to be up, trims."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from threadline.plan import Plan
 from threadline.signals import Clock, TickBlock
 from threadline.verdict.needle import planned_stitches
 
-_SLACK = 1e-6  # of a tick: a needle-down so shortly before a tick counts as at it
+_SLACK = 1e-6  # ticks: a needle-down at most this long before a tick counts as at the tick
 
 
 class NeedleColumns:

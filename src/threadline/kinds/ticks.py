@@ -208,7 +208,7 @@ def _release(plan: Plan) -> None:
 
 
 def _write_csv(plan: WrittenPlan, path: Path) -> list[Written]:
-    """Write the rows; of a seam what the needle does beside them."""
+    """Write the rows; of a seam with the columns of the needle."""
     table = tick_table(plan.commands)
     sewn = isinstance(plan, Plan) and has_stitches(plan.job)
     needle = NeedleColumns(plan, table.clock) if isinstance(plan, Plan) and sewn else None

@@ -1,4 +1,4 @@
-"""Machines within the tolerances that never come to the end of a job: out of specification."""
+"""Machines within the tolerances that never reach the end of a job: out of specification."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNANSWERED = "unanswered"
 def answering(
     kind: Kind, commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
 ) -> tuple[list[Recording], list[str]]:
-    """Return recordings of the machines that come to an end, and why each of the others does not.
+    """Return recordings of the machines that reach the end, and the reason of each other one.
 
     Every recording is read through once.
 
@@ -46,9 +46,9 @@ def answering(
 
 
 def unanswered(machines: int, why: list[str]) -> Result:
-    """Return the criterion that none of ``machines`` stops short of the end of the job.
+    """Return the criterion that all of ``machines`` reach the end of the job.
 
-    It is measured as the share of those that do; ``why`` says of each of them what held it up.
+    Measured is the share of machines that do not; ``why`` has the reason for each of those.
     """
     return Result(
         name=UNANSWERED,

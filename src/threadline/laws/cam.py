@@ -24,7 +24,7 @@ from threadline.units import parse_quantity
 _MOST_BYTES = 20_000_000
 _MOST_ROWS = 20_000
 _FEWEST = 6
-_MOST_DIGITS = 300  # behind the point: more are 0 as a number
+_MOST_DIGITS = 300  # after the decimal point: a number with more is 0
 _COLUMN = re.compile(r"(?P<name>[A-Za-z]+)\s*(?:\[(?P<unit>[^\]]+)\]|_(?P<short>\w+))?")
 _KINDS = {"alpha": "rad", "h": "m", "phi": "rad"}
 _USUAL = {"alpha": "deg", "h": "mm", "phi": "deg"}
@@ -108,7 +108,7 @@ class MeasuredCam(Locked):
     follower_slope
         (n,) derivative of that position by distance; 1 without a triangle.
     rounding_m
-        Standard deviation of what writing the distances with so many digits took from them.
+        Standard deviation of the rounding of the distances to the digits that are written.
     """
 
     file: str

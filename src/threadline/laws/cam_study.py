@@ -24,7 +24,7 @@ _OUTLIER = 4.0
 _DOUBT = 1e3
 _MISSED = 2.0
 _EVEN = 1e-6  # of the spacing
-_EXACT = 1e-9  # of the rise: no gauge measures to that
+_EXACT = 1e-9  # of the rise: below what any gauge measures
 _LOOKS = 16  # samples in each interval between rows
 
 

@@ -15,8 +15,8 @@ from threadline.laws.forms import Form
 from threadline.laws.inverse_law import invert
 
 LEAST_STRETCH = 1e-7
-"""Of the time of a move: what is shorter is a step, whose derivatives are rounding."""
-_SAME = 1e-9  # of the time: ends as close are one, two ways to the same place or a shaper's
+"""Share of the move's time; a shorter stretch is a step, whose derivatives are rounding."""
+_SAME = 1e-9  # of the time: ends this close are one end, calculated in two ways
 LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
 
 
@@ -160,7 +160,7 @@ def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatAr
 
 
 def check_stretches(name: str, ends: Iterable[float]) -> None:
-    """Refuse a law of which a stretch takes next to nothing of the time.
+    """Refuse a law with a stretch shorter than ``LEAST_STRETCH``.
 
     Parameters
     ----------

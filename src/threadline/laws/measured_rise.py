@@ -15,7 +15,7 @@ _ORDER = 4  # of the differences: those of a smooth rise at a hundred rows are f
 _NEAR = 1.8  # five rows that span more than this times the median have a gap: no noise is taken
 _OUTLYING = 4.0
 _FEWEST = 8
-_FEW = 20  # rows: each is looked at for itself
+_FEW = 20  # rows: with so few, no median is taken
 _FALL, _RISE = 7.0, 6.0  # times the noise
 _DWELL = 3  # least number of rows of a dwell
 _STIFF = 1e-9  # weight of the jerk per row: so stiff that the ends matter more than the noise
@@ -108,7 +108,7 @@ def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
         return
     low = int(fallen[0])
     top = int(np.flatnonzero(h[:low] >= highest[low] - 0.5 * _FALL * noise_m)[-1])
-    near = cam.h_m[max(top - 1, 0) : low]  # medians flatten a peak
+    near = cam.h_m[max(top - 1, 0) : low]  # a median would flatten the peak
     top = low - 1 - int(np.argmax(near[::-1] >= near.max() - 0.5 * _FALL * noise_m))
     degrees = np.degrees(cam.alpha_rad)
     raise OptionError(

@@ -26,7 +26,7 @@ from threadline.machine import Machine
 
 REAL_TIME = 1.0
 LEAST_SPEED = 1e-3
-"""Slower, a report of the machine comes later than the executor waits for one."""
+"""Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
 """Shortest period of reports in s; several shorter ticks are played at a time."""
 _SEND_S = 2.0

@@ -1,4 +1,4 @@
-"""Whether anything is known of what the drives of a machine move."""
+"""Which machines have dynamics: masses, motors and loops that a simulation can use."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from threadline.machine.model import Machine
 
 
 def check_dynamics(asked: str, *machines: Machine | None) -> None:
-    """Refuse to tell of machines with limits alone what only masses, motors and loops tell.
+    """Refuse a question that needs dynamics about machines of which only limits are known.
 
     Parameters
     ----------
     asked
-        What needs them, as the subject of a sentence: ``"how axis X swings"``.
+        The question, as the subject of a sentence: ``"how axis X swings"``.
     machines
-        Of which it is asked; None for one that is not there.
+        The machines that it is about; None for one that was not given.
 
     Raises
     ------

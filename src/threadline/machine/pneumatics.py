@@ -21,9 +21,9 @@ Length = Annotated[Quantity, Units(("m",), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
 """A delay or lag of compressed air, of at most 100 s; one second is long."""
 REST_LAGS = 4.0
-"""So many lags after the flow has ended a cylinder has come to rest within 2 %."""
+"""Number of lags after the end of the flow at which a cylinder is at rest within 2 %."""
 TIMES = (".delay", ".opens", ".closes")
-"""How the paths of times end that are instants of a simulation."""
+"""Ends of the paths of numbers that are instants of a simulation."""
 InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
@@ -104,12 +104,12 @@ class Way:
 
     @property
     def opens_s(self) -> float:
-        """How much later than commanded its valves open."""
+        """Return the delay from the command to the opening of its valves."""
         return 0.0 if self.opens is None else self.opens.si
 
     @property
     def closes_s(self) -> float:
-        """How much later than commanded they close."""
+        """Return the delay from the command to the closing of its valves."""
         return 0.0 if self.closes is None else self.closes.si
 
     def least_hold_s(self, plc: Plc) -> float:

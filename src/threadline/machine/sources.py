@@ -131,7 +131,7 @@ class PulseServo:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Kinematic:
-    """A drive that is told positions on ``clock``, and of which nothing else is known."""
+    """A drive that is given positions on ``clock``; its motor and its load are unknown."""
 
     kind: Literal["kinematic"]
     clock: str

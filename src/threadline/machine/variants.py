@@ -176,7 +176,7 @@ def one_at_a_time(machine: Machine) -> FloatArray:
 
 
 def ends_then_drawn(machine: Machine, count: int, seed: int) -> FloatArray:
-    """Return (count, n) parts: each number at either end of its tolerance alone, then all drawn."""
+    """Return (count, n) parts: first each number alone at both ends, then all numbers drawn."""
     ends = one_at_a_time(machine)[:count]
     return np.concatenate([ends, drawn(machine, seed, np.arange(count - len(ends)))])
 

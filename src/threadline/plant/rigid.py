@@ -46,7 +46,7 @@ def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si
 
 
 def drive_unit(machine: Machine, axis: str) -> str:
-    """Return the unit of what the stepper or pulse servo of an axis gives: "N m", or "N"."""
+    """Return the unit of the torque or force of an axis' stepper or pulse servo: "N m" or "N"."""
     source = machine.source_of(axis)
     assert source is not None
     return "N" if machine.bodies[source.body].kind == "linear" else "N m"

@@ -53,7 +53,7 @@ def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
 
 
 def rows_figure(study: CamStudy) -> Figure:
-    """Draw the rows, what fairing moved, and second differences before and after."""
+    """Draw the rows, their change by fairing, and second differences before and after."""
     from matplotlib.figure import Figure
 
     cam = study.cam

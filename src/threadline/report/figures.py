@@ -239,7 +239,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
 
 
 def criteria_figure(proof: Proof) -> Figure:
-    """Draw each measured figure by its limit alone: no place is known."""
+    """Draw the bars of the criteria alone, for a machine whose load is unknown."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, max(2.0, _BAR_IN * len(_limited(proof)))))

@@ -121,7 +121,7 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
 
 
 def asked_lines(proof: Proof) -> list[str]:
-    """Return a line with what is asked where that may be no more than the machine's limits."""
+    """Return a line with the specification, for a machine of which only limits are known."""
     if not proof.plan.machine.without_dynamics:
         return []
     return [f"Asked:                {proof.spec.name}"]
@@ -183,7 +183,7 @@ def thinned_words(stride: int) -> str:
 
 
 def _caption(name: str, *, known: bool) -> str:
-    """Return what a figure shows; ``known`` is where the driven masses went."""
+    """Return the samples of a figure; ``known`` are the positions of the driven masses."""
     if name == "seam":
         return (
             "Each mark is a needle-down, its shape and size by how much of its limits the stitch "

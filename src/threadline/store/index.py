@@ -126,7 +126,7 @@ class RunIndex:
         self._engine.dispose()
 
     def _record(self, row: RowMapping) -> RunRecord:
-        """Return a run as its row says; SQLite holds anything in a column of any type."""
+        """Return the run of a row, checked: SQLite holds any type in any column."""
         wrong = [name for name, value in row.items() if not _fits(str(name), value)]
         if wrong:
             raise StoreError(
@@ -138,7 +138,7 @@ class RunIndex:
 
     @contextmanager
     def _clear(self) -> Iterator[None]:
-        """Turn what a database refuses into one line."""
+        """Raise errors of the database as a ``StoreError`` of one line."""
         try:
             yield
         except (SQLAlchemyError, ImportError, ValueError) as error:
@@ -152,8 +152,8 @@ class RunIndex:
 
 
 def _fits(name: str, value: object) -> bool:
-    """Say whether a column holds what ``RunRecord`` has there."""
-    if name == "run":  # the name of a folder in that of the store, and never a way out of it
+    """Return whether the value of a column has the type of its field in ``RunRecord``."""
+    if name == "run":  # a folder of the store, never a path out of it
         return isinstance(value, str) and bool(_NAME.fullmatch(value)) and value.strip(".") != ""
     if name == "passed":
         return value is None or isinstance(value, bool)

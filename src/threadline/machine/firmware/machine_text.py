@@ -52,7 +52,7 @@ def machine_text(
     Parameters
     ----------
     limits_only
-        Whether the drives are kinematic: nothing is asked of motors and masses.
+        Whether to make kinematic drives, without values of motors and masses.
 
     Raises
     ------

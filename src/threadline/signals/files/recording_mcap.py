@@ -171,14 +171,14 @@ def _check_length(length: int, path: Path) -> None:
 
 
 def _records_of(kind: int, content: bytes, path: Path) -> list[Any]:
-    """Return the schemas and messages that a record is, or holds."""
+    """Return a record that is a schema or a message, or those that a chunk holds."""
     stream = ReadDataStream(BytesIO(content))
     try:
         if kind == Opcode.SCHEMA:
             return [Schema.read(stream)]
         if kind == Opcode.MESSAGE:
             return [Message.read(stream, len(content))]
-        if kind == Opcode.CHUNK:  # of a tool that packed the file
+        if kind == Opcode.CHUNK:  # written by another tool, with compression
             chunk = Chunk.read(stream)
             _check_length(chunk.uncompressed_size, path)
             return breakup_chunk(replace(chunk, compression="", data=_unpacked(chunk)))
@@ -192,7 +192,7 @@ def _records_of(kind: int, content: bytes, path: Path) -> list[Any]:
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Return what a chunk holds: as many bytes as it says, and never more than those."""
+    """Return the decompressed bytes of a chunk, at most as many as its header gives."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)

@@ -41,7 +41,7 @@ READ_ROWS = 1 << 16
 MAX_AXES = 64
 TITLE = "tick-table 1"
 NEEDLE_COLUMNS = ("needle_down [s]", "needle_up", "trim")
-"""Of a seam: how long after its tick the needle goes down, whether it must be up, and trims."""
+"""Columns of a seam: time from the tick to needle-down, whether the needle must be up, trim."""
 END = "# end after ticks: "
 """Begins the last line of a text table: without it a file that was cut off could pass."""
 
@@ -252,7 +252,7 @@ class Beside(Protocol):
     """Makes the cells of ``NEEDLE_COLUMNS``."""
 
     def cells(self, block: TickBlock) -> Sequence[str]:
-        """Return those of every row of the next block, joined by commas."""
+        """Return the cells of every row of the next block, joined by commas."""
         ...
 
 
@@ -268,7 +268,7 @@ def write_table_csv(table: TickTable, path: Path, needle: Beside | None = None) 
     Parameters
     ----------
     needle
-        What the needle does while the rows are played, of a seam.
+        Columns of the needle, for a seam.
     """
     columns = csv_columns(table.axes, needle is not None)
     return write_text(table, path, TITLE, columns, partial(_csv_rows, needle))
