@@ -134,6 +134,25 @@ QUICK = [
     ),
     Quick(
         DOCUMENT,
+        COMPARED,
+        cases(
+            [contour],
+            [
+                "| linear | 10 | 0.463 in spec | {} in spec |",
+                "| linear | 80 | 3.091 out | {} out |",
+                "| b-spline | 10 | 8.573 out | {} out |",
+                "| b-spline | 80 | 9.058 out | {} out |",
+                "| b-spline-pulled | 10 | 0.006 in spec | {} in spec |",
+                "| b-spline-pulled | 80 | 0.185 in spec | {} in spec |",
+                "| auto | 10 | 0.433 in spec | {} in spec |",
+                "| auto | 80 | 0.847 out | {} out |",
+            ],
+        ),
+        more=["--no-fastest"],
+        status=1,
+    ),
+    Quick(
+        DOCUMENT,
         EYE,
         cases(
             OF_EYE,

@@ -44,7 +44,7 @@ SLOW: dict[str, dict[str, str]] = {
         "threadline fastest SEAM -m stitcher --feed-forward": "minutes",
         'threadline fastest SEAM -m stitcher --feed-forward --low "20 stitch/s" --mismatch '
         "--report DIR": "nine searches",
-        "threadline prove SEAM -m found.toml": "of what design found",
+        "threadline prove SEAM -m found.toml --nominal": "of what design found",
         "threadline prove examples/stitcher-steep.seam.toml -m stitcher --feed-forward "
         '--smoothing "42 ms"': "its file is changed by hand for each needle speed",
     },
@@ -86,6 +86,8 @@ SLOW: dict[str, dict[str, str]] = {
         "python tools/schiffli_claim.py": "tests/stitching/test_claim.py",
     },
     "yield.md": {
+        "python -m tools.yield_against_speed winder": "ten minutes",
+        "python -m tools.yield_against_speed stitcher": "five minutes",
         'threadline yield examples/x-180.prg -m lathe-winder --variants 2000 --at-least "99 %"': (
             "40 s"
         ),

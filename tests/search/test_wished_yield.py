@@ -16,12 +16,12 @@ from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.machine.variants import drawn, variant
+from threadline.machine.variants import drawn, uncertain, variant
 from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, prove_plan, yielding
 from threadline.plan import Plan
 from threadline.search.cheapest_set import cheapest_set
-from threadline.search.design import design
+from threadline.search.design import Found, design
 from threadline.search.machine_yield import MachineYield
 from threadline.signals import tick_table
 from threadline.twin import simulate
@@ -149,3 +149,36 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     wished = design(file, machine, spec, Options(), wished=0.3, effort=SMALL)
     assert wished.found is None
     assert wished.refused
+
+
+def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
+    """At 50 stitch/s settings alone keep the machine as typed in spec, but not those drawn.
+
+    Of the candidates that trade cost for margin the cheapest that keeps 80 % is taken; 200 machines
+    of another seed are held against it.
+    """
+    stitcher = load_machine("stitcher")
+    file = tmp_path / "corner.seam.toml"
+    file.write_text(CORNER.replace("75 stitch", "50 stitch"))
+    spec = load_spec(PLACE, stitcher)
+    varies = {
+        f"{part}.{table}"
+        for part, table in (("bodies.x_head", "inertia"), ("bodies.y_head", "inertia"),
+                            ("links.x_belt", "stiffness"), ("links.y_belt", "stiffness"))
+    }  # fmt: skip
+    held = [path for one in uncertain(stitcher) for path in one.numbers if path not in varies]
+    kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
+    machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=kept)
+
+    def drawn_by_hand(found: Found) -> tuple[float, float]:
+        plan = plan_job(read_job(file, found.machine), found.machine, Options())
+        return MachineYield(plan, found.spec).drawn(200, 7).interval
+
+    plain = design(file, machine, spec, Options(), effort=SMALL).found
+    assert plain is not None and plain.candidate.cost == 0.0
+    assert drawn_by_hand(plain)[1] < 0.7
+    wished = design(file, machine, spec, Options(), wished=0.8, effort=SMALL).found
+    assert wished is not None and wished.verdict.passed
+    assert wished.verdict.result("rejects").measured <= 0.2
+    assert wished.candidate.cost > 0.1
+    assert drawn_by_hand(wished)[0] > 0.8
