@@ -39,6 +39,7 @@ from fuzz_cases import (
     answer_alarms,
     run_case,
 )
+from fuzz_live import options, store
 from fuzz_odd import odd_file, study
 
 from threadline.machine import overlay_names
@@ -326,6 +327,16 @@ def studies(rng: random.Random, _index: int) -> Case:
     return Case(*study(rng, number))
 
 
+def stores(rng: random.Random, _index: int) -> Case:
+    """List and judge the runs of stores whose index holds something else."""
+    return Case(*store(rng))
+
+
+def live(rng: random.Random, _index: int) -> Case:
+    """Run with faults and speeds of all sizes, and prove by laws of any numbers."""
+    return Case(*options(rng, number))
+
+
 KINDS_OF_CASES: dict[str, Callable[[random.Random, int], Case]] = {
     "machine-number": machine_number,
     "shaper": shaper_numbers,
@@ -333,6 +344,8 @@ KINDS_OF_CASES: dict[str, Callable[[random.Random, int], Case]] = {
     "names": names,
     "outputs": outputs,
     "odd-files": odd_files,
+    "stores": stores,
+    "live": live,
     "studies": studies,
 }
 
