@@ -208,7 +208,8 @@ def test_single_and_continuous_cycles_and_their_count() -> None:
 def test_by_hand_one_thing_at_a_time_with_the_interlocks_of_the_cycle() -> None:
     jogs = {"x_out": 1, "x_in": 2, "z_out": 3, "z_in": 4, "knife": 5, "venturi": 6, "press": 7}
     bench = homed(plc())
-    assert bench.scan(manual=True) == {"main_air"}
+    for _ in range(160):
+        assert bench.scan(manual=True) == {"main_air"}
     assert bench.scan(manual=True, jog=jogs["x_out"]) == {"main_air", "x_right", "x_right_a2"}
     assert bench.scan(manual=True, jog=jogs["knife"]) == {"main_air"}, "the lift is up"
     assert not bench.block["homed"]
@@ -218,6 +219,7 @@ def test_by_hand_one_thing_at_a_time_with_the_interlocks_of_the_cycle() -> None:
     assert bench.scan(manual=True, jog=jogs["x_out"]) == {"main_air"}, "the lift is down"
     assert bench.scan(manual=True, jog=jogs["z_out"]) == {"main_air"}, "it is at its end"
     assert bench.scan(manual=True, jog=jogs["x_out"], light_grid=False) == set()
+    bench.press("acknowledge")
     assert bench.scan(start_button=True) == set(), "a start that is not home"
     for _ in range(3):
         assert bench.scan(manual=True, start_button=True, home_button=True) <= {"main_air"}

@@ -12,8 +12,10 @@ import math
 from collections.abc import Iterator
 
 from threadline.errors import Place, PlanError
+from threadline.machine import Machine
 from threadline.targets.homing import Homing, home_stage
 from threadline.targets.plc_net import NetPlace
+from threadline.targets.plc_watch import Watch
 from threadline.targets.schedule import Scheduled, ScheduledMove
 
 HOMING = "homing"
@@ -30,8 +32,7 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
     """
     machine = scheduled.machine
     air = tuple(n for n, o in machine.outputs.items() if o.kind == "soft-start")
-    ramps = [o.ramp.si for o in machine.outputs.values() if o.ramp is not None]
-    now_ms = _scans_ms(max(ramps, default=0.0), scan_ms)
+    now_ms = air_ms(machine, scan_ms)
     places = [_place(after + 1, air, now_ms, None)]
     for axis in home_order(scheduled):
         stage = home_stage(machine, axis)
@@ -41,6 +42,28 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
         now_ms = _scans_ms(stage.pressed_s, scan_ms)
         places.append(_place(after + len(places) + 1, on, now_ms, None))
     return tuple(places)
+
+
+def air_ms(machine: Machine, scan_ms: int) -> int:
+    """Return how long the soft start takes to bring the air up, ms, whole scans."""
+    ramps = [o.ramp.si for o in machine.outputs.values() if o.ramp is not None]
+    return _scans_ms(max(ramps, default=0.0), scan_ms)
+
+
+def home_watches(places: tuple[NetPlace, ...], machine: Machine) -> list[dict[str, Watch]]:
+    """Return what the end switches must say in each place of the way home.
+
+    Nothing is known of a cylinder before its own switch has come; from then on it stands at its
+    start, also while others come back.
+    """
+    found: list[dict[str, Watch]] = []
+    home: dict[str, Watch] = {}
+    for place in places:
+        found.append(dict(home))
+        axis = machine.contacts[place.wait[0]].cylinder if place.wait is not None else None
+        if axis is not None:
+            home[axis] = Watch(axis=axis, begin_m=0.0, end_m=0.0)
+    return found
 
 
 def _place(

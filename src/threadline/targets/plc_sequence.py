@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from threadline.machine import Machine
 from threadline.targets.homing import slowest
-from threadline.targets.plc_home import HOMING, home_places
+from threadline.targets.plc_home import HOMING, home_places, home_watches
 from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import NetPlace, PetriNet, petri_net
 from threadline.targets.plc_pou import Variable
@@ -48,7 +48,7 @@ class NamedPlace:
     note
         What happens until its time has come, for people.
     watch
-        What the end switches of each cylinder must say; empty on the way home.
+        What the end switches of each cylinder must say, as far as that is known.
     """
 
     place: NetPlace
@@ -182,12 +182,12 @@ def sequence_of(scheduled: Scheduled, names: Names) -> Sequence:
     watched = watches(scheduled, net)
     back = home_places(scheduled, len(net.places), net.scan_ms)
     cycle = _named(net.places, watched, scheduled, names)
-    homing = _named(back, [{} for _ in back], scheduled, names)
+    homing = _named(back, home_watches(back, machine), scheduled, names)
     return Sequence(
         net=net,
         cycle=cycle,
         homing=homing,
-        guarded=tuple(_guarded(machine, cycle, names)),
+        guarded=tuple(_guarded(machine, (*cycle, *homing), names)),
         jogs=tuple(_jogs(scheduled, cycle, names)),
         contacts={
             c: names.give(f"c_{c}") for c, k in machine.contacts.items() if k.kind == "contact"
@@ -267,9 +267,9 @@ def _before_vacuum(
     return found
 
 
-def _guarded(machine: Machine, cycle: tuple[NamedPlace, ...], names: Names) -> Iterator[Guarded]:
+def _guarded(machine: Machine, places: tuple[NamedPlace, ...], names: Names) -> Iterator[Guarded]:
     for axis in machine.cylinders:
-        ways = [named.watch[axis] for named in cycle if axis in named.watch]
+        ways = [named.watch[axis] for named in places if axis in named.watch]
         if not ways:
             continue
         known: dict[tuple[float, float], str] = {}

@@ -6,6 +6,7 @@ typed, located variables in a VAR block of their own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +15,16 @@ from threadline.errors import PlanError
 from threadline.escaping import st_comment
 from threadline.machine import Machine
 from threadline.signals.files.common import Written, atomic_file, written
+from threadline.targets.plc_home import air_ms
 from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import PetriNet
 from threadline.targets.plc_pou import Block, PlcProgram, Pou, Variable
 from threadline.targets.plc_sequence import FAULTS, Sequence, sequence_of
 from threadline.targets.schedule import Scheduled
 from threadline.targets.schedule_moves import shaping_words
-from threadline.targets.structured_text_body import Words, body_lines
+from threadline.targets.structured_text_body import body_lines
+from threadline.targets.structured_text_hand import HAND_NAMES, hand_state
+from threadline.targets.structured_text_words import Words
 from threadline.writing import together
 
 _PANEL_INPUTS = {
@@ -46,7 +50,7 @@ _PANEL_OUTPUTS = {
 }
 _INTERNAL = (
     "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
-    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "jogging", "sequence",
+    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence", *HAND_NAMES,
     *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
 )  # fmt: skip
 _ONCE = ("start", "acknowledge", "home")
@@ -89,6 +93,8 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
         },
         watchdog_ms=round(1000.0 * machine.plc.watchdog.si),
         early_ms=net.scan_ms // 2,
+        air_ms=air_ms(machine, net.scan_ms),
+        dwell_ms=_dwell_ms(machine),
     )
     block = Pou(
         kind="FUNCTION_BLOCK",
@@ -118,6 +124,14 @@ def _of_kind(machine: Machine, kind: str) -> list[str]:
             remedy=f'Add contacts with kind = "{kind}" to the machine file.',
         )
     return found
+
+
+def _dwell_ms(machine: Machine) -> int:
+    """Return the longest of the shortest times between two switchings of one valve."""
+    assert machine.plc is not None
+    ways = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
+    dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in ways)]
+    return math.ceil(1000.0 * max(dwells_s) - 1e-9)
 
 
 def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
@@ -172,7 +186,7 @@ def _panel_outputs() -> Iterator[Variable]:
 def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
     yield Variable(name="origin", type="TIME", initial="T#0ms", note="of the last input")
     yield Variable(name="elapsed", type="TIME", initial="T#0ms", note="since the origin")
-    for name in ("late", "allowed", "ending", "jogging"):
+    for name in ("late", "allowed", "ending"):
         yield Variable(name=name, type="BOOL", initial="FALSE")
     yield Variable(name="cause", type="INT", initial="0", note="of a stop in this scan")
     yield Variable(name="culprit", type="INT", initial="0", note="the input that it is about")
@@ -185,6 +199,7 @@ def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
         yield Variable(name=one.expect, type="INT", initial="0")
         yield Variable(name=one.early, type="TIME", initial="T#0ms")
         yield Variable(name=one.gone, type="TIME", initial="T#0ms")
+    yield from hand_state()
     yield Variable(name="cycle_timer", type="TON", derived=True)
     yield Variable(name="scan_timer", type="TON", derived=True)
 

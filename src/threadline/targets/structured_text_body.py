@@ -2,47 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 from threadline.machine import Machine
 from threadline.targets.plc_sequence import FAULTS, Guarded, NamedPlace, Sequence
 from threadline.targets.plc_watch import reads, switches_of
+from threadline.targets.structured_text_hand import hand_lines
+from threadline.targets.structured_text_words import Words
 
 _LONGEST = "PT := T#24h"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Words:
-    """The names that the program uses, and two of its times.
-
-    Parameters
-    ----------
-    inputs, outputs
-        Name in the machine file to name in the program.
-    grids, enables
-        Inputs that all must be true while the machine moves.
-    start, acknowledge, home
-        Inputs whose rising edges count.
-    fresh
-        By input and value: the variable that says that the input had its other value since it last
-        counted.
-    watchdog_ms
-        A scan that comes later than this after the one before is a fault.
-    early_ms
-        A transition fires in the scan nearest to its time: half a scan before it already.
-    """
-
-    inputs: Mapping[str, str]
-    outputs: Mapping[str, str]
-    grids: tuple[str, ...]
-    enables: tuple[str, ...]
-    start: str
-    acknowledge: str
-    home: str
-    fresh: Mapping[tuple[str, bool], str]
-    watchdog_ms: int
-    early_ms: int
 
 
 def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
@@ -64,7 +32,7 @@ def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[s
     yield ""
     yield from _stop(sequence)
     yield from _outputs(words, sequence)
-    yield from _jogging(words, sequence)
+    yield from hand_lines(sequence, words)
     yield from _texts(sequence)
     yield f"busy := place <> {sequence.idle};"
 
@@ -85,7 +53,7 @@ def _guards(words: Words, sequence: Sequence) -> Iterator[str]:
     yield "cause := no_fault;"
     yield "culprit := 0;"
     yield f"allowed := {clear} AND NOT late;"
-    yield f"IF place <> {sequence.idle} THEN"
+    yield f"IF (place <> {sequence.idle}) OR jogging THEN"
     first = True
     for condition, fault in (
         *((f"NOT {name}", "f_light_grid") for name in words.grids),
@@ -295,24 +263,6 @@ def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
             if not watch.stands:
                 yield f"  {one.early} := T#{watch.early_ms}ms;"
                 yield f"  {one.gone} := T#{watch.gone_ms}ms;"
-        yield "END_IF;"
-    yield ""
-
-
-def _jogging(words: Words, sequence: Sequence) -> Iterator[str]:
-    yield "(* By hand: one thing at a time, slowly, where the cycle would do it. *)"
-    yield f"jogging := manual AND allowed AND NOT fault AND (place = {sequence.idle});"
-    yield "IF jogging THEN"
-    yield "  homed := FALSE;"
-    yield "  step_text := 'by hand';"
-    for name in sequence.air:
-        yield f"  {words.outputs[name]} := TRUE;"
-    yield "END_IF;"
-    for jog in sequence.jogs:
-        needs = [words.inputs[n] if v else f"NOT {words.inputs[n]}" for n, v in jog.needs]
-        yield f"IF {' AND '.join(['jogging', f'(jog = {jog.name})', *needs])} THEN"
-        for name in jog.on:
-            yield f"  {words.outputs[name]} := TRUE;"
         yield "END_IF;"
     yield ""
 

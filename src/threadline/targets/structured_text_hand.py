@@ -1,0 +1,70 @@
+"""What the block does by hand: one thing at a time, asked for by a change of ``jog`` alone.
+
+A jog that is held while the work by hand begins, or while a fault is acknowledged, is no fresh
+press. What has stopped, at its end or because a switch that it needs went off, stays so until the
+next press.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from threadline.targets.plc_pou import Variable
+from threadline.targets.plc_sequence import Sequence
+from threadline.targets.structured_text_words import Words
+
+HAND_NAMES = (
+    "jogging", "hand_before", "hand_ready", "jog_before", "jog_asked", "jog_runs", "hand_timer",
+    "rest_timer",
+)  # fmt: skip
+
+
+def hand_state() -> Iterator[Variable]:
+    """Yield the variables that ``hand_lines`` keeps from scan to scan."""
+    for name in ("jogging", "hand_before", "hand_ready", "jog_runs"):
+        yield Variable(name=name, type="BOOL", initial="FALSE")
+    for name in ("jog_before", "jog_asked"):
+        yield Variable(name=name, type="INT", initial="0")
+    for name in ("hand_timer", "rest_timer"):
+        yield Variable(name=name, type="TON", derived=True)
+
+
+def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
+    """Yield the part of the body that works by hand."""
+    yield "(* By hand: one thing at a time, slowly, where the cycle would do it. A change of jog *)"
+    yield "(* asks for it; what is held when the work by hand begins asks for nothing. *)"
+    yield f"jogging := manual AND allowed AND NOT fault AND (place = {sequence.idle});"
+    yield "IF NOT jogging OR NOT hand_before THEN"
+    yield "  jog_asked := 0;"
+    yield "  jog_runs := FALSE;"
+    yield "ELSIF jog <> jog_before THEN"
+    yield "  jog_asked := jog;"
+    yield "  jog_runs := FALSE;"
+    yield "END_IF;"
+    yield "jog_before := jog;"
+    yield "hand_before := jogging;"
+    yield "(* First the air is up; then the valves rest between two things as long as they must. *)"
+    yield f"hand_timer(IN := jogging, PT := T#{words.air_ms}ms);"
+    yield f"rest_timer(IN := NOT jog_runs, PT := T#{words.dwell_ms}ms);"
+    yield "hand_ready := hand_timer.Q AND (jog_runs OR rest_timer.Q);"
+    yield "jog_runs := FALSE;"
+    yield "IF jogging THEN"
+    yield "  homed := FALSE;"
+    yield "  step_text := 'by hand';"
+    for name in sequence.air:
+        yield f"  {words.outputs[name]} := TRUE;"
+    yield "END_IF;"
+    for jog in sequence.jogs:
+        needs = [words.inputs[n] if v else f"NOT {words.inputs[n]}" for n, v in jog.needs]
+        yield f"IF hand_ready AND (jog_asked = {jog.name}) THEN"
+        on = [f"{words.outputs[name]} := TRUE;" for name in jog.on] + ["jog_runs := TRUE;"]
+        if needs:
+            yield f"  IF {' AND '.join(needs)} THEN"
+            yield from (f"    {line}" for line in on)
+            yield "  ELSE"
+            yield "    jog_asked := 0;"
+            yield "  END_IF;"
+        else:
+            yield from (f"  {line}" for line in on)
+        yield "END_IF;"
+    yield ""
