@@ -85,6 +85,7 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
     job = read(tmp_path, exp((5, 0), (0, 0), (0, 0), (1, 0)))
     assert [number for *_, number, _ in moves(job)] == [0, 1, 2, 3, 4]
     assert "2 stitches lead nowhere" in job.warnings[0]
+    assert "1 stitch leads" in read(tmp_path, exp((5, 0), (0, 0), (1, 0))).warnings[0]
 
 
 @pytest.mark.parametrize(

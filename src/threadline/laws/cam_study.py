@@ -312,14 +312,15 @@ def _warnings(
     if cam.flags:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[flag.row]):g}" for flag in cam.flags)
         said.append(
-            f"{len(cam.flags)} printed angles are not those of their distances, at {angles} deg; "
-            "the distances are trusted"
+            f"{len(cam.flags)} printed {'angle is' if len(cam.flags) == 1 else 'angles are'} not "
+            f"of the measured distance, at {angles} deg; the distance is trusted"
         )
     if outliers:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[row]):g}" for row in outliers)
         said.append(
-            f"{len(outliers)} rows lie more than {_OUTLIER:g} times the noise off the smooth rise, "
-            f"at {angles} deg; they are kept, measure them again"
+            f"{len(outliers)} {'row lies' if len(outliers) == 1 else 'rows lie'} more than "
+            f"{_OUTLIER:g} times the noise off the smooth rise, at {angles} deg; kept, and to be "
+            "measured again"
         )
     if not (rise.start_found and rise.end_found):
         said += [line for line in rise.said if "no dwell" in line]

@@ -198,4 +198,5 @@ class _Merged:
         """Return warnings about the design."""
         if not self.still:
             return ()
-        return (f"{self.file}: {self.still} stitches lead nowhere: the needle enters twice there",)
+        lead = "1 stitch leads" if self.still == 1 else f"{self.still} stitches lead"
+        return (f"{self.file}: {lead} nowhere: the needle enters twice there",)
