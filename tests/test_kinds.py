@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.errors import ThreadlineError
+from threadline.errors import OptionError, ThreadlineError
 from threadline.kinds import KINDS, kind_of, kind_of_commands
 from threadline.machine import Machine, library_names, load_machine
 from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, prove, simulate, write
+from threadline.pipeline import open_job, plan_job, prove, prove_plan, simulate, write
 from threadline.report.proof import REPORTS
 from threadline.verdict import judge, load_spec
 from threadline.verdict.intended_runs import RUNS
@@ -104,3 +104,27 @@ def test_a_job_is_planned_or_refused_in_one_line(machine: str, file: str) -> Non
         plan_job(open_job(EXAMPLES / file, chosen, Options()), chosen, Options())
     assert str(refused.value).startswith((f"[JOB] {file}: ", f"[PLAN] {file}: "))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "number"),
+    [
+        ("letter-placer", "letter-cycle.toml", "bodies.table.inertia"),
+        ("table-embroiderer", "rosette.dst", "bodies.x_frame.inertia"),
+    ],
+)
+def test_another_machine_of_the_kind_plays_the_plan(
+    name: str, file: str, number: str, tmp_path: Path
+) -> None:
+    """It differs in a number alone, has a file and a hash of its own, and rings otherwise."""
+    machine = load_machine(name)
+    overlay = tmp_path / "heavy.toml"
+    overlay.write_text(f'base = "{name}"\n{number} = "120 kg exact, assumed: heavier"\n')
+    plan = plan_job(open_job(EXAMPLES / file, machine, Options()), machine, Options())
+    spec = load_spec(None, machine)
+    own, other = (
+        prove_plan(plan, spec, actual=one).verdict for one in (None, load_machine(overlay))
+    )
+    assert [r.measured for r in own.results] != [r.measured for r in other.results]
+    with pytest.raises(OptionError, match=r"lathe-winder cannot do what is planned for"):
+        prove_plan(plan, spec, actual=load_machine("lathe-winder"))

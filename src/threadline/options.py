@@ -32,8 +32,7 @@ FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
 """Keys of ``describe`` that have a meaning only for machines with axes."""
 LEAST_SHARE = 1e-3
-"""Smallest share of the limits that may be asked for: no job needs less, and the search for a
-trajectory takes the longer the longer that trajectory is."""
+"""Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -394,7 +393,10 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
     if given:
         unitless = (name.removesuffix("_m").removesuffix("_s") for name in given)
         names = ["--" + n.replace("limit_share", "limits").replace("_", "-") for n in unitless]
+        if options.interpolation.startswith(BY_LAW):
+            names[names.index("--interpolation")] = "--law"
         raise OptionError(
-            f"{', '.join(names)}: {machine.name} switches on and off, which has none of that",
-            remedy="Leave it out; a shaper may be given.",
+            f"{', '.join(names)}: {machine.name} switches cylinders on and off, without a path, a "
+            "feed or a law to choose",
+            remedy="Leave it out; --shaper may be given.",
         )

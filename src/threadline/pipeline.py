@@ -16,6 +16,7 @@ from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.kinds.rejects import rejects
+from threadline.kinds.retold import played_by
 from threadline.kinds.unanswered import answering, unanswered
 from threadline.machine import Machine
 from threadline.machine.dynamics import check_dynamics
@@ -317,12 +318,13 @@ def prove_plan(
     random = np.random.default_rng(REPEAT_SEED)
     machine = plan.machine if actual is None else actual
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
-    recordings = kind.days(plan.commands, machine, trials.repeats, random)
+    commands = plan.commands if actual is None else played_by(plan.commands, plan.machine, actual)
+    recordings = kind.days(commands, machine, trials.repeats, random)
     parts = np.empty((0, 0))
     if trials.machines and trials.wished is None:
         check_uncertain(machine)
         parts = ends_then_drawn(machine, trials.machines, VARIANT_SEED)
-    others = kind.others(plan.commands, machine, parts, random) if len(parts) else ()
+    others = kind.others(commands, machine, parts, random) if len(parts) else ()
 
     def told(these: Sequence[Recording]) -> Sequence[Recording]:
         return these if progress is None else [_watched(one, plan, progress) for one in these]
@@ -334,7 +336,7 @@ def prove_plan(
         if not len(parts):
             raise
         # A machine as drawn may never come to the end: the others are judged without it.
-        others, why = answering(kind, plan.commands, machine, parts, random)
+        others, why = answering(kind, commands, machine, parts, random)
         verdict = judge.verdict(told(recordings), told(others))
         stuck = unanswered(len(parts), why)
         verdict = replace(verdict, results=(*verdict.results, stuck), machines=len(parts))
@@ -346,7 +348,7 @@ def prove_plan(
         verdict = replace(verdict, results=(*verdict.results, found), machines=tried)
     return Proof(
         plan=plan,
-        recording=replace(kind.simulate(plan.commands, machine), origin=origin),
+        recording=replace(kind.simulate(commands, machine), origin=origin),
         verdict=verdict,
         spec=spec,
         judged=(*recordings, *others),

@@ -117,7 +117,7 @@ def test_wrong_options_exit_with_two_and_one_line(
             "compile",
             "letter-cycle.toml",
             ["--limits", "50 %"],
-            ["--limits: ", "switches on and off"],
+            ["--limits: ", "switches cylinders on and off"],
         ),
         ("fastest", "letter-cycle.toml", ["--feed-forward"], ["--feed-forward: letter-placer"]),
         ("compile", "x-180.prg", ["--shaper", "zv:12Hz", "--mode", "3 Hz"], ['"zv:12Hz:0.02"']),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.signals import Commands
+from threadline.signals import Commands, TickTable
 
 
 def retold(commands: Commands, machine: Machine) -> Commands:
@@ -15,3 +16,29 @@ def retold(commands: Commands, machine: Machine) -> Commands:
     the tolerances has its own hash, and is meant to play the commands of the nominal machine.
     """
     return replace(commands, machine_sha256=machine.sha256)
+
+
+def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands:
+    """Return the commands that were made for ``machine``, for ``actual`` to play.
+
+    Tick tables are returned as they are: their simulation compares axes, clocks and counts.
+
+    Raises
+    ------
+    OptionError
+        If the machines differ in more than their numbers.
+    """
+    if actual.sha256 == machine.sha256 or isinstance(commands, TickTable):
+        return commands
+    for what, own, others in (
+        ("what moves", machine.moving, actual.moving),
+        ("contacts", machine.contacts, actual.contacts),
+        ("outputs", machine.outputs, actual.outputs),
+    ):
+        if own.keys() != others.keys() or machine.commanded_by != actual.commanded_by:
+            raise OptionError(
+                f"{actual.name} cannot do what is planned for {machine.name}: they differ in "
+                f"{what}, and not in numbers alone",
+                remedy="Give a machine file that has the planned one as its base.",
+            )
+    return retold(commands, actual)
