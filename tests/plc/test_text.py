@@ -168,3 +168,13 @@ def test_plcopen_project_holds_the_same_units(shaper: str) -> None:
     assert task.attrib["interval"] == "T#10ms"
     instance = next(task.iter(f"{PPX}pouInstance"))
     assert instance.attrib["typeName"].lower() in pous
+
+
+def test_no_time_stands_without_a_name() -> None:
+    """Every time of a move is a constant; literals are 0, the timers' spans and the scan's half."""
+    text = text_of("letter-placer", "zv")
+    body = text.partition("(* The watchdog")[2]
+    found = set(re.findall(r"T#\w+", body))
+    assert found <= {"T#0ms", "T#24h", "T#25ms", "T#5ms"}
+    assert re.search(r"t_x_early_across_1 : TIME := T#\d+ms; \(\* across: X cannot be", text)
+    assert re.search(r"t_z_gone_lift_1 : TIME := T#\d+ms; \(\* lift: Z must have left", text)

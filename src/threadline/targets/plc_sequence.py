@@ -49,6 +49,9 @@ class NamedPlace:
         What happens until its time has come, for people.
     watch
         What the end switches of each cylinder must say, as far as that is known.
+    bounds
+        Of each cylinder on its way two constants: before the first its far end is not believed,
+        after the second its near end must be off.
     """
 
     place: NetPlace
@@ -56,6 +59,7 @@ class NamedPlace:
     due: str
     note: str
     watch: Mapping[str, Watch]
+    bounds: Mapping[str, tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +156,14 @@ class Sequence:
         for named in self.places:
             due = f"T#{named.place.due_ms}ms"
             yield Variable(name=named.due, type="TIME", initial=due, note=named.note)
+            for axis, (early, gone) in named.bounds.items():
+                watch = named.watch[axis]
+                for name, ms, what in (
+                    (early, watch.early_ms, f"{axis} cannot be there before"),
+                    (gone, watch.gone_ms, f"{axis} must have left by then"),
+                ):
+                    note = f"{named.place.step}: {what}"
+                    yield Variable(name=name, type="TIME", initial=f"T#{ms}ms", note=note)
         for code, (name, text) in enumerate(FAULTS.items()):
             yield Variable(name=name, type="INT", initial=str(code), note=text)
         for code, name in enumerate(self.contacts.values(), start=1):
@@ -211,6 +223,14 @@ def _named(
         count[step] = count.get(step, 0) + 1
         name = names.give(f"s_{step}_{count[step]}")
         note = f"{place.step}: {_what(place, scheduled)}"
+        which = {
+            axis: (
+                names.give(f"t_{axis.lower()}_early_{step}_{count[step]}"),
+                names.give(f"t_{axis.lower()}_gone_{step}_{count[step]}"),
+            )
+            for axis, one in watch.items()
+            if not one.stands
+        }
         found.append(
             NamedPlace(
                 place=place,
@@ -218,6 +238,7 @@ def _named(
                 due=names.give(f"t_{step}_{count[step]}"),
                 note=note,
                 watch=watch,
+                bounds=which,
             )
         )
     return tuple(found)

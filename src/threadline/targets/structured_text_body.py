@@ -261,8 +261,9 @@ def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
             known = one.known[round(watch.begin_m, 9), round(watch.end_m, 9)]
             yield f"  {one.expect} := {known};"
             if not watch.stands:
-                yield f"  {one.early} := T#{watch.early_ms}ms;"
-                yield f"  {one.gone} := T#{watch.gone_ms}ms;"
+                early, gone = named.bounds[one.axis]
+                yield f"  {one.early} := {early};"
+                yield f"  {one.gone} := {gone};"
         yield "END_IF;"
     yield ""
 
