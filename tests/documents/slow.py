@@ -81,6 +81,7 @@ SLOW: dict[str, dict[str, str]] = {
         'threadline prove DESIGN -m schiffli-frame --tolerance "0.05 mm"': THEIRS,
         "threadline compare tree.dst -m schiffli-frame": THEIRS,
         "threadline fastest tree.dst -m schiffli-frame --nominal": THEIRS,
+        "threadline fastest examples/rosette.dst -m schiffli-frame": "a minute",
         "OPENBLAS_NUM_THREADS=1 threadline prove CARD -m schiffli-frame": "random cards, minutes",
         "python tools/fuzz.py --reader design-hus --cases 100000": "minutes",
         "python tools/schiffli_claim.py": "tests/stitching/test_claim.py",
