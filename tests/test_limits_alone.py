@@ -13,6 +13,7 @@ import pytest
 import threadline as tl
 from tests.cli.test_commands import run
 from threadline.errors import MachineError, OptionError
+from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.options import Options
 from threadline.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
@@ -301,3 +302,33 @@ def test_hostile_files_of_limits_alone_have_one_line_each(tmp_path: Path) -> Non
             load_machine(file)
         except MachineError as error:
             assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("kind", ["kinematic", "pulse-servo"])
+def test_seams_are_read_for_machines_without_loops(
+    tmp_path: Path, examples: Path, kind: str
+) -> None:
+    """Two axes whose drives are given positions sew: rigid ones have no mode to wait for."""
+    head = MACHINE[: MACHINE.index("[programs]")]
+    parts = []
+    for name in "XY":
+        low = name.lower()
+        if kind == "kinematic":
+            parts.append(f'[drives.{low}]\nkind = "kinematic"\nclock = "pulse"\n')
+        else:
+            parts.append(
+                f'[bodies.{low}]\nkind = "linear"\ninertia = "9 kg exact, assumed"\n'
+                f'[drives.{low}]\nkind = "pulse-servo"\nbody = "{low}"\nclock = "pulse"\n'
+                'resolution = "800 count/mm exact, assumed"\nbandwidth = "40 Hz exact, assumed"\n'
+                'torque_limit = "900 N exact, assumed"\n'
+            )
+        parts.append(
+            f'[axes.{name}]\nkind = "linear"\ndrive = "{low}"\n'
+            'counts = "800 count/mm exact, assumed"\nvelocity = "500 mm/s exact, assumed"\n'
+            'acceleration = "20 m/s^2 exact, assumed"\n'
+            'travel = ["-5 m exact, assumed", "5 m exact, assumed"]\n'
+        )
+    file = tmp_path / "sewer.toml"
+    file.write_text(head + "".join(parts))
+    job = read_job(examples / "stitcher-test-path.seam.toml", load_machine(file))
+    assert sum(1 for _ in job) > 10

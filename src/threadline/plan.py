@@ -233,9 +233,14 @@ class Plan:
         return self.intent.duration_s
 
     @property
+    def feeds_as_programmed(self) -> bool:
+        """Whether the feeds of the job hold, and none was given in their place."""
+        return self.options.get("feed", "programmed") == "programmed"
+
+    @property
     def nominal_s(self) -> float | None:
         """Time by the programmed feeds alone, s; None without a rule for F, or with ``--feed``."""
-        if not self.job.feed_rule or self.options.get("feed", "programmed") != "programmed":
+        if not self.job.feed_rule or not self.feeds_as_programmed:
             return None
         return programmed_time_s(self.job, self.machine)
 

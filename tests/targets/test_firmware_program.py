@@ -23,7 +23,7 @@ from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.options import Options
+from threadline.options import Options, parse_feed
 from threadline.pipeline import open_job, plan_job, write
 from threadline.plan import Plan
 from threadline.shaping import FlexibleMode
@@ -224,3 +224,19 @@ def test_klipper_is_refused_what_it_has_no_word_for(tmp_path: Path, xya: Machine
     with pytest.raises(PlanError, match="klipper has no word for"):
         write(made, "klipper", tmp_path / "out.gcode")
     assert not (tmp_path / "out.gcode").exists()
+
+
+def test_a_feed_that_replaces_the_programmed_ones_is_written(tmp_path: Path, xya: Machine) -> None:
+    """With --feed the program is as fast as the plan: F of the job caps nothing."""
+    feed = parse_feed("3000 mm/min")
+    as_it_is = plan(tmp_path, xya, "G1 X60 A110 F1200\nX0 A0\nM30\n")
+    faster = plan(tmp_path, xya, "G1 X60 A110 F1200\nX0 A0\nM30\n", feed=feed)
+    out = tmp_path / "out.gcode"
+    write(as_it_is, "grbl", out)
+    assert max(f for _, f in blocks(out.read_text())) == pytest.approx(1200.0, rel=1e-3)
+    write(faster, "grbl", out)
+    found = blocks(out.read_text())
+    # 3000 mm/min of one axis is more of both together, as grbl counts F.
+    assert max(f for _, f in found) >= 3000.0
+    # Ends are rounded: what that makes of a constant speed begins no new block.
+    assert len(found) <= 4

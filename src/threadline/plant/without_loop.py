@@ -233,13 +233,17 @@ def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
 def modes_held(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     """Return the modes of an axis of ``machine`` with its drive held still, the slowest first.
 
+    None are known of a machine without dynamics.
+
     Raises
     ------
     MachineError
         If its equations are not linear.
     """
+    if machine.without_dynamics:
+        return ()
     if machine.axes[axis].drive:
-        return _oscillations(piece_of(machine, axis).matrix)
+        return told_modes(machine, axis)
     return tuple(sorted(locked_modes(machine, axis), key=lambda mode: mode.frequency_hz))
 
 

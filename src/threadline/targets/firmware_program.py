@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ from threadline.trajectory.types import Trajectory
 _DECIMALS = 4  # of a millimetre or a degree
 _ROUNDED_M = 1e-7  # by how far an end that is so rounded lies off, and a little
 _MOST_POINTS = 100_000
-_RISE = 1e-6
+_RISE = 1e-3  # of a speed
 
 
 class Chord(NamedTuple):
@@ -53,9 +53,20 @@ class Chord(NamedTuple):
 
 
 def write_firmware_program(
-    target: str, job: Job, trajectory: Trajectory, machine: Machine, path: Path
+    target: str,
+    job: Job,
+    trajectory: Trajectory,
+    machine: Machine,
+    path: Path,
+    *,
+    as_programmed: bool = True,
 ) -> Written:
     """Write a plan for a firmware; the file is there when it has been read back and found right.
+
+    Parameters
+    ----------
+    as_programmed
+        Whether the feeds of the job hold: none of them is then exceeded.
 
     Raises
     ------
@@ -65,16 +76,18 @@ def write_firmware_program(
     """
     timed = planned_job(job, trajectory, machine)
     plain = replace(machine, operator=None)
-    lines = _Lines(target, timed, job, plain)
+    merged = Chords(target, timed, job, plain, as_programmed)
+    lines = _Lines(merged)
     with atomic_file(path) as file:
         file.writelines(f"{line}\n".encode() for line in lines)
         file.flush()
-        told = _read_back(target, Path(file.name), timed, job, plain, trajectory.duration_s)
+        told = _read_back(merged, Path(file.name), trajectory.duration_s)
     return written(path, (f"{path.name}: {told}",))
 
 
-def chords(target: str, timed: Job, job: Job, machine: Machine) -> Iterator[Operation | Chord]:
-    """Yield the operations of a plan with its moves merged into chords.
+@dataclass(frozen=True, slots=True, eq=False)
+class Chords:
+    """The operations of a plan with its moves merged into chords; they can be read again.
 
     Parameters
     ----------
@@ -82,25 +95,36 @@ def chords(target: str, timed: Job, job: Job, machine: Machine) -> Iterator[Oper
         Of ``planned_job``.
     job
         The job that was planned.
+    as_programmed
+        Whether its feeds hold: no chord of a feed is then faster.
     """
-    originals = (item for item in job if isinstance(item, Move))
-    original = next(originals, None)
-    stretch = _Stretch(np.array(job.start), target, job, machine)
-    for item in timed:
-        if not isinstance(item, Move):
-            yield from stretch.end()
-            yield item
-            continue
-        while original is not None and original.source != item.source:
-            original = next(originals, None)
-        assert item.feed is not None
-        feed = None if original is None else original.feed
-        if feed != stretch.feed or len(stretch.ends) >= _MOST_POINTS:
-            yield from stretch.end()
-            stretch.feed = feed
-        stretch.ends.append(item.target)
-        stretch.durations_s.append(1.0 / item.feed.value)
-    yield from stretch.end()
+
+    target: str
+    timed: Job
+    job: Job
+    machine: Machine
+    as_programmed: bool
+
+    def __iter__(self) -> Iterator[Operation | Chord]:
+        """Yield them in order."""
+        originals = (item for item in self.job if isinstance(item, Move))
+        original = next(originals, None)
+        stretch = _Stretch(np.array(self.job.start), self.target, self.job, self.machine)
+        for item in self.timed:
+            if not isinstance(item, Move):
+                yield from stretch.end()
+                yield item
+                continue
+            while original is not None and original.source != item.source:
+                original = next(originals, None)
+            assert item.feed is not None
+            feed = original.feed if original is not None and self.as_programmed else None
+            if feed != stretch.feed or len(stretch.ends) >= _MOST_POINTS:
+                yield from stretch.end()
+                stretch.feed = feed
+            stretch.ends.append(item.target)
+            stretch.durations_s.append(1.0 / item.feed.value)
+        yield from stretch.end()
 
 
 class _Stretch:
@@ -152,14 +176,20 @@ class _Stretch:
 
 
 def _humps(speeds: FloatArray) -> Iterator[int]:
-    """Yield where each stretch of (n,) speeds ends that rises and then falls once at most."""
-    change = np.diff(speeds) / np.maximum(speeds[1:], speeds[:-1])
-    falls = False
-    for at in np.flatnonzero(np.abs(change) > _RISE).tolist():
-        if change[at] > 0.0 and falls:
-            yield at + 1
-            falls = False
-        falls = falls or bool(change[at] < 0.0)
+    """Yield where each stretch of (n,) speeds ends that rises and then falls once at most.
+
+    What is less than ``_RISE`` of a speed is none: ends of moves are rounded.
+    """
+    highest = lowest = float(speeds[0])
+    for at, speed in enumerate(speeds.tolist()):
+        fallen = lowest < highest * (1.0 - _RISE)
+        if fallen and speed > lowest * (1.0 + _RISE):
+            yield at
+            highest = lowest = speed
+        elif speed > highest:
+            highest = lowest = speed
+        else:
+            lowest = min(lowest, speed)
     yield len(speeds)
 
 
@@ -195,11 +225,13 @@ def _within(points: FloatArray, most_m: float) -> bool:
 class _Lines:
     """The lines of a program; each moves at least one of its axes by a printed digit."""
 
-    def __init__(self, target: str, timed: Job, job: Job, machine: Machine) -> None:
-        self._target, self._timed, self._job, self._machine = target, timed, job, machine
-        self._board = BOARDS[target]
-        self._dialect = DIALECTS[dialect_of(target)]
-        self._linear = [machine.axes[name].kind == "linear" for name in job.axes]
+    def __init__(self, merged: Chords) -> None:
+        self._merged = merged
+        self._target, self._job, self._machine = merged.target, merged.job, merged.machine
+        self._board = BOARDS[merged.target]
+        self._dialect = DIALECTS[dialect_of(merged.target)]
+        axes = merged.machine.axes
+        self._linear = [axes[name].kind == "linear" for name in merged.job.axes]
 
     def __iter__(self) -> Iterator[str]:
         at = _written_position(np.array(self._job.start), self._linear)
@@ -218,7 +250,7 @@ class _Lines:
             yield from (f"; {line}" for line in told)
         yield from self._board.begin
         modal = False
-        for item in chords(self._target, self._timed, self._job, self._machine):
+        for item in self._merged:
             if not isinstance(item, Chord):
                 yield from self._other(item)
                 continue
@@ -273,9 +305,7 @@ def _written_position(position: FloatArray, linear: list[bool]) -> list[str]:
     ]
 
 
-def _read_back(
-    target: str, path: Path, timed: Job, job: Job, machine: Machine, planned_s: float
-) -> str:
+def _read_back(merged: Chords, path: Path, planned_s: float) -> str:
     """Hold the written program against the plan; return what it is, in words.
 
     Raises
@@ -283,6 +313,7 @@ def _read_back(
     PlanError
         If a block of it leaves the plan by more than its chords may.
     """
+    target, job, machine = merged.target, merged.job, merged.machine
     again = read_part_program(path, machine=machine, dialect=dialect_of(target))
     column = [machine.axis_names.index(axis) for axis in job.axes]
     radius_m = machine.radius_m[column]
@@ -292,7 +323,7 @@ def _read_back(
     at = np.array(job.start)
     text_at = _written_position(at, linear)
     worst_m, count = 0.0, 0
-    for chord in chords(target, timed, job, machine):
+    for chord in merged:
         if not isinstance(chord, Chord):
             continue
         text = _written_position(chord.points[-1], linear)

@@ -49,6 +49,11 @@ class WrittenPlan(CompiledPlan, Protocol):
     """What targets read of a plan; each asks for what its kind of work has."""
 
     @property
+    def feeds_as_programmed(self) -> bool:
+        """Whether the feeds of the job hold, and none was given in their place."""
+        ...
+
+    @property
     def motion(self) -> Timed:
         """Paths and trajectory."""
         ...
@@ -96,7 +101,14 @@ def _of_table(writer: TableWriter) -> Target:
 def _of_firmware(name: str) -> Target:
     return Target(
         write=lambda plan, path: [
-            write_firmware_program(name, plan.job, plan.motion.trajectory, plan.machine, path)
+            write_firmware_program(
+                name,
+                plan.job,
+                plan.motion.trajectory,
+                plan.machine,
+                path,
+                as_programmed=plan.feeds_as_programmed,
+            )
         ],
         takes_shaped=False,
     )

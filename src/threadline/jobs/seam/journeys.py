@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from threadline.jobs.seam.settings import MOST_SETTLE_S, Stitching
 from threadline.machine import Machine
-from threadline.plant.modes import Oscillation, locked_modes
-from threadline.plant.without_loop import told_modes
+from threadline.plant.modes import Oscillation
+from threadline.plant.without_loop import modes_held
 
 _SWING, _LEFT = 0.5, 0.1
 
@@ -49,12 +49,4 @@ def with_journeys(
 
 def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
     """Return the modes of the axes with their motors held still."""
-    return tuple(
-        mode
-        for axis in axes
-        for mode in (
-            locked_modes(machine, axis)
-            if machine.source_of(axis) is None
-            else told_modes(machine, axis)
-        )
-    )
+    return tuple(mode for axis in axes for mode in modes_held(machine, axis))
