@@ -112,3 +112,61 @@ def test_the_way_home_watches_what_it_has_brought_home() -> None:
     assert not bench.block["homed"]
     assert bench.block["fault_text"] == "an end switch is off where its piston stands"
     assert bench.block["contact_text"] == "z_is_up"
+
+
+def test_by_hand_the_lift_goes_down_at_the_two_places_of_the_list_alone() -> None:
+    for x, goes in ((0.0, True), (200.0, True), (100.0, False)):
+        bench = ready(Cell(x, 0.0))
+        assert ("z_down" in by_hand(bench, Z_OUT)) == goes, x
+        assert (bench.block["hint_text"] == "") == goes
+
+
+def test_by_hand_there_is_always_a_way_to_the_start() -> None:
+    """The lift first, from anywhere; then X, which the list brings back with the lift up alone."""
+    for x in (0.0, 100.0, 200.0):
+        bench = ready(Cell(x, 70.0))
+        assert by_hand(bench, X_IN) == {"main_air"}
+        for jog, there in ((Z_IN, "z_is_up"), (X_IN, "x_is_left")):
+            for _ in range(200):
+                by_hand(bench, jog)
+            assert bench.cell.contacts()[there], x
+
+
+def test_a_panel_is_told_why_nothing_happens() -> None:
+    bench = Bench(plc())
+
+    def told(**given: bool | int) -> str:
+        bench.scan(**given)
+        hint: str = bench.block["hint_text"]
+        return hint
+
+    assert told(start_button=True) == "home first"
+    assert told(home_button=True, light_grid=False) == "the light grid is broken"
+    assert told(home_button=True) == "home first", "it was held"
+    bench.home()
+    assert told() == "ready to start"
+    assert told(manual=True) == "the air is coming up"
+    assert told(manual=True, enable=False) == "the enable is missing"
+    assert told(acknowledge=True, enable=False) == "the enable is missing"
+    assert told(home_button=True) == "acknowledge first"
+    assert bench.block["fault_step"] == "by hand"
+    assert told(acknowledge=True) == "home first"
+    assert bench.block["fault_step"] == ""
+
+
+def test_a_panel_is_told_the_step_and_the_address_until_it_acknowledges() -> None:
+    bench = homed(plc())
+    bench.press("start_button")
+    while bench.block["step_text"] != "cut":
+        bench.scan()
+    bench.cell.stuck = {"z_is_down": False}
+    bench.until_idle()
+    for _ in range(3):
+        assert bench.block["step_text"] == "idle"
+        assert bench.block["fault_step"] == "cut"
+        assert (bench.block["contact_text"], bench.block["contact_address"]) == (
+            "z_is_down", "%IX0.6",
+        )  # fmt: skip
+        bench.scan()
+    bench.press("acknowledge")
+    assert bench.block["fault_step"] == bench.block["contact_address"] == ""

@@ -1,8 +1,15 @@
-"""The head of the emitted text says what it was made for."""
+"""The head of the emitted text says what it was made for, and each time what it is of."""
 
 from __future__ import annotations
 
-from tests.plc.texts import text_of
+import re
+from pathlib import Path
+
+from tests.plc.texts import ROOT, text_of
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import plan_job, write
 
 
 def test_the_head_names_the_shaper_and_the_mode_that_was_asked_for() -> None:
@@ -11,3 +18,26 @@ def test_the_head_names_the_shaper_and_the_mode_that_was_asked_for() -> None:
         assert f"(* {axis}: shaped by um-2ei for 3.04 Hz, damping ratio 0.17 *)" in head
     assert "no safety function" in head
     assert "(* X: unshaped *)" in text_of("letter-placer", "none").split("VAR_INPUT")[0]
+
+
+def test_the_head_does_not_call_moves_unshaped_whose_levels_are_written_out(tmp_path: Path) -> None:
+    listed = (ROOT / "examples" / "letter-cycle.toml").read_text(encoding="utf-8")
+    plain = 'move = { Z = "100 mm" }\n'
+    levels = 'levels = "0.63 for 100 ms, 1 for 400 ms, 0.37 for 100 ms"\n'
+    (tmp_path / "own.toml").write_text(listed.replace(plain, plain + levels), encoding="utf-8")
+    machine = load_machine("letter-placer")
+    job = read_job(tmp_path / "own.toml", machine)
+    write(plan_job(job, machine, Options()), "st", tmp_path / "own.st")
+    head = (tmp_path / "own.st").read_text(encoding="ascii").split("VAR_INPUT")[0]
+    assert "(* X: unshaped *)" in head
+    assert "(* Z: each move as the move list says *)" in head
+
+
+def test_times_of_one_move_tell_its_parts_and_since_when_they_count() -> None:
+    pattern = r"\bt_across_\d+ : TIME := T#\d+ms; \(\* (.*?) \*\)"
+    notes = re.findall(pattern, text_of("letter-placer", "zv"))
+    assert notes[:3] == [
+        "across: X 200 mm forward, since z_is_up was on",
+        "across: X 200 mm forward, part 2, since z_is_up was on",
+        "across: X 200 mm forward, part 3, since z_is_up was on",
+    ]

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from threadline.machine import Machine
-from threadline.targets.homing import slowest
 from threadline.targets.plc_home import HOMING, home_places, home_watches
+from threadline.targets.plc_jogs import Jog, interlocked, jogs_of
 from threadline.targets.plc_names import Names
 from threadline.targets.plc_net import NetPlace, PetriNet, petri_net
 from threadline.targets.plc_pou import Variable
-from threadline.targets.plc_watch import Watch, reads, switches_of, watches
+from threadline.targets.plc_watch import NamedPlace, Watch, watches
 from threadline.targets.schedule import Scheduled
 
 FAULTS = {
@@ -31,35 +31,9 @@ FAULTS = {
     "f_wrong": "an end switch is on where no piston stands",
     "f_early": "an end switch came too early",
     "f_stayed": "an end switch did not go off",
+    "f_interlock": "an interlock of the machine file is off",
 }
 """Reasons for a stop, by the name of their constant; the constants are numbered in this order."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NamedPlace:
-    """A place with what the program calls it.
-
-    Parameters
-    ----------
-    place
-        Of the net.
-    name, due
-        Constants: its number, and the time at which it is left or its input is late.
-    note
-        What happens until its time has come, for people.
-    watch
-        What the end switches of each cylinder must say, as far as that is known.
-    bounds
-        Of each cylinder on its way two constants: before the first its far end is not believed,
-        after the second its near end must be off.
-    """
-
-    place: NetPlace
-    name: str
-    due: str
-    note: str
-    watch: Mapping[str, Watch]
-    bounds: Mapping[str, tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,28 +61,6 @@ class Guarded:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Jog:
-    """One thing that may be done by hand.
-
-    Parameters
-    ----------
-    name
-        Constant that the panel gives.
-    note
-        For people.
-    on
-        Outputs that it switches on.
-    needs
-        Contacts that must read so while it does.
-    """
-
-    name: str
-    note: str
-    on: tuple[str, ...]
-    needs: tuple[tuple[str, bool], ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Sequence:
     """Everything of a schedule that a program is written from.
 
@@ -125,6 +77,8 @@ class Sequence:
     before_vacuum
         For every input that is waited for while a vacuum is on: the places just before the vacuum
         is switched on, in which the input must be off.
+    interlocks
+        For every contact that the machine file needs: names of the places in which it must be on.
     idle
         Constant of the place in which every output is off.
     air
@@ -138,6 +92,7 @@ class Sequence:
     jogs: tuple[Jog, ...]
     contacts: Mapping[str, str]
     before_vacuum: Mapping[tuple[str, bool], tuple[str, ...]]
+    interlocks: Mapping[str, tuple[str, ...]]
     idle: str
     air: tuple[str, ...]
 
@@ -200,11 +155,12 @@ def sequence_of(scheduled: Scheduled, names: Names) -> Sequence:
         cycle=cycle,
         homing=homing,
         guarded=tuple(_guarded(machine, (*cycle, *homing), names)),
-        jogs=tuple(_jogs(scheduled, cycle, names)),
+        jogs=tuple(jogs_of(scheduled, cycle, names)),
         contacts={
             c: names.give(f"c_{c}") for c, k in machine.contacts.items() if k.kind == "contact"
         },
         before_vacuum=_before_vacuum(machine, cycle),
+        interlocks=interlocked(machine, (*cycle, *homing)),
         idle=idle,
         air=tuple(n for n, o in machine.outputs.items() if o.kind == "soft-start"),
     )
@@ -218,11 +174,17 @@ def _named(
 ) -> tuple[NamedPlace, ...]:
     found = []
     count: dict[str, int] = {}
+    since, last, part = "the run began", "", 1
     for place, watch in zip(places, watched, strict=True):
         step = place.step or "cycle"
         count[step] = count.get(step, 0) + 1
         name = names.give(f"s_{step}_{count[step]}")
-        note = f"{place.step}: {_what(place, scheduled)}"
+        what = f"{place.step}: {_what(place, scheduled)}"
+        part = part + 1 if what == last else 1
+        last = what
+        note = f"{what}{f', part {part}' if part > 1 else ''}, since {since}"
+        if place.wait is not None:
+            since = f"{place.wait[0]} was {'on' if place.wait[1] else 'off'}"
         which = {
             axis: (
                 names.give(f"t_{axis.lower()}_early_{step}_{count[step]}"),
@@ -309,51 +271,3 @@ def _guarded(machine: Machine, places: tuple[NamedPlace, ...], names: Names) -> 
             unknown=names.give(f"{low}_anywhere"),
             known=known,
         )
-
-
-def _jogs(scheduled: Scheduled, cycle: tuple[NamedPlace, ...], names: Names) -> Iterator[Jog]:
-    """Yield each thing that may be done by hand, under the conditions that the cycle does it in."""
-    machine = scheduled.machine
-    for axis, cylinder in machine.cylinders.items():
-        for way, sense, to in ((cylinder.forward, "out", "above"), (cylinder.back, "in", "below")):
-            ends = tuple(
-                (n, False) for n, c in switches_of(machine, axis).items() if c.beyond == to
-            )
-            others = (*_stand(machine, cycle, axis, way.valve), *_told(cylinder.needs))
-            yield Jog(
-                name=names.give(f"jog_{axis}_{sense}".lower()),
-                note=f"{axis} {'forward' if sense == 'out' else 'back'}, slowly",
-                on=(way.valve, *slowest(way)[1]),
-                needs=tuple(dict.fromkeys((*ends, *others))),
-            )
-    for name, output in machine.outputs.items():
-        if output.kind in {"tool", "vacuum"}:
-            stand = _stand(machine, cycle, "", name) if output.kind == "tool" else ()
-            yield Jog(
-                name=names.give(f"jog_{name}".lower()),
-                note=f"{name}",
-                on=(name,),
-                needs=tuple(dict.fromkeys((*stand, *_told(output.needs)))),
-            )
-
-
-def _told(needs: tuple[str, ...]) -> tuple[tuple[str, bool], ...]:
-    """Return an interlock of the machine file as what contacts must read."""
-    return tuple((name, True) for name in needs)
-
-
-def _stand(
-    machine: Machine, cycle: tuple[NamedPlace, ...], own: str, output: str
-) -> tuple[tuple[str, bool], ...]:
-    """Return what end switches of other cylinders always read where the cycle has an output on."""
-    needs: list[tuple[str, bool]] = []
-    for axis in machine.cylinders:
-        where = [n.watch[axis] for n in cycle if axis in n.watch and output in n.place.on]
-        places = {round(w.end_m, 9) for w in where}
-        if axis == own or len(places) != 1 or not all(w.stands or w.arrived for w in where):
-            continue
-        for name, contact in switches_of(machine, axis).items():
-            value = reads(contact, next(iter(places)))
-            if value is not None:
-                needs.append((name, value))
-    return tuple(needs)

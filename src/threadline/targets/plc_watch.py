@@ -8,6 +8,7 @@ those of the near end must be gone once it has had ample time to leave.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +51,33 @@ class Watch:
     def stands(self) -> bool:
         """Whether the cylinder stands."""
         return abs(self.end_m - self.begin_m) <= _SAME_M
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamedPlace:
+    """A place with what the program calls it.
+
+    Parameters
+    ----------
+    place
+        Of the net.
+    name, due
+        Constants: its number, and the time at which it is left or its input is late.
+    note
+        What happens until its time has come, for people.
+    watch
+        What the end switches of each cylinder must say, as far as that is known.
+    bounds
+        Of each cylinder on its way two constants: before the first its far end is not believed,
+        after the second its near end must be off.
+    """
+
+    place: NetPlace
+    name: str
+    due: str
+    note: str
+    watch: Mapping[str, Watch]
+    bounds: Mapping[str, tuple[str, str]]
 
 
 def switches_of(machine: Machine, axis: str) -> dict[str, Contact]:

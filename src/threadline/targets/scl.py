@@ -81,12 +81,21 @@ def _declaration(variable: Variable) -> str:
 
 
 def _local(line: str, names: set[str]) -> str:
-    """Return a line with ``#`` before every local name; texts and comments stay."""
+    """Return a line with ``#`` before every local name; texts and comments stay.
+
+    A text that is an address is written as this PLC does, ``%I0.0``.
+    """
 
     def marked(match: re.Match[str]) -> str:
+        if match[0].startswith("'%"):
+            return _address(match[0])
         return f"#{match[0]}" if match[0] in names else match[0]
 
     return _NAME.sub(marked, line)
+
+
+def _address(standard: str) -> str:
+    return standard.replace("X", "", 1)
 
 
 def _located(program: PlcProgram) -> dict[str, str]:
@@ -117,7 +126,7 @@ def _organisation_block(program: PlcProgram, instance: str) -> Iterator[str]:
 def scl_tags(scheduled: Scheduled) -> str:
     """Return the table of tags: name, type and address as this PLC writes it, ``%I0.0``."""
     rows = [
-        f"{name},Bool,{address.replace('X', '', 1)}"
+        f"{name},Bool,{_address(address)}"
         for name, address in _located(plc_program(scheduled)).items()
     ]
     return "\n".join(("Name,Data Type,Logical Address", *rows)) + "\n"

@@ -45,8 +45,11 @@ _PANEL_OUTPUTS = {
     "place": ("INT", "0", "the step counter: one of the constants s_..."),
     "count": ("DINT", "0", "cycles since power-on"),
     "step_text": ("STRING", "'idle'", ""),
+    "hint_text": ("STRING", "''", "why nothing happens, and what is asked for next"),
     "fault_text": ("STRING", "''", ""),
+    "fault_step": ("STRING", "''", "the step in which it stopped"),
     "contact_text": ("STRING", "''", ""),
+    "contact_address": ("STRING", "''", ""),
 }
 _INTERNAL = (
     "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
@@ -145,11 +148,15 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         "Power-on, work by hand and every fault ask for home before a start.",
         "Times t_... count from the input that came last, or from the start of the run.",
         "It is no safety function: what protects people has to cut the air without it.",
-        *(
-            f"{axis}: {shaping_words(scheduled.shaping.get(axis))}"
-            for axis in scheduled.machine.cylinders
-        ),
+        *(f"{axis}: {_shaped(scheduled, axis)}" for axis in scheduled.machine.cylinders),
     )
+
+
+def _shaped(scheduled: Scheduled, axis: str) -> str:
+    """Return how the moves of a cylinder are shaped, for people."""
+    shaping = scheduled.shaping.get(axis)
+    plain = all(move.levels.levels == (1.0, 0.0) for move in scheduled.moves if move.axis == axis)
+    return shaping_words(shaping) if shaping or plain else "each move as the move list says"
 
 
 def _block_variables(words: Words, sequence: Sequence) -> tuple[Block, ...]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import groupby
 
 from threadline.machine import Machine
-from threadline.targets.plc_sequence import FAULTS, Guarded, NamedPlace, Sequence
-from threadline.targets.plc_watch import reads, switches_of
+from threadline.targets.plc_sequence import FAULTS, Guarded, Sequence
+from threadline.targets.plc_watch import NamedPlace, reads, switches_of
 from threadline.targets.structured_text_hand import hand_lines
 from threadline.targets.structured_text_words import Words
 
@@ -30,10 +31,12 @@ def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[s
                 yield f"(* Step {step} *)"
             yield from _transition(named, then, words, sequence)
     yield ""
+    yield from _steps(sequence)
+    yield from _interlocks(words, sequence)
     yield from _stop(sequence)
     yield from _outputs(words, sequence)
     yield from hand_lines(sequence, words)
-    yield from _texts(sequence)
+    yield from _texts(sequence, words, machine)
     yield f"busy := place <> {sequence.idle};"
 
 
@@ -77,6 +80,7 @@ def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
     yield "  fault_code := no_fault;"
     yield "  fault_place := 0;"
     yield "  fault_contact := 0;"
+    yield "  fault_step := '';"
     yield "END_IF;"
     yield f"acknowledge_before := {words.acknowledge};"
     ready = f"allowed AND NOT fault AND NOT manual AND (place = {idle})"
@@ -183,6 +187,8 @@ def _stop(sequence: Sequence) -> Iterator[str]:
     yield "  fault_code := cause;"
     yield "  fault_contact := culprit;"
     yield "  fault_place := place;"
+    yield "  fault_step := step_text;"
+    yield "  step_text := 'idle';"
     yield f"  place := {sequence.idle};"
     yield "  fault := TRUE;"
     yield "  stopped := TRUE;"
@@ -240,6 +246,46 @@ def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
     yield "END_IF;"
 
 
+def _steps(sequence: Sequence) -> Iterator[str]:
+    yield "step_text := 'idle';"
+    for first, last in _runs(sequence.places, lambda named: named.place.step):
+        yield f"IF {_within(first, last)} THEN"
+        yield f"  step_text := '{_plain(first.place.step)}';"
+        yield "END_IF;"
+    yield ""
+
+
+def _interlocks(words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield what the machine file needs while something moves or is on: a fault in that scan."""
+    for name, places in sequence.interlocks.items():
+        where = _in_any(sequence.places, frozenset(places))
+        yield f"(* An interlock of the machine file: {name} is on in all of these places. *)"
+        yield f"IF (cause = no_fault) AND NOT {words.inputs[name]} AND ({where}) THEN"
+        yield "  cause := f_interlock;"
+        yield f"  culprit := {sequence.contacts[name]};"
+        yield "END_IF;"
+
+
+def _runs(
+    places: tuple[NamedPlace, ...], key: Callable[[NamedPlace], object]
+) -> Iterator[tuple[NamedPlace, NamedPlace]]:
+    """Yield the first and the last of places in a row that a key makes equal."""
+    for _, group in groupby(places, key):
+        run = list(group)
+        yield run[0], run[-1]
+
+
+def _in_any(places: tuple[NamedPlace, ...], names: frozenset[str]) -> str:
+    runs = _runs(places, lambda named: named.name in names)
+    return " OR ".join(f"({_within(*run)})" for run in runs if run[0].name in names)
+
+
+def _within(first: NamedPlace, last: NamedPlace) -> str:
+    if first is last:
+        return f"place = {first.name}"
+    return f"(place >= {first.name}) AND (place <= {last.name})"
+
+
 def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
     yield "(* The outputs: off, but for those that the place has on. *)"
     for word in words.outputs.values():
@@ -248,10 +294,8 @@ def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
         yield f"{one.expect} := {one.unknown};"
         yield f"{one.early} := T#0ms;"
         yield f"{one.gone} := T#0ms;"
-    yield "step_text := 'idle';"
     for named in sequence.places:
         yield f"IF place = {named.name} THEN"
-        yield f"  step_text := '{_plain(named.place.step)}';"
         for name in named.place.on:
             yield f"  {words.outputs[name]} := TRUE;"
         for one in sequence.guarded:
@@ -268,17 +312,41 @@ def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
     yield ""
 
 
-def _texts(sequence: Sequence) -> Iterator[str]:
+def _texts(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
     yield "(* Words for a panel. *)"
     for name, text in FAULTS.items():
         yield f"IF fault_code = {name} THEN"
         yield f"  fault_text := '{text}';"
         yield "END_IF;"
     yield "contact_text := '';"
+    yield "contact_address := '';"
     for contact, name in sequence.contacts.items():
         yield f"IF fault_contact = {name} THEN"
         yield f"  contact_text := '{_plain(contact)}';"
+        yield f"  contact_address := '{machine.contacts[contact].address}';"
         yield "END_IF;"
+    yield ""
+    yield "(* Why nothing happens, and what is asked for next. *)"
+    yield "hint_text := '';"
+    yield f"IF place = {sequence.idle} THEN"
+    hints = (
+        *((f"NOT {name}", "the light grid is broken") for name in words.grids),
+        *((f"NOT {name}", "the enable is missing") for name in words.enables),
+        ("fault", "acknowledge first"),
+        ("manual AND NOT hand_timer.Q", "the air is coming up"),
+        ("jog_runs", ""),
+        ("manual AND (jog_asked <> 0) AND NOT hand_ready", "the valves rest"),
+        ("manual AND (jog <> 0)", "not here, at its end, or held too long: let go of it"),
+        ("manual", "choose a jog"),
+        ("NOT homed", "home first"),
+    )
+    for number, (condition, text) in enumerate(hints):
+        yield f"  {'ELSIF' if number else 'IF'} {condition} THEN"
+        yield f"    hint_text := '{text}';"
+    yield "  ELSE"
+    yield "    hint_text := 'ready to start';"
+    yield "  END_IF;"
+    yield "END_IF;"
     yield ""
 
 

@@ -55,7 +55,10 @@ def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
         yield f"  {words.outputs[name]} := TRUE;"
     yield "END_IF;"
     for jog in sequence.jogs:
-        needs = [words.inputs[n] if v else f"NOT {words.inputs[n]}" for n, v in jog.needs]
+        needs = [_reads(contact, words) for contact in jog.needs]
+        where = [" AND ".join(_reads(c, words) for c in one) for one in jog.where]
+        if where:
+            needs.append(f"({' OR '.join(f'({one})' for one in where)})")
         yield f"IF hand_ready AND (jog_asked = {jog.name}) THEN"
         on = [f"{words.outputs[name]} := TRUE;" for name in jog.on] + ["jog_runs := TRUE;"]
         if needs:
@@ -68,3 +71,8 @@ def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
             yield from (f"  {line}" for line in on)
         yield "END_IF;"
     yield ""
+
+
+def _reads(contact: tuple[str, bool], words: Words) -> str:
+    name, value = contact
+    return words.inputs[name] if value else f"NOT {words.inputs[name]}"

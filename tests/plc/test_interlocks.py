@@ -1,0 +1,50 @@
+"""An interlock of the machine file is a fault of the program wherever it says, overlap or not."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from tests.plc.driving import homed
+from tests.plc.machine import Plc
+from tests.plc.parts import read_in_parts
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import plan_job, write
+from threadline.search.move_list import overlapped, with_choices
+
+CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"
+
+
+def test_the_lift_that_sinks_while_x_moves_stops_x_at_once(tmp_path: Path) -> None:
+    """X needs z_is_up, and the list lets X set out while the lift still goes its last bit.
+
+    Without the interlock a lift that sinks then is no fault, as it may be anywhere: X went 98 mm.
+    """
+    library = files("threadline") / "machine" / "library" / "letter-placer.toml"
+    file = tmp_path / "placer.toml"
+    told = '[cylinders.X]\nneeds = ["z_is_up"]\n'
+    text = library.read_text(encoding="utf-8").replace(told, "[cylinders.X]\n")
+    file.write_text(text.replace("[cylinders.X]\n", told, 1), encoding="utf-8")
+    machine = load_machine(str(file))
+    job = overlapped(with_choices(read_job(CYCLE, machine), {}, {}), machine)
+    out = tmp_path / "cycle.st"
+    write(plan_job(job, machine, Options()), "st", out)
+    bench = homed(Plc(read_in_parts(out.read_text(encoding="ascii"))))
+    bench.press("start_button")
+    checked, was = 0, False
+    while bench.block["busy"]:
+        moves = bool(bench.on & {"x_left", "x_right"})
+        if moves or was:
+            trial = bench.fork()
+            trial.cell.pistons["z"].at = 50.0
+            on = trial.scan()
+            if moves and bench.cell.on & {"x_left", "x_right"}:
+                assert on == set(), bench.block["place"]
+                assert trial.block["contact_text"] == "z_is_up"
+                checked += 1
+        was = moves
+        bench.scan()
+    assert bench.block["finished"], bench.block["fault_text"]
+    assert checked > 80
