@@ -15,9 +15,10 @@ from threadline.cli.main import main
 from threadline.jobs import read_job
 from threadline.laws import law, write_law
 from threadline.machine import load_machine
+from threadline.machine.vary import off_tolerance
 from threadline.options import Options, options_of, parse_feed
 from threadline.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove_plan
-from threadline.search import fastest_needle, gentle
+from threadline.search import fastest_needle, gentle, mismatch
 from threadline.search.fastest import find_fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Result, Status, Verdict, load_spec
@@ -57,6 +58,47 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(trials: Trials) -> None:
             told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
             proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
             assert proof.verdict.passed, feed
+
+
+def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """``--mismatch``: plans for the file's machine, run by those with light and heavy masses."""
+    monkeypatch.setattr(mismatch, "ENDS", (-1.0, 1.0))
+    machine = load_machine("lathe-winder+springy")
+    spec = load_spec(None, machine)
+    options = options_of("linear", None, "0.1 mm")
+    job = read_job(EXAMPLES / "x-180.prg", machine)
+    cells = mismatch.feed_over_tolerances(job, machine, spec, options, low=0.020, high=0.045)
+    assert len(cells) == 4 and all(cell.intervals for cell in cells)
+    for cell in cells:
+        actual = off_tolerance(machine, mass=cell.mass, stiffness=cell.stiffness)
+        for interval in cell.intervals:
+            for feed in drawn(interval.low * 1e3, interval.high * 1e3):
+                told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
+                proof = prove_plan(plan_job(job, machine, told), spec, actual=actual)
+                assert proof.verdict.passed, (cell.mass, cell.stiffness, feed)
+
+
+def test_what_fails_at_all_speeds_is_named_as_prove_names_it(tmp_path: Path) -> None:
+    """A snail that no needle speed sews in spec: its stitches are too short, no limit is broken."""
+    turn = np.linspace(0.0, 6.0 * np.pi, 200)
+    radius = 25.0 - 22.0 * turn / turn[-1]
+    points = np.stack([60.0 + radius * np.cos(turn), radius * np.sin(turn)], axis=1)
+    seam = tmp_path / "snail.seam.toml"
+    seam.write_text(
+        '[stitching]\nstitch_length = "2.5 mm"\nneedle_speed = "10 stitch/s"\n'
+        f'[[contour]]\nunit = "mm"\npoints = {points.round(4).tolist()}\n'
+    )
+    machine = load_machine("stitcher")
+    spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", machine)
+    found = fastest_needle(seam, machine, spec, Options(), low=2.0, high=40.0, points=3, near=1)
+    assert found.best is None and not found.intervals
+    for speed in (2.0, 40.0):
+        job = read_job(seam, machine, needle_speed=f"{speed} stitch/s")
+        verdict = prove_plan(plan_job(job, machine, Options()), spec).verdict
+        failed = {result.name for result in verdict.results if result.status is Status.FAILED}
+        assert failed == {found.limited_by} == {"stitch_length_error"}
 
 
 def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
