@@ -80,7 +80,6 @@ SLOW: dict[str, dict[str, str]] = {
     "results-embroidery.md": {
         'threadline prove DESIGN -m schiffli-frame --tolerance "0.05 mm"': THEIRS,
         "threadline compare tree.dst -m schiffli-frame": THEIRS,
-        "threadline fastest examples/rosette.dst -m schiffli-frame": "54 s",
         "threadline fastest tree.dst -m schiffli-frame --nominal": THEIRS,
         "threadline fastest examples/rosette.dst -m schiffli-frame": "a minute",
         "OPENBLAS_NUM_THREADS=1 threadline prove CARD -m schiffli-frame": "random cards, minutes",
