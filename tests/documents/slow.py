@@ -69,6 +69,7 @@ SLOW: dict[str, dict[str, str]] = {
         "python -m tests.plc.scan_table": "minutes",
         "python -m tests.plc.stuck": "tests/plc/test_stuck.py",
         "python tools/onoff_results.py cycle": "a minute",
+        "threadline compare examples/letter-cycle.toml -m letter-placer": "a minute",
         "threadline compile examples/letter-cycle.toml -m letter-placer --target st --shaper zv "
         '--mode "3.04 Hz" --damping 0.17 -o cycle.st': "tests/plc run what it writes",
         'threadline fastest examples/letter-cycle.toml -m MACHINE --robust "20 %" -o robust.toml': (
