@@ -5,9 +5,10 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from tests.plc.driving import homed
+from tests.plc.driving import Bench, homed
 from tests.plc.machine import Plc
 from tests.plc.parts import read_in_parts
+from tests.plc.pistons import Cell
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
@@ -48,3 +49,26 @@ def test_the_lift_that_sinks_while_x_moves_stops_x_at_once(tmp_path: Path) -> No
         bench.scan()
     assert bench.block["finished"], bench.block["fault_text"]
     assert checked > 80
+
+
+def test_by_hand_the_lift_comes_up_where_the_list_never_raises_it(tmp_path: Path) -> None:
+    """A list that lowers the lift at the left and raises it at the right alone, stopped between."""
+    listed = tmp_path / "down.toml"
+    moves = ('Z = "100 mm"', 'X = "200 mm"', 'Z = "0 mm"', 'X = "0 mm"')
+    listed.write_text(
+        '[[operation]]\nvalve = "main_air"\n'
+        + "".join(f"[[operation]]\nmove = {{ {move} }}\n" for move in moves),
+        encoding="utf-8",
+    )
+    machine = load_machine("letter-placer")
+    out = tmp_path / "down.st"
+    write(plan_job(read_job(listed, machine), machine, Options()), "st", out)
+    units = read_in_parts(out.read_text(encoding="ascii"))
+    for x in (0.0, 100.0, 200.0):
+        bench = Bench(Plc(units), cell=Cell(x, 100.0))
+        for _ in range(160):
+            bench.scan(manual=True)
+        for jog, contact in ((4, "z_is_up"), (2, "x_is_left")):
+            for _ in range(200):
+                bench.scan(manual=True, jog=jog)
+            assert bench.cell.contacts()[contact], (x, contact)
