@@ -14,6 +14,22 @@ from threadline.shaping.oscillator import simulated_vibration
 from threadline.shaping.types import Shaper
 
 
+def test_a_train_that_the_controller_spoils_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """Impulses 200 ms apart ring half as much again as none; 5.05 % are more than 5 %."""
+
+    def told(kind: str, *words: str) -> str:
+        with pytest.raises(SystemExit) as ended:
+            main(["shaper", "--mode", "3.04Hz", "--damping", "0.17", "--kind", kind, *words])
+        assert ended.value.code == 0
+        out, err = capsys.readouterr()
+        return out + err
+
+    wide = told("um-2ei", "--tick", "10 ms", "--dwell", "200 ms")
+    assert "more than no shaper at all" in wide
+    assert "more than its tolerance of 5 % at 3.04 Hz itself" in told("um-ei", "--tick", "1 ms")
+    assert "on these ticks the shaper" not in told("um-2ei", "--tick", "1 ms")
+
+
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
     """Run the program in this process; returns exit status, output and errors."""
     with pytest.raises(SystemExit) as stopped:

@@ -507,3 +507,18 @@ def test_the_travel_of_a_cylinder_is_no_angle(shaped: Proof) -> None:
     machine = shaped.plan.machine
     with pytest.raises(RecordingError, match=r"'Z.frame' is in rad.*Z of .* is linear.*mm"):
         judge([turned], shaped.plan, load_spec(None, machine))
+
+
+def test_the_end_of_a_move_is_looked_at_before_its_step_moves_on(tmp_path: Path) -> None:
+    """One step goes down and up again: neither end is missed by the other's 30 mm."""
+    machine = load_machine("letter-placer")
+    file = tmp_path / "dip.toml"
+    file.write_text(
+        '[[operation]]\nvalve = "main_air"\n[[operation]]\nstep = "dip"\nmove = { Z = "30 mm" }\n'
+        '[[operation]]\ndwell = "200 ms"\n[[operation]]\nmove = { Z = "0 mm" }\n',
+        encoding="utf-8",
+    )
+    proof = prove(file, machine, load_spec(None, machine), Options())
+    found = [r.measured for r in proof.verdict.results if r.name == "end_position_error"]
+    assert found
+    assert max(value for value in found if value is not None) < 0.002

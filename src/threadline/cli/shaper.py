@@ -173,6 +173,7 @@ def shaper(
         realised = realise(made, modes, limits, relative=bands, tolerance=tolerances)
         made = realised.shaper
     warnings = doubted(modes) if klipper else list(suspicions(modes))
+    warnings += _spoiled(realised)
     # A positive train amplifies nothing, anywhere.
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
@@ -327,3 +328,21 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
     app.command("shaper")(shaper)
+
+
+def _spoiled(realised: Realised | None) -> list[str]:
+    """Return warnings where the ticks of the controller take what the shaper was made for."""
+    found = []
+    for over in () if realised is None else realised.bands:
+        if over.made >= 1.0:
+            found.append(
+                f"on these ticks the shaper leaves up to {over.made * 100:.3g} % within its band "
+                f"about {over.mode.frequency_hz:g} Hz, more than no shaper at all: take a shorter "
+                "tick or --dwell, or another kind"
+            )
+        elif over.made_width == 0.0:
+            found.append(
+                "on these ticks the shaper leaves more than its tolerance of "
+                f"{over.tolerance * 100:.3g} % at {over.mode.frequency_hz:g} Hz itself"
+            )
+    return found

@@ -60,8 +60,8 @@ def _page(rows: Sequence[tuple[str, Sequence[_Bar]]], last: bool) -> Figure:
     figure = Figure(figsize=(7.2, 1.15 * (len(rows) + 1)))
     panel = figure.subplots()
     _place(panel, 0, 0, "0", "white")
-    panel.text(0.25, 0.0, "every output off; start leads to the first place", va="center",
-               fontsize=_PLAIN)  # fmt: skip
+    told = "every output off; home first, then start leads to the first place"
+    panel.text(0.25, 0.0, told, va="center", fontsize=_PLAIN)
     for number, (step, bars) in enumerate(rows, start=1):
         panel.text(-0.75, -number, step, ha="right", va="center", weight="bold", fontsize=_PLAIN)
         for column, bar in enumerate(bars):

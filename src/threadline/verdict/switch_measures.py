@@ -137,7 +137,9 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
             found += _unknown(run, axis)
         for move in run.moves_of(axis):
             step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
-            end_s = run.quiet_s(step, axis)[1]
+            # A step may move it again: then it has stood until that.
+            later = [m.begin_s for m in run.moves_of(axis) if m.begin_s > move.begin_s]
+            end_s = min([run.quiet_s(step, axis)[1], *later])
             why = run.ended(load[0], run.due_s(step, axis))
             if why:
                 operation = move.planned.operation
