@@ -23,7 +23,7 @@ from threadline.targets.plc_sequence import FAULTS, Sequence, sequence_of
 from threadline.targets.schedule import Scheduled
 from threadline.targets.schedule_moves import shaping_words
 from threadline.targets.structured_text_body import body_lines
-from threadline.targets.structured_text_hand import HAND_NAMES, hand_state
+from threadline.targets.structured_text_hand import HAND_NAMES, hand_constants, hand_state
 from threadline.targets.structured_text_words import Words
 from threadline.writing import together
 
@@ -175,7 +175,7 @@ def _block_variables(words: Words, sequence: Sequence) -> tuple[Block, ...]:
                 *_panel_outputs(),
             ),
         ),
-        Block(kind="VAR CONSTANT", variables=tuple(sequence.constants())),
+        Block(kind="VAR CONSTANT", variables=(*sequence.constants(), *hand_constants(words))),
         Block(kind="VAR", variables=tuple(_state(words, sequence))),
     )
 

@@ -15,8 +15,17 @@ from threadline.targets.structured_text_words import Words
 
 HAND_NAMES = (
     "jogging", "hand_before", "hand_ready", "jog_before", "jog_asked", "jog_runs", "hand_timer",
-    "rest_timer",
+    "rest_timer", "t_hand_air", "t_hand_rest",
 )  # fmt: skip
+
+
+def hand_constants(words: Words) -> Iterator[Variable]:
+    """Yield the two times of work by hand."""
+    for name, ms, note in (
+        ("t_hand_air", words.air_ms, "by hand: the air is up"),
+        ("t_hand_rest", words.dwell_ms, "by hand: the valves rest between two things"),
+    ):
+        yield Variable(name=name, type="TIME", initial=f"T#{ms}ms", note=note)
 
 
 def hand_state() -> Iterator[Variable]:
@@ -44,8 +53,8 @@ def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
     yield "jog_before := jog;"
     yield "hand_before := jogging;"
     yield "(* First the air is up; then the valves rest between two things as long as they must. *)"
-    yield f"hand_timer(IN := jogging, PT := T#{words.air_ms}ms);"
-    yield f"rest_timer(IN := NOT jog_runs, PT := T#{words.dwell_ms}ms);"
+    yield "hand_timer(IN := jogging, PT := t_hand_air);"
+    yield "rest_timer(IN := NOT jog_runs, PT := t_hand_rest);"
     yield "hand_ready := hand_timer.Q AND (jog_runs OR rest_timer.Q);"
     yield "jog_runs := FALSE;"
     yield "IF jogging THEN"
