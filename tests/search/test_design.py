@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.cli import design as command
 from threadline.control import design_lead
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import read_job
@@ -173,6 +174,14 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
     points = np.concatenate(grid)
     tried = evaluator.tried(points, np.zeros(len(points), dtype=np.int64))
     assert tried.ratio.min() > 1.0
+
+
+def test_what_is_told_of_a_design_says_its_level(
+    result: DesignResult, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A redesign is proved in one run: that must not be read as proved in twenty."""
+    command._show(result)
+    assert "IN SPEC (nominal: 1 run; " in capsys.readouterr().out
 
 
 def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:

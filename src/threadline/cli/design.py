@@ -40,7 +40,7 @@ from threadline.report.design import (
 from threadline.search.design import Candidate, DesignResult
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
-from threadline.verdict import load_spec, verdict_rows
+from threadline.verdict import closing, load_spec, verdict_rows
 from threadline.writing import together
 
 _MOST_WIDTHS = 6
@@ -179,6 +179,7 @@ def _show(result: DesignResult) -> None:
             f"Verdict, {over if result.tolerances else ''}proved by the whole pipeline",
             *verdict_rows(result.found.verdict),
         )
+        say(closing(result.found.verdict))
     print_table("Cost against margin, and other machines", *candidate_rows(result))
     say(what_binds(result))
     say(f"{result.simulated} machines simulated")
@@ -202,6 +203,7 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
         content["found"] = {
             **_candidate(found.candidate),
             "passed": found.verdict.passed,
+            "level": found.verdict.level.value,
             "proofs": found.proofs,
             "numbers": dict(found.numbers),
             "worst": {
