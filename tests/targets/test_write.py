@@ -170,8 +170,8 @@ def test_a_rest_that_no_dwell_asks_for_keeps_its_time() -> None:
 def test_a_target_is_refused_before_anything_is_planned() -> None:
     """By its name and the kind of machine alone, with what would do."""
     assert not target_of("nc", winder()).takes_shaped
-    with pytest.raises(OptionError, match=r"unknown target 'klipper'. Known: csv, fanuc, fluidnc"):
-        target_of("klipper", winder())
+    with pytest.raises(OptionError, match=r"unknown target 'okuma'. Known: csv, fanuc, fluidnc"):
+        target_of("okuma", winder())
     with pytest.raises(OptionError, match=r"than lathe-winder, .* Use csv or npz or ticks or nc"):
         target_of("st", winder())
     placer = load_machine("letter-placer")
