@@ -250,7 +250,7 @@ def test_json_exit_and_report_say_the_level(
         (["yield", "JOB", "-m", "M"], "has no dynamics"),
         (["design", "JOB", "-m", "M"], "limits cannot be redesigned"),
         (["analyse", "M"], "has no dynamics"),
-        (["analyse", "M", "--experiments"], "--experiments is of loops"),
+        (["analyse", "M", "--experiments"], "--experiments needs a loop"),
         (["run", "JOB", "-m", "M"], "cannot be run yet"),
     ],
 )  # fmt: skip

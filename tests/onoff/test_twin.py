@@ -168,15 +168,21 @@ def test_every_number_of_a_cylinder_can_vary(path: str) -> None:
 
 
 def test_a_cushion_throttles_the_way_in_and_not_the_way_out() -> None:
-    """Standing at its end and told to go back, a piston's exhaust is open: with or without one."""
-    rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (150, ("x_left", "x_left_a1"))]
+    """Back from its end a piston passes 150 mm at nearly the same instant, with or without one.
+
+    At 0.27 m/s the 22 mm of the cushion take 80 ms; a flow throttled to 42 % would take 190 ms, 110
+    more. What is left is a bounce of the piston as it comes off, which the cushion does take up.
+    """
+    rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (180, ("x_left", "x_left_a1"))]
     strokes = []
     for overlay in ("", "+data-sheet"):
         machine = load_machine(f"letter-placer{overlay}")
-        recording = simulate_switching(schedule(machine, Fraction(1, 100), rows, 190), machine)
+        recording = simulate_switching(schedule(machine, Fraction(1, 100), rows, 270), machine)
         strokes.append(recording.samples("X.load")[1])
-    assert strokes[0][1490] == pytest.approx(0.2, abs=1e-6)
-    np.testing.assert_allclose(strokes[0][1500:1950], strokes[1][1500:1950], atol=2e-4)
+    assert strokes[0][1790] == pytest.approx(0.2, abs=1e-6)
+    passed = [int(np.argmax(stroke[1800:] < 0.15)) for stroke in strokes]  # ms
+    assert 300 < passed[0] < 700
+    assert abs(passed[1] - passed[0]) < 30
     assert np.abs(strokes[0][:900] - strokes[1][:900]).max() > 1e-3
 
 

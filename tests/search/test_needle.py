@@ -14,7 +14,7 @@ from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.search import fastest_needle, needle_range_hz
 from threadline.search.fastest import find_fastest
-from threadline.search.needle import _beyond
+from threadline.search.refused import beyond
 from threadline.verdict import load_spec
 
 SEAM = """
@@ -59,10 +59,10 @@ def test_a_speed_that_is_refused_is_told_in_the_units_of_its_limit():
     """A deceleration of 4.26 m/s^2 where 4 are allowed: no percentages, no sign."""
     machine = load_machine("stitcher")
     error = LimitError("-", axis="X", quantity="acceleration", value_si=-4.26, limit_si=4.0)
-    found = find_fastest(lambda _: _beyond(error, machine), 1.0, 2.0, points=3)
+    found = find_fastest(lambda _: beyond(error, machine), 1.0, 2.0, points=3)
     assert found.best is None and found.limited_by == "acceleration"
     (result,) = found.verdict.results
     assert (result.measured, result.limit, result.unit) == (4.26, 4.0, "m/s^2")
     far = LimitError("-", axis="Y", quantity="travel", value_si=-0.2, limit_si=-0.15)
-    (result,) = _beyond(far, machine).results
+    (result,) = beyond(far, machine).results
     assert (result.measured, result.limit, result.unit) == (pytest.approx(0.05), 0.0, "m")

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from threadline.machine.quantity import parse_machine_quantity
 from threadline.signals import ChannelKind, Stream
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 from threadline.verdict import Criterion, Status, judge, load_spec
@@ -143,6 +144,25 @@ def test_beyond_the_travel_fails_and_an_endless_axis_has_none() -> None:
     assert every.result("travel", "X").measured == pytest.approx(0.1)
     with pytest.raises(KeyError):
         every.result("travel", "A")
+
+
+@pytest.mark.parametrize(("stroke", "beyond"), [("0.38 m", 0.01), ("0.4 m", -0.01)])
+@pytest.mark.parametrize("per_block", [1, 2])
+def test_all_of_the_way_is_held_against_the_stroke(
+    stroke: str, beyond: float, per_block: int
+) -> None:
+    """To 0.2 m and back to -0.19 m: each end lies well within the travel of +-0.5 m."""
+    pieces = [[0.2 * c for c in QUINTIC], [(-0.39) * c for c in QUINTIC]]
+    pieces[1][0] = 0.2
+    plan = with_pieces(np.array(pieces)[:, :, None], [0.5, 0.5], per_block=per_block)
+    x = plan.machine.axes["X"]
+    of_use = replace(x, stroke=parse_machine_quantity(f"{stroke} exact, assumed", ("m",)))
+    plan = replace(plan, machine=replace(plan.machine, axes={**plan.machine.axes, "X": of_use}))
+    travel = judged(plan, load_spec(None, plan.machine)).result("travel", "X")
+    assert travel.measured == pytest.approx(beyond, abs=1e-12)
+    assert (travel.status is Status.FAILED) == (beyond > 0)
+    assert travel.time_s == pytest.approx(1.0)
+    assert travel.note.endswith("from end to end")
 
 
 def test_an_axis_that_is_asked_for_by_name_is_not_measured_where_the_job_lacks_it() -> None:

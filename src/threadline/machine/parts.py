@@ -198,8 +198,10 @@ class Axis:
     ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum of
     coordinates; without it, the load is what the sensor or the drive of the axis counts, not
     rounded. ``frame`` gives the position of the frame in the same way. ``endless`` axes have no
-    travel. ``radius`` is the distance at which a rotary axis acts on the work, that of the tool
-    when left out. ``working_velocity`` is the speed of daily work, for which warnings are computed.
+    travel. ``stroke`` is the way between the two ends of the axis, of an axis on which a job may
+    begin anywhere: the greatest position less the least is never more. ``radius`` is the distance
+    at which a rotary axis acts on the work, that of the tool when left out. ``working_velocity``
+    is the speed of daily work, for which warnings are computed.
     """
 
     kind: Literal["linear", "rotary"]
@@ -210,6 +212,7 @@ class Axis:
     acceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
     travel: tuple[Position, Position] | None = None
+    stroke: Position | None = None
     endless: StrictBool = False
     radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
     load: Weights | None = None
@@ -243,6 +246,11 @@ class Axis:
                 raise ValueError(f"travel of a {self.kind} axis is in {length}")
             if low.si >= high.si:
                 raise ValueError(f"travel runs from {low.si} to {high.si} {length}: nothing left")
+        if self.stroke is not None:
+            if self.travel is None:
+                raise ValueError("an endless axis has no stroke: take it out")
+            if self.stroke.unit != length or self.stroke.si <= 0.0:
+                raise ValueError(f"the stroke of a {self.kind} axis is above 0, in {length}")
         return self
 
 

@@ -39,7 +39,7 @@ _MACHINE = (
 _COUNTS = "axes.*.counts"
 _PLANNED = (
     "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.jerk", "axes.*.travel.*",
-    "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
+    "axes.*.stroke", "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
 )  # fmt: skip
 """Numbers that plans depend on and motions do not: they are the same in every variant."""
 

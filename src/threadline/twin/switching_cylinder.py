@@ -33,6 +33,7 @@ _ADHESION_N = 1.0
 """N. A piston leaves its stop only when a larger force pulls at it; at a smaller one it would
 leave and meet the stop again at every step."""
 _TAYLOR = 8
+_FAR = 1e3  # a series of so few terms has no chance to converge beyond
 _EMPTY = 1.0 / (4.0 * 1.4)
 """Of the stroke: so far the air is strained when the exhaust of a pressed piston is empty.
 
@@ -161,8 +162,11 @@ def _short_step(turned: FloatArray) -> FloatArray:
 
     In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so that
     a few terms are enough, much faster than a general exponential. Where the series has not
-    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used.
+    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used; so
+    it is where a generator is beyond ``_FAR``, whose powers would overflow.
     """
+    if float(np.abs(turned).max()) > _FAR:
+        return np.asarray(expm(turned))
     total = np.broadcast_to(np.eye(turned.shape[-1]), turned.shape).copy()
     term = total
     for order in range(1, _TERMS):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.machine.quantity import Quantity
 from threadline.plan import Plan
 from threadline.trajectory.extremes import derivatives, farthest, highest, hull_of
 from threadline.trajectory.types import TrajectoryBlock
@@ -22,11 +23,12 @@ _STEPPED = ("position", "velocity", "acceleration")
 def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
     """Return the exact extremes of the trajectory: per name, one finding per axis.
 
-    ``travel`` is how far the trajectory goes beyond the travel of the axis, negative where room
-    is left; endless axes have none. ``velocity``, ``acceleration`` and ``jerk`` are absolute
-    values, in the axis' units. Where a derivative steps between two pieces those above it are
-    infinite in theory; the controller sees the step spread over one tick of its clock, and so it
-    is counted: a step of velocity is an acceleration for one tick, and that in turn a jerk.
+    ``travel`` is how far the trajectory goes beyond the travel of the axis, or all of its way
+    beyond the stroke, negative where room is left; endless axes have none. ``velocity``,
+    ``acceleration`` and ``jerk`` are absolute values, in the axis' units. Where a derivative steps
+    between two pieces those above it are infinite in theory; the controller sees the step spread
+    over one tick of its clock, and so it is counted: a step of velocity is an acceleration for one
+    tick, and that in turn a jerk.
     """
     axes = plan.motion.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
@@ -36,7 +38,7 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
     limits = plan.machine.travel
     rows = [plan.machine.axis_names.index(axis) for axis in axes]
     reach = {
-        column: _Reach(axis, limits[row])
+        column: _Reach(axis, limits[row], plan.machine.axes[axis].stroke)
         for column, (axis, row) in enumerate(zip(axes, rows, strict=True))
         if np.isfinite(limits[row]).all()
     }
@@ -129,11 +131,13 @@ class _Demand:
 
 
 class _Reach:
-    """How far one axis goes beyond its travel, on either side."""
+    """How far one axis goes beyond its travel, on either side, or beyond its stroke in all."""
 
-    def __init__(self, axis: str, limits: FloatArray) -> None:
+    def __init__(self, axis: str, limits: FloatArray, stroke: Quantity | None) -> None:
         self._axis = axis
         self._low, self._high = float(limits[0]), float(limits[1])
+        self._stroke = np.inf if stroke is None else float(stroke.si)
+        self._ends = {1.0: -np.inf, -1.0: -np.inf}  # greatest position, and least one negated
         self._value = -np.inf
         self.worst = Finding(value=None, axis=axis, note="the trajectory is empty")
 
@@ -144,20 +148,32 @@ class _Reach:
             (1.0, self._high, float(hull.max())),
             (-1.0, -self._low, -float(hull.min())),
         ):
+            if np.isfinite(self._stroke) and most > self._ends[sign]:
+                found = highest(sign * poly, self._ends[sign])
+                if found is not None:
+                    self._ends[sign] = found[0]
+                    spanned = sum(self._ends.values()) - self._stroke
+                    self._take(block, (spanned, *found[1:]), " from end to end")
             if most - limit + _ROUNDED * (abs(most) + abs(limit)) <= self._value:
                 continue
             beyond = sign * poly
             beyond[0] -= limit
             found = highest(beyond, self._value)
-            if found is None:
-                continue
-            self._value, piece, where = found
-            time_s, operation, position = _place(block, piece, where)
-            self.worst = Finding(
-                value=self._value,
-                axis=self._axis,
-                time_s=time_s,
-                operation=operation,
-                position=position,
-                note="beyond" if self._value > 0 else "room left",
-            )
+            if found is not None:
+                self._take(block, found, "")
+
+    def _take(self, block: TrajectoryBlock, found: tuple[float, int, float], of: str) -> None:
+        """Keep a distance beyond, its piece and the place in it, if none was greater."""
+        value, piece, where = found
+        if value <= self._value:
+            return
+        self._value = value
+        time_s, operation, position = _place(block, piece, where)
+        self.worst = Finding(
+            value=value,
+            axis=self._axis,
+            time_s=time_s,
+            operation=operation,
+            position=position,
+            note=("beyond" if value > 0 else "room left") + of,
+        )

@@ -278,6 +278,7 @@ def _limits_of(
         f'travel = ["-{way} exact, assumed: no further than from end to end", '
         f'"{way} exact, assumed: likewise"]'
     )
+    yield f'stroke = "{way} exact, assumed: from end to end, wherever a job begins"'
 
 
 def _limit(
