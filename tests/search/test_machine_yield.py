@@ -109,6 +109,26 @@ def test_the_worst_machine_is_no_better_than_any_drawn_and_can_be_proved(
     assert len(uncertain(plan.machine)) > 12 and not bad["of_corners"]
 
 
+def test_corners_lie_as_far_off_as_machines_are_drawn(tmp_path: Path) -> None:
+    """Of a normal number they are at three deviations, one and a half times its tolerance."""
+    file = tmp_path / "mine.toml"
+    names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
+    others = [name for name in names if name != "bodies.x.inertia"]
+    file.write_text(
+        'base = "lathe-winder"\nname = "mine"\n[tolerances]\nnormal = ["bodies.x.inertia"]\n'
+        f"exclude = {json.dumps(others)}\n",
+        encoding="utf-8",
+    )
+    machine = load_machine(file)
+    assert [number.name for number in uncertain(machine)] == ["bodies.x.inertia"]
+    plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
+    study = MachineYield(plan, load_spec(None, machine))
+    worst = study.worst()
+    assert worst.of_corners and np.abs(worst.parts).tolist() == [1.5]
+    shares, _ = machine_yield.shares_of(study.drawn(200, 1).found)
+    assert worst.share >= shares.max()
+
+
 def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec]) -> None:
     plan, spec = asked
     judged = MachineYield(plan, spec)

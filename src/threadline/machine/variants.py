@@ -63,6 +63,11 @@ class Uncertain:
     numbers: tuple[str, ...]
     normal: bool
 
+    @property
+    def farthest(self) -> float:
+        """How far it is off at most, in parts of its tolerance."""
+        return FARTHEST / _PER_PART if self.normal else 1.0
+
 
 def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     """Return the n numbers and groups of ``machine`` that vary, in the order of its file.

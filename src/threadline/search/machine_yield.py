@@ -139,8 +139,12 @@ class MachineYield:
         }
         rates = fastest_rates(tick_table(self.plan.commands), Values.of(machine, numbers))
         corners = [np.where(rate[0::2] > rate[1::2], -1.0, 1.0) for rate in rates]
-        normal = np.array([1.5 if number.normal else 1.0 for number in self.numbers])
-        return np.asarray(np.concatenate([ends, np.stack(corners)]) * normal)
+        return np.asarray(np.concatenate([ends, np.stack(corners)]) * self._ends)
+
+    @property
+    def _ends(self) -> FloatArray:
+        """(n,) how far a number is off at most, in parts of its tolerance."""
+        return np.array([number.farthest for number in self.numbers])
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return what comes of machines at (k, n) parts of their tolerances."""
@@ -198,6 +202,7 @@ class MachineYield:
             ends = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(free), indexing="ij"))
             parts = np.zeros((2 ** len(free), len(self.numbers)))
             parts[:, free] = ends.reshape(len(free), -1).T
+            parts *= self._ends
             shares, binding = shares_of(self.judged(parts))
             at = int(np.argmax(shares))
             return self._worst(parts[at], float(shares[at]), binding[at], of_corners=True)
@@ -205,7 +210,7 @@ class MachineYield:
         if known is not None:
             order = np.argsort(-shares_of(known.found)[0], kind="stable")[:_STARTS]
             starts = drawn(self.plan.machine, known.seed, order)
-            starts = np.where(starts < 0.0, -1.0, 1.0)
+            starts = np.where(starts < 0.0, -1.0, 1.0) * self._ends
         held = [k for k in range(len(self.numbers)) if k not in free]
         starts[:, held] = 0.0
         return max((self._climbed(start, free) for start in starts), key=lambda w: w.share)
@@ -217,7 +222,7 @@ class MachineYield:
         for _ in range(_ROUNDS if np.isfinite(share) else 0):
             tried = np.repeat(best[None], 2 * len(free), axis=0)
             for row, k in enumerate(free):
-                tried[2 * row, k], tried[2 * row + 1, k] = -1.0, 1.0
+                tried[2 * row, k], tried[2 * row + 1, k] = -self._ends[k], self._ends[k]
             shares, binding = shares_of(self.judged(tried))
             at = int(np.argmax(shares))
             if shares[at] <= share:

@@ -162,8 +162,8 @@ def _short_step(turned: FloatArray) -> FloatArray:
 
     In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so that
     a few terms are enough, much faster than a general exponential. Where the series has not
-    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used; so
-    it is where a generator is beyond ``_FAR``, whose powers would overflow.
+    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used.
+    Where a generator is beyond ``_FAR`` its powers could overflow, and that one is used at once.
     """
     if float(np.abs(turned).max()) > _FAR:
         return np.asarray(expm(turned))
