@@ -22,6 +22,7 @@ class Interrupter:
             os.kill(os.getpid(), signal.{signal})
             import time; time.sleep(5)
 sys.meta_path.insert(0, Interrupter())
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and stays so
 sys.argv = ["threadline", "law", "cubic"]
 from threadline.cli.start import run
 run()
