@@ -297,8 +297,7 @@ def parse_margin(text: str) -> float:
     value = parse_number("margin", text, "", "20 %")
     if not 0.0 <= value < 1.0:
         raise OptionError(
-            f"margin {text!r} must be at least 0 % and below 100 %",
-            remedy='20 % of every limit kept free is "20 %".',
+            f"margin {text!r} must be at least 0 % and below 100 %", remedy='Write it like "20 %".'
         )
     return value
 
@@ -363,7 +362,8 @@ def options_of(
             f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of {what}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL} without --feed-forward.",
         )
-    width = OPTIMAL_FEED_FORWARD if interpolation == OPTIMAL else FEED_FORWARD
+    if smoothing is None:
+        smoothing = OPTIMAL_FEED_FORWARD if interpolation == OPTIMAL else FEED_FORWARD
     return Options(
         interpolation=interpolation,
         feed=None if feed is None else parse_feed(feed),
@@ -373,9 +373,7 @@ def options_of(
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,
-        feed_forward_s=parse_width_s(width if smoothing is None else smoothing)
-        if feed_forward
-        else None,
+        feed_forward_s=parse_width_s(smoothing) if feed_forward else None,
         contour_m=None if contour is None else parse_contour_m(contour),
     )
 

@@ -21,13 +21,15 @@ from threadline.pipeline import check_loops, plan_job, prove_plan
 from threadline.plant.loop import axis_loop
 from threadline.plant.margins import loop_margins
 from threadline.plant.values import Values
-from threadline.search.design import DesignResult, design, with_delay
+from threadline.search.design import design, with_delay
 from threadline.search.design_evaluate import Effort, Evaluator
 from threadline.search.design_gains import design_gains
 from threadline.search.design_judge import design_judge
+from threadline.search.design_result import DesignResult
 from threadline.search.design_search import known_points, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
+from threadline.verdict.types import Level
 
 PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
 CORNER = """
@@ -213,7 +215,9 @@ def test_tolerances_cost_more(
     assert robust.found is not None
     assert result.found is not None
     assert robust.found.proofs == 5
-    assert robust.found.verdict.passed
+    verdict = robust.found.verdict
+    assert verdict.passed
+    assert (verdict.level, verdict.runs, verdict.machines) == (Level.TOLERANCES, 1, 4)
     assert robust.found.candidate.cost > result.found.candidate.cost
     plan = plan_job(read_job(corner, robust.found.machine), robust.found.machine, Options())
     for belt, load in ((0.8, 0.9), (0.8, 1.1), (1.2, 0.9), (1.2, 1.1)):

@@ -21,7 +21,8 @@ from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, prove_plan, yielding
 from threadline.plan import Plan
 from threadline.search.cheapest_set import cheapest_set
-from threadline.search.design import Found, design
+from threadline.search.design import design
+from threadline.search.design_result import Found
 from threadline.search.machine_yield import MachineYield
 from threadline.signals import tick_table
 from threadline.twin import simulate

@@ -37,9 +37,9 @@ from threadline.report.design import (
     what_binds,
     write_design_report,
 )
-from threadline.search.design import Candidate, DesignResult
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
+from threadline.search.design_result import Candidate, DesignResult
 from threadline.verdict import closing, load_spec, verdict_rows
 from threadline.writing import together
 

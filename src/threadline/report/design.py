@@ -14,7 +14,7 @@ from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
-from threadline.search.design import Candidate, DesignResult, Found
+from threadline.search.design_result import Candidate, DesignResult, Found
 from threadline.verdict import verdict_rows
 
 if TYPE_CHECKING:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,8 @@ from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
 from threadline.pipeline import Progress, check_loops, plan_job, simulate, try_plan, yielding
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
-from threadline.search.design_region import Region, region_of
+from threadline.search.design_region import region_of
+from threadline.search.design_result import Candidate, DesignResult, Found
 from threadline.search.design_search import (
     TARGETS,
     first_sample,
@@ -28,7 +29,8 @@ from threadline.search.design_search import (
     with_settings,
 )
 from threadline.search.design_space import Space, design_space
-from threadline.verdict import Spec, Verdict, judge
+from threadline.verdict import Spec
+from threadline.verdict.judge import Judge
 
 _MOST_PROOFS = 12
 _DELAYED = (
@@ -39,108 +41,6 @@ _DELAYED = (
 )
 _DIGITS = 3
 _RETRIED = 8  # settings of a known answer that are tried over the tolerances
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Candidate:
-    """A machine that was tried.
-
-    Parameters
-    ----------
-    factors
-        By parameter.
-    cost
-        Weighted sum of |ln factor|.
-    ratio, nominal
-        Worst measured over limit: over the tolerances if they were asked for, and without.
-    binding
-        The criterion that uses most of its limit.
-    crossover_hz, phase_margin_deg
-        What its filters were designed for; None where they weren't.
-    acceleration
-        Share of the machine's acceleration.
-    smoothing_s
-        Of feed-forward; None without it.
-    delay_s
-        Needle delay; None without stitches.
-    """
-
-    factors: Mapping[str, float]
-    cost: float
-    ratio: float
-    nominal: float
-    binding: str
-    crossover_hz: float | None
-    phase_margin_deg: float | None
-    acceleration: float
-    smoothing_s: float | None
-    delay_s: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
-    """A design that was proved by the whole pipeline.
-
-    Parameters
-    ----------
-    candidate
-        As it was proved.
-    machine, spec
-        With the numbers of the design and its needle delay.
-    numbers
-        Those that differ from the machine as it was: path to SI value.
-    verdict
-        Of the machine as drawn and, where they were asked for, of all corners: the worst counts.
-    proofs
-        How many machines were proved.
-    """
-
-    candidate: Candidate
-    machine: Machine
-    spec: Spec
-    numbers: Mapping[str, float]
-    verdict: Verdict
-    proofs: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DesignResult:
-    """What a search for the smallest change brought.
-
-    Parameters
-    ----------
-    machine, job
-        As they were.
-    found
-        None where no change within the bounds meets the specification.
-    pareto
-        Cost against margin, the cheapest first.
-    known
-        The best settings of each known answer, by its title.
-    as_built
-        The machine as it is, with the best settings.
-    region
-        What is in spec around the design, in two of its parameters; None with fewer than two.
-    nearest
-        The candidate that came nearest to the specification.
-    simulated
-        Machines simulated in the search.
-    tolerances
-        Whether the design was asked to hold at all corners of the tolerances.
-    """
-
-    machine: Machine
-    job: Job
-    space: Space
-    found: Found | None
-    pareto: tuple[Candidate, ...]
-    known: Mapping[str, Candidate]
-    as_built: Candidate
-    region: Region | None
-    nearest: Candidate
-    simulated: int
-    tolerances: bool
-    refused: tuple[str, ...]
 
 
 def design(
@@ -382,7 +282,7 @@ def _prove(
             check_loops(machines[-1])
     recordings = [simulate(plan.commands, each) for each in machines]
     try:
-        verdict = judge(recordings, plan, asked)
+        verdict = Judge(plan, asked).verdict(recordings[:1], recordings[1:])
         if wished is not None and verdict.passed:
             verdict = try_plan(plan, asked, yielding(wished)).verdict
     except MachineError as error:

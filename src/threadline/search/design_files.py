@@ -10,7 +10,7 @@ from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.quantity import Quantity
-from threadline.search.design import DesignResult, Found
+from threadline.search.design_result import DesignResult, Found
 from threadline.signals.files.common import atomic_file
 from threadline.verdict import Spec
 from threadline.verdict.registry import MEASURES
