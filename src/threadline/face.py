@@ -295,8 +295,8 @@ def compile(
         As ``prove`` takes them.
     target
         For a machine with axes ``csv``, ``npz``, ``ticks``, ``nc``, ``grbl``, ``fluidnc``,
-        ``marlin``, ``klipper``, ``linuxcnc`` or ``fanuc``; for an on/off machine ``st``,
-        ``plcopen`` or ``scl``; for an embroidery machine ``steps`` or ``t15``.
+        ``marlin``, ``klipper``, ``reprapfirmware``, ``linuxcnc`` or ``fanuc``; for an on/off
+        machine ``st``, ``plcopen`` or ``scl``; for an embroidery machine ``steps`` or ``t15``.
     out
         The file.
     **words

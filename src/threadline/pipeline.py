@@ -237,10 +237,10 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
         array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
         a block for each stretch of time. ``grbl``, ``fluidnc``, ``marlin``, ``klipper``,
-        ``linuxcnc``, ``fanuc``: chords for a controller that plans its own ramps. ``st``:
-        structured text for a PLC, its configuration in a second file. ``plcopen``: the same as
-        PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and stitches, binary
-        and CSV, with a manifest. ``t15``: a Saurer T15 card.
+        ``reprapfirmware``, ``linuxcnc``, ``fanuc``: chords for a controller that plans its own
+        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
+        the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
+        stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
     out
         The file.
 

@@ -80,6 +80,21 @@ kinematics: cartesian
 max_velocity: 300
 max_accel: 3000
 """
+REPRAPFIRMWARE = """; config.g
+G90                               ; absolute
+M550 P"Winder; M92 X1"
+M569 P0.0 S1
+M584 X0.0 A0.1 E0.2
+M350 X16 A16 E16:16 I1
+M92 X80.00 A26.67 E420:420        ; steps per mm
+M566 X900.00 A600.00 E120 P1      ; mm/min
+M203 X6000.00 A36000.00 E1200
+M201 X500.00 A2000.00 E250
+M204 P400 T450
+M906 X800 A800 E800 I30
+M208 X-10 S1
+M208 X590 S0
+"""
 OWNER = (
     "torque=1.26 N m", "current=2.8 A", "resistance=0.9 ohm", "inductance=2.5 mH", "supply=36 V",
     "mass=1.2 kg", "inertia=4e-3 kg m^2", "radius=50 mm", "microsteps=16",
@@ -105,6 +120,8 @@ def machine(folder: Path, text: str, *more: str) -> Machine:
          {"X": 0.1, "A": 2000.0}, {"X": 0.9}, "fluidnc"),
         (KLIPPER, ["rotary=Y"], {"X": 80e3, "Y": 200 * 16 * 3 / 360}, {"X": 0.3, "Y": 300.0},
          {"X": 3.0, "Y": 3000.0}, {"X": 0.9}, "marlin"),
+        (REPRAPFIRMWARE, ["rotary=A"], {"X": 80e3, "A": 26.67}, {"X": 0.1, "A": 600.0},
+         {"X": 0.5, "A": 2000.0}, {"X": 0.6}, "marlin"),
     ],
 )  # fmt: skip
 def test_a_firmware_becomes_a_machine(
@@ -147,6 +164,8 @@ def test_a_firmware_becomes_a_machine(
         (KLIPPER + "square_corner_velocity: 8\n", ["rotary=Y"],
          {"square_corner_velocity": 0.008, "velocity": 0.3, "acceleration": 3.0,
           "minimum_cruise_ratio": 0.5}),
+        (REPRAPFIRMWARE, ["rotary=A"], {"policy": 1.0, "acceleration": 0.45}),
+        (REPRAPFIRMWARE.replace(" P1 ", " "), ["rotary=A"], {"policy": 0.0}),  # its default
     ],
 )  # fmt: skip
 def test_a_firmware_tells_its_planner(
@@ -165,6 +184,14 @@ def test_jerks_of_marlin_are_jumps_of_its_axes(tmp_path: Path) -> None:
     jumps = {axis: jump.si for axis, jump in made.planner.jump.items()}
     assert jumps == pytest.approx({"X": 0.008, "A": math.radians(5.0)})
     assert made.planner.junction_deviation is None
+
+
+def test_jumps_of_reprapfirmware_are_a_minute_s(tmp_path: Path) -> None:
+    """M566 X900 A600: 900 mm/min are 15 mm/s, 600 deg/min 10 deg/s. M350 has the microsteps."""
+    made = machine(tmp_path, REPRAPFIRMWARE, "rotary=A")
+    jumps = {axis: jump.si for axis, jump in made.planner.jump.items()}
+    assert jumps == pytest.approx({"X": 0.015, "A": math.radians(10.0)})
+    assert read_settings(tmp_path / "settings.txt").axes["X"].microsteps.value == 16.0
 
 
 def test_what_moves_counts_at_its_motor(tmp_path: Path) -> None:
@@ -217,6 +244,15 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 3\n", "gear_ratio: 3"),
         ("[stepper_x]\nrotation_distance 4\n", "'rotation_distance 4' is no line"),
         ("[printer]\nmax_velocity: 9\n", "say nothing of any axis"),
+        ("M584 X0\nif {1}\n  M92 X80\n", "M92 stands under a condition"),
+        ("M584 X0\nM92 X{var.steps}\n", "'M92 X{var.steps}' is no line of these settings"),
+        ("M584 X0\nM92 X80 S16\n", "M92 S16 counts its steps in other microsteps"),
+        ("M584 X0\nM92 X80\nM350 X16\n", "M350 X comes after the steps of X"),
+        ("M584 X0\nM92 X80:80\n", "M92 X is '80:80'"),
+        ("M584 X0\nM92 X80\nM208 X1:2:3\n", "M208 X is '1:2:3'"),
+        ("M584 X0\nM92 X80\nM208 X9:3\n", "M208 X is '-6.0'"),
+        ("M566 X900 P7..\n", "M566 P is '7..'"),
+        ("M584 X0\nM569 P0 S1\n", "say nothing of any axis (reprapfirmware)"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -248,6 +284,11 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], 
         machine_text(read_settings(file), parse_answers(answers), "mine")
 
 
+def test_an_axis_of_reprapfirmware_without_its_jump_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MachineError, match="do not say the jump of speed of axis A"):
+        machine(tmp_path, REPRAPFIRMWARE.replace("X900.00 A600.00", "X900.00"), "rotary=A")
+
+
 def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
     """300 dumps with a line changed, cut or doubled: a machine file or one line of error."""
     rng = random.Random(11)
@@ -255,7 +296,7 @@ def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
     answers = parse_answers([*OWNER, "rotary=A", "travel=600 mm"])
     read = 0
     for _ in range(300):
-        lines = rng.choice((GRBL, MARLIN, FLUIDNC, KLIPPER)).splitlines()
+        lines = rng.choice((GRBL, MARLIN, FLUIDNC, KLIPPER, REPRAPFIRMWARE)).splitlines()
         at = rng.randrange(len(lines))
         line = lines[at]
         cut = rng.randrange(len(line) + 1)

@@ -28,6 +28,9 @@ from threadline.pipeline import open_job, plan_job, write
 from threadline.plan import Plan
 from threadline.shaping import FlexibleMode
 from threadline.shaping.klipper import klipper_impulses
+from threadline.shaping.marlin import marlin_impulses
+from threadline.shaping.reprapfirmware import TYPES, reprap_impulses, shortest_for_all
+from threadline.shaping.types import Shaper
 from threadline.targets import firmware_program
 from threadline.targets.boards import BOARDS, dialect_of
 
@@ -84,8 +87,9 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
     assert max(map(len, out.read_text().splitlines())) < 80
     assert f"{len(found)} blocks, read back" in file.warnings[0]
     text = out.read_text()
-    pause = {"marlin": "G4 P500", "klipper": "G4 P500", "fanuc": "G4 X0.5"}.get(target, "G4 P0.5")
-    assert pause in text and ("M0" in text) == BOARDS[target].stops
+    milliseconds = ("marlin", "klipper", "reprapfirmware")
+    pause = {"fanuc": "G4 X0.5"} | dict.fromkeys(milliseconds, "G4 P500")
+    assert pause.get(target, "G4 P0.5") in text and ("M0" in text) == BOARDS[target].stops
     again = read_job(out, xya, dialect=dialect_of(target))
     assert again.axes == ("X", "Y", "A")
 
@@ -217,6 +221,99 @@ def test_klipper_gets_the_shaper_of_each_mode(tmp_path: Path) -> None:
         assert abs((decayed * turned).sum()) <= 0.0501
     zv = klipper_impulses("zv", mode)
     assert (zv.times_s[-1] < train.times_s[-1]) == (said["shaper_type_x"] != "zv")
+
+
+def left(train: Shaper, hz: float, zeta: float) -> float:
+    """Return the share of a mode that a train leaves, by the sum of its phasors."""
+    w = 2.0 * math.pi * hz
+    decayed = train.amplitudes * np.exp(-zeta * w * (train.times_s[-1] - train.times_s))
+    turned = np.exp(1j * w * math.sqrt(1.0 - zeta**2) * train.times_s)
+    return float(abs((decayed * turned).sum()))
+
+
+def head_of(folder: Path, machine: Machine, target: str) -> list[str]:
+    made = plan(folder, machine, "O1\nG1 X30 F1200\nM30\n")
+    out = folder / "out.gcode"
+    write(made, target, out)
+    return [line[2:] for line in out.read_text().splitlines() if line.startswith("; ")]
+
+
+def words_of(line: str) -> dict[str, float]:
+    return {word[0]: float(word[1:]) for word in line.split() if word[0] in "FDS"}
+
+
+def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
+    """Marlin's echo comes half a period of F later, and of 128 parts: F is the damped frequency.
+
+    1 / (1 + K) first, K / (1 + K) then, K = exp(-pi zeta / sqrt(1 - zeta^2)), to a 128th.
+    """
+    machine = load_machine("stepper-winder")
+    head = head_of(tmp_path, machine, "marlin")
+    (command,) = (line for line in head if line.startswith("M593"))
+    said = words_of(command)
+    zeta = 33.0 / (2.0 * math.sqrt(60e3 * 1.2))
+    hz = math.sqrt(60e3 / 1.2) / (2.0 * math.pi)
+    assert command.startswith("M593 X F")
+    assert said["D"] == pytest.approx(zeta, rel=1e-3)
+    assert said["F"] == pytest.approx(hz * math.sqrt(1.0 - zeta**2), rel=1e-4)
+    train = marlin_impulses(said["F"], said["D"])
+    decay = math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
+    assert train.amplitudes == pytest.approx([1 / (1 + decay), decay / (1 + decay)], abs=1 / 128)
+    assert train.times_s.tolist() == [0.0, 0.5 / said["F"]]
+    assert left(train, hz, zeta) < 0.01
+    (told,) = (line for line in head if "Marlin's ZV leaves" in line)
+    off = max(left(train, f, zeta) for f in hz * np.linspace(0.9, 1.1, 41))
+    assert f"{off:.0%} at most" in told
+    assert any(line.startswith("A: Marlin shapes X, Y alone") for line in head)
+
+
+def test_reprapfirmware_gets_one_shaper_for_all(tmp_path: Path) -> None:
+    """One train leaves at most 5 % of the modes of X and A within 10 %, and no shorter one does.
+
+    X: 60 kN/m and 1.2 kg; A's mode is read from what is told. ZVD, by which one may see that the
+    train is theirs: 1, 2 k, k^2 over (1 + k)^2, half a damped period apart
+    (``AxisShaper::Configure``).
+    """
+    machine = load_machine("stepper-winder")
+    head = head_of(tmp_path, machine, "reprapfirmware")
+    (command,) = (line for line in head if line.startswith("M593"))
+    name, said = command.split('"')[1], words_of(command.split('"')[2])
+    modes = [
+        [float(number) for number in re.findall(r"[\d.]+(?= Hz)|(?<=ratio )[\d.]+", line)]
+        for line in head
+        if " Hz, damping ratio " in line
+    ]
+    zeta = 33.0 / (2.0 * math.sqrt(60e3 * 1.2))
+    hz = math.sqrt(60e3 / 1.2) / (2.0 * math.pi)
+    assert len(modes) == 2 and max(modes) == pytest.approx([hz, zeta], rel=1e-3)
+    assert min(f for f, _ in modes) <= said["F"] <= max(f for f, _ in modes)
+
+    def most(train: Shaper) -> float:
+        return max(left(train, f * k, z) for f, z in modes for k in np.linspace(0.9, 1.1, 41))
+
+    chosen = reprap_impulses(name, said["F"], said["S"])
+    assert most(chosen) <= 0.0501
+    for other in TYPES:
+        for f in np.linspace(min(f for f, _ in modes), max(f for f, _ in modes), 9):
+            train = reprap_impulses(other, f, said["S"])
+            assert train.times_s[-1] > 0.999 * chosen.times_s[-1] or most(train) > 0.0499
+    root = math.sqrt(1.0 - zeta**2)
+    k = math.exp(-math.pi * zeta / root)
+    zvd = reprap_impulses("zvd", hz, zeta)
+    assert zvd.amplitudes == pytest.approx(np.array([1.0, 2.0 * k, k * k]) / (1.0 + k) ** 2)
+    assert zvd.times_s == pytest.approx(np.arange(3) * 0.5 / (hz * root))
+
+
+def test_one_shaper_lies_between_two_modes() -> None:
+    """30 and 34 Hz: one train leaves at most 5 % of both within 10 %; of 20 and 60 Hz none does."""
+    near = [FlexibleMode(frequency_hz=f, damping_ratio=0.05) for f in (30.0, 34.0)]
+    found = shortest_for_all(near)
+    assert found is not None and 30.0 <= found.frequency_hz <= 34.0
+    train = reprap_impulses(found.type, found.frequency_hz, found.damping_ratio)
+    most = max(left(train, f * k, 0.05) for f in (30.0, 34.0) for k in np.linspace(0.9, 1.1, 41))
+    assert most <= 0.0501 and found.left == pytest.approx(most, abs=1e-3)
+    far = [FlexibleMode(frequency_hz=f, damping_ratio=0.02) for f in (20.0, 60.0)]
+    assert shortest_for_all(far) is None
 
 
 def test_klipper_is_refused_what_it_has_no_word_for(tmp_path: Path, xya: Machine) -> None:

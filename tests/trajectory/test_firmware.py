@@ -2,8 +2,10 @@
 
 The figures of ``GRBL_S`` are those of grbl 1.1h's own ``planner.c`` (commit bfb67f0c), compiled for
 this machine, its buffer kept full; those of ``KLIPPER_S`` of Klipper's own ``toolhead.py`` (commit
-84104bbb), its look-ahead queue flushed as its host does. Grbl computes with numbers of 24 bits:
-1e-5 of a time. Klipper's and ours are double: 1e-12.
+84104bbb), its look-ahead queue flushed as its host does; those of ``REPRAP_S`` of
+RepRapFirmware's own ``DDA.cpp`` (commit fc1cd16c), compiled for this machine with a ring that holds
+58 moves ahead. Grbl and RepRapFirmware compute with numbers of 24 bits: 1e-5 of a time, and 1e-6.
+Klipper's and ours are double: 1e-12.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from threadline.machine.motion_planner import (
     GrblPlanner,
     KlipperPlanner,
     MarlinPlanner,
+    RepRapPlanner,
 )
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.path.types import PieceBlock
@@ -121,7 +124,49 @@ def test_klipper_takes_the_time_of_its_own_host(job: str) -> None:
     assert found == pytest.approx(KLIPPER_S[job], rel=1e-12)
 
 
-@pytest.mark.parametrize("planner", [GRBL, MARLIN, KLIPPER], ids=["grbl", "marlin", "klipper"])
+def reprap(policy: int, jumps: tuple[float, float, float], acceleration: float) -> RepRapPlanner:
+    return RepRapPlanner(
+        kind="reprapfirmware",
+        jump={axis: number(f"{v} mm/s", "m/s") for axis, v in zip("XYZ", jumps, strict=True)},
+        policy=number(str(policy), ""),
+        acceleration=number(f"{acceleration} mm/s^2", "m/s^2"),
+    )
+
+
+def in_turn(count: int):
+    """One axis at a time: X or Y to Z and back is where the policy of jerks counts."""
+    k = np.arange(count)
+    return np.cumsum(np.eye(3)[k * k % 3] * (2.0 + k % 5)[:, None] * (-1.0) ** k[:, None], axis=0)
+
+
+JOBS_REPRAP = {**JOBS, "in turn": (in_turn(200), 60.0)}
+REPRAP_S = {
+    ("helix", 0): 7.5985201,
+    ("helix", 1): 7.7635835,
+    ("zigzag", 0): 9.7638841,
+    ("zigzag", 1): 14.6216445,
+    ("slow and fast", 0): 19.6207847,
+    ("slow and fast", 1): 21.2586290,
+    ("rapid", 0): 4.0346365,
+    ("rapid", 1): 6.0372163,
+    ("in turn", 0): 24.2916481,
+    ("in turn", 1): 34.2570695,
+}
+
+
+@pytest.mark.parametrize(("job", "policy"), REPRAP_S)
+def test_reprapfirmware_takes_the_time_of_its_own_planner(job: str, policy: int) -> None:
+    points, speed = JOBS_REPRAP[job]
+    planner = reprap(policy, (15.0, 12.0, 10.0), 300.0 if policy else 1e6)
+    found = times(planned(planner, points, speed, **ON_GRBL), len(points)).sum()
+    assert found == pytest.approx(REPRAP_S[job, policy], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "planner",
+    [GRBL, MARLIN, KLIPPER, reprap(0, (15.0, 12.0, 10.0), 400.0)],
+    ids=["grbl", "marlin", "klipper", "reprapfirmware"],
+)
 def test_moves_in_parts_are_those_of_the_whole(
     planner: FirmwarePlanner, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,8 +50,8 @@ def compile_(
     target: Annotated[
         str,
         typer.Option(
-            help="ticks, csv, npz, nc, grbl, fluidnc, marlin, klipper, linuxcnc, fanuc; of an "
-            "on/off machine st, plcopen, scl; of an embroidery machine steps, t15."
+            help="ticks, csv, npz, nc, grbl, fluidnc, marlin, klipper, reprapfirmware, linuxcnc, "
+            "fanuc; of an on/off machine st, plcopen, scl; of an embroidery machine steps, t15."
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],

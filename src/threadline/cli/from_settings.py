@@ -17,7 +17,7 @@ from threadline.machine.firmware import (
     read_settings,
 )
 
-FIRMWARES = ("grbl", "fluidnc", "marlin", "klipper")
+FIRMWARES = ("grbl", "fluidnc", "marlin", "klipper", "reprapfirmware")
 KINDS = tuple(f"{name}-winder" for name in FIRMWARES)
 PROVE = "there-and-back.gcode -m machine.toml"
 _SPEC = "stepper-winder"

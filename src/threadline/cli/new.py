@@ -66,7 +66,7 @@ def new(
         typer.Option(
             "--from",
             help="Settings of the firmware: what grbl answers to $$, Marlin to M503, a FluidNC "
-            "YAML, a printer.cfg.",
+            "YAML, a printer.cfg, a config.g of RepRapFirmware.",
         ),
     ] = None,
     answers: Annotated[

@@ -14,7 +14,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import Place
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
-from threadline.machine.motion_planner import FirmwarePlanner, MarlinPlanner
+from threadline.machine.motion_planner import FirmwarePlanner, MarlinPlanner, RepRapPlanner
 from threadline.machine.parts import (
     STRICT,
     Axis,
@@ -174,7 +174,7 @@ class Machine:
                 f"'tool' is missing: it says at which radius the rotary axis {turning[0]} acts, "
                 'like [tool] radius = "100 mm exact, assumed", or give the axis a radius of its own'
             )
-        if isinstance(self.planner, MarlinPlanner):
+        if isinstance(self.planner, MarlinPlanner | RepRapPlanner):
             _known(self.planner.jump, self.axes, "planner.jump", "axis")
             for name, jump in self.planner.jump.items():
                 unit = "rad/s" if name in self.rotary else "m/s"

@@ -11,6 +11,7 @@ from threadline.machine.parts import STRICT
 from threadline.machine.quantity import Quantity, Units
 
 _RING = 16  # BLOCK_BUFFER_SIZE, as grbl 1.1 and Marlin 2.1 come
+_DUET_RING = 60  # the moves that a Duet 3 holds
 _CRUISE_RATIO = 0.5  # Klipper's own default
 
 Deviation = Annotated[Quantity, Units(("m",), not_negative=True)]
@@ -96,6 +97,33 @@ class KlipperPlanner:
         return _CRUISE_RATIO if self.minimum_cruise_ratio is None else self.minimum_cruise_ratio.si
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RepRapPlanner:
+    """RepRapFirmware's planner: trapezoids of speed, and corners by jumps of each axis' speed.
+
+    ``jump`` is the "maximum instantaneous speed change" of an axis (``M566``), by the axis' letter.
+    ``policy`` is ``P`` of ``M566``: with 0, and when left out, a move of X or Y and one of other
+    axes alone meet at rest; with 1 they do not. ``acceleration`` limits the moves of X and Y
+    (``M204 T``). ``blocks`` is the number of moves that are held, 60 when left out.
+    """
+
+    kind: Literal["reprapfirmware"]
+    jump: Annotated[dict[str, Jump], Field(min_length=1)]
+    policy: Annotated[Quantity, Units(("",), not_negative=True, whole=True, most=1)] | None = None
+    acceleration: Acceleration | None = None
+    blocks: Ring | None = None
+
+    @property
+    def joins_all(self) -> bool:
+        """Whether moves of X or Y and moves of other axes alone go into each other."""
+        return self.policy is not None and self.policy.si == 1.0
+
+    @property
+    def look_ahead(self) -> int:
+        """Number of blocks that are planned together, without the one under way."""
+        return max(1, (_DUET_RING if self.blocks is None else round(self.blocks.si)) - 2)
+
+
 FirmwarePlanner = Annotated[
-    GrblPlanner | MarlinPlanner | KlipperPlanner, Field(discriminator="kind")
+    GrblPlanner | MarlinPlanner | KlipperPlanner | RepRapPlanner, Field(discriminator="kind")
 ]

@@ -15,52 +15,16 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError
+from threadline.shaping.fitted_humps import fitted_humps
+from threadline.shaping.left_of_modes import LEFT, most_left
 from threadline.shaping.types import FlexibleMode, Shaper
 from threadline.shaping.vibration import residual_vibration
 
 MATCH = 0.01
 """A type fits where V differs by at most this over f (1 +- 25 %)."""
 
-BAND = 0.1
-"""Share by which a frequency may be off where the shortest type is chosen."""
-LEFT = 0.05
-"""Largest V that such a type may leave: Klipper's own tolerance of its ``ei`` types."""
-
 _MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
-
-# Times in undamped periods and amplitudes as polynomials of the damping ratio, constant first.
-_FITTED = {
-    "2hump_ei": (
-        (
-            (0.0, 0.0, 0.0, 0.0),
-            (0.49890, 0.16270, -0.54262, 6.16180),
-            (0.99748, 0.18382, -1.58270, 8.17120),
-            (1.49920, -0.09297, -0.28338, 1.85710),
-        ),
-        (
-            (0.16054, 0.76699, 2.26560, -1.22750),
-            (0.33911, 0.45081, -2.58080, 1.73650),
-            (0.34089, -0.61533, -0.68765, 0.42261),
-            (0.15997, -0.60246, 1.00280, -0.93145),
-        ),
-    ),
-    "3hump_ei": (
-        (
-            (0.0, 0.0, 0.0, 0.0),
-            (0.49974, 0.23834, 0.44559, 12.4720),
-            (0.99849, 0.29808, -2.36460, 23.3990),
-            (1.49870, 0.10306, -2.01390, 17.0320),
-            (1.99960, -0.28231, 0.61536, 5.40450),
-        ),
-        (
-            (0.11275, 0.76632, 3.29160, -1.44380),
-            (0.23698, 0.61164, -2.57850, 4.85220),
-            (0.30008, -0.19062, -2.14560, 0.13744),
-            (0.23775, -0.73297, 0.46885, -2.08650),
-            (0.11244, -0.45439, 0.96382, -1.46000),
-        ),
-    ),
-}
+_HUMPS = {"2hump_ei": 2, "3hump_ei": 3}
 
 
 def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
@@ -82,20 +46,21 @@ def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
             f"got {zeta:g}"
         )
     root = math.sqrt(1.0 - zeta**2)
-    if shaper_type in _FITTED:
-        powers = zeta ** np.arange(4)
-        periods, weights = (np.array(table) @ powers for table in _FITTED[shaper_type])
+    if shaper_type in _HUMPS:
+        periods, weights = fitted_humps(_HUMPS[shaper_type], zeta)
         times = periods / mode.frequency_hz
     else:
         spacing = 0.375 if shaper_type == "mzv" else 0.5
         decay = math.exp(-2.0 * math.pi * zeta * spacing / root)
-        weights = {
+        by_type: dict[str, FloatArray] = {
             "zv": np.array([1.0, decay]),
             "mzv": np.array([1.0, math.sqrt(2.0) * decay, decay**2]),
             "zvd": np.array([1.0, 2.0 * decay, decay**2]),
             "ei": _ei_weights(zeta),
-        }[shaper_type]
-        times = np.arange(len(weights)) * spacing / (root * mode.frequency_hz)
+        }
+        weights = by_type[shaper_type]
+        step_s = spacing / (root * mode.frequency_hz)
+        times = np.array([k * step_s for k in range(len(weights))])
         if shaper_type == "ei":
             times[1] *= 2.0 * _ei_middle(zeta)
     return Shaper(
@@ -130,17 +95,14 @@ def _ei_middle(zeta: float) -> float:
 def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
     """Return Klipper's shortest type that keeps a mode at rest over a band, and what it leaves.
 
-    What it leaves is the largest V over f (1 +- ``BAND``), at most ``LEFT``. None where no type
-    keeps to that: each takes damping ratios up to a limit of its own.
+    What it leaves is ``most_left``, at most ``LEFT``. None where no type keeps to that: each takes
+    damping ratios up to a limit of its own.
     """
-    f = mode.frequency_hz * np.linspace(1.0 - BAND, 1.0 + BAND, 201)
     for name, most in _MAX_DAMPING.items():
-        if mode.damping_ratio > most:
-            continue
-        train = klipper_impulses(name, mode)
-        left = float(residual_vibration(train, f, mode.damping_ratio).max())
-        if left <= LEFT:
-            return name, left
+        if mode.damping_ratio <= most:
+            left = most_left(klipper_impulses(name, mode), [mode])
+            if left <= LEFT:
+                return name, left
     return None
 
 

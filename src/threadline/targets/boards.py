@@ -6,7 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.machine import Machine
-from threadline.targets.klipper_shaper import input_shaper
+from threadline.targets.firmware_shapers import (
+    klipper_section,
+    marlin_commands,
+    reprap_command,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +60,7 @@ BOARDS: Mapping[str, Board] = {
         bytes_s=11_520,
         pause=("P", 1000),
         planner="marlin",
+        head=marlin_commands,
     ),
     "klipper": Board(
         begin=("G21", "G90"),
@@ -65,7 +70,17 @@ BOARDS: Mapping[str, Board] = {
         planner="klipper",
         dialect="marlin",
         stops=False,
-        head=input_shaper,
+        head=klipper_section,
+    ),
+    "reprapfirmware": Board(
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=255,
+        pause=("P", 1000),
+        planner="reprapfirmware",
+        dialect="marlin",
+        stops=False,
+        head=reprap_command,
     ),
     "linuxcnc": Board(begin=("G21 G90 G94 G17", "G64 P0.01"), end=("M2",), longest=255),
     "fanuc": Board(

@@ -1,4 +1,4 @@
-"""Machine files from the settings of firmwares (grbl, FluidNC, Marlin, Klipper)."""
+"""Machine files from the settings of firmwares (grbl, FluidNC, Marlin, Klipper, RepRapFirmware)."""
 
 from threadline.machine.firmware.axis_settings import AxisSettings, Settings
 from threadline.machine.firmware.machine_text import machine_text

@@ -50,7 +50,7 @@ class Settings:
     Parameters
     ----------
     firmware
-        ``grbl``, ``fluidnc``, ``marlin`` or ``klipper``.
+        ``grbl``, ``fluidnc``, ``marlin``, ``klipper`` or ``reprapfirmware``.
     file
         Path of the settings file.
     axes

@@ -11,8 +11,12 @@ from threadline.machine.firmware.owner_answers import ASKED, OPTIONAL, Answers
 from threadline.units import parse_quantity
 
 _FULL_STEPS = 200
-_DIALECTS = {"klipper": "marlin"}
-_PLANNERS = {"grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper"}
+_DIALECTS = {"klipper": "marlin", "reprapfirmware": "marlin"}
+_PLANNERS = {
+    "grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper",
+    "reprapfirmware": "reprapfirmware",
+}  # fmt: skip
+_BY_JUMPS = ("marlin", "reprapfirmware")
 _PLANNER_KEYS = {
     "grbl": {"junction_deviation": ("mm", "0.01 mm")},
     "marlin": {"junction_deviation": ("mm", "0.013 mm"), "acceleration": ("mm/s^2", "")},
@@ -22,6 +26,7 @@ _PLANNER_KEYS = {
         "square_corner_velocity": ("mm/s", "5 mm/s"),
         "minimum_cruise_ratio": ("", "0.5"),
     },
+    "reprapfirmware": {"policy": ("", "0"), "acceleration": ("mm/s^2", "")},
 }
 """Unit and default of each key of [planner]; an empty default stands for none."""
 _KLIPPER_WORDS = {"velocity": "max_velocity", "acceleration": "max_accel"}
@@ -179,7 +184,9 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
     yield "[planner]"
     yield f'kind = "{_PLANNERS[firmware]}"'
     jumps = {key: value for key, value in said.items() if key.startswith("jump.")}
-    if firmware == "marlin" and jumps and "junction_deviation" not in said:
+    if firmware == "reprapfirmware":
+        _check_jumps(settings)
+    if firmware in _BY_JUMPS and jumps and "junction_deviation" not in said:
         texts = (
             f'{key.removeprefix("jump.")} = "'
             + _of_planner(value, "deg/s" if key[-1] in turning else "mm/s", firmware)
@@ -200,6 +207,16 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
                 f"[printer] does not say {_KLIPPER_WORDS[key]}",
                 place=Place(settings.file),
                 remedy="Give the printer.cfg whole: Klipper itself asks for it.",
+            )
+
+
+def _check_jumps(settings: Settings) -> None:
+    for axis in settings.axes:
+        if f"jump.{axis}" not in settings.planner:
+            raise MachineError(
+                f"the settings do not say the jump of speed of axis {axis}",
+                place=Place(settings.file),
+                remedy=f"Add what the firmware answers to M566, like M566 {axis}900 (mm/min).",
             )
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 from threadline.errors import MachineError, Place
 from threadline.input_files import read_text
 from threadline.machine.firmware.axis_settings import Settings
+from threadline.machine.firmware.config_g import LINE as _OF_CONFIG_G
+from threadline.machine.firmware.config_g import read_config_g
 
 _MOST_BYTES = 1_000_000
 _LETTERS = "XYZABCUVW"
@@ -40,8 +42,8 @@ def read_settings(path: str | Path) -> Settings:
     Parameters
     ----------
     path
-        File with grbl's answer to ``$$``, Marlin's answer to ``M503``, FluidNC's YAML or Klipper's
-        ``printer.cfg``.
+        File with grbl's answer to ``$$``, Marlin's answer to ``M503``, FluidNC's YAML, Klipper's
+        ``printer.cfg`` or RepRapFirmware's ``config.g``.
 
     Raises
     ------
@@ -64,7 +66,8 @@ def read_settings(path: str | Path) -> Settings:
     raise MachineError(
         "these are no settings that are known",
         place=Place(str(path)),
-        remedy="Give what grbl answers to $$, Marlin to M503, a FluidNC YAML or a printer.cfg.",
+        remedy="Give what grbl answers to $$, Marlin to M503, a FluidNC YAML, a printer.cfg or a "
+        "config.g.",
     )
 
 
@@ -234,6 +237,7 @@ def _unknown(line: str, file: str, number: int, form: str) -> MachineError:
 
 _READERS: tuple[tuple[re.Pattern[str], Callable[[list[str], str], Settings]], ...] = (
     (re.compile(r"\s*\$1[0-3]\d\s*="), _grbl),
+    (_OF_CONFIG_G, read_config_g),
     (re.compile(r"\s*(?:echo:)?\s*M92\s"), _marlin),
     (re.compile(r"\[(?:stepper_[a-z]|printer)\]"), _klipper),
     (re.compile(r"axes:\s*$"), _fluidnc),

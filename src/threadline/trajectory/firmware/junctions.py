@@ -2,7 +2,7 @@
 
 Sources: grbl 1.1, "Improving Grbl's cornering algorithm" (S. Jeon, 2011) and its wiki, "Configuring
 Grbl", $11; Marlin 2.1, marlinfw.org/docs/configuration, Junction Deviation and Jerk; Klipper,
-docs/Kinematics.md, "Look-ahead".
+docs/Kinematics.md, "Look-ahead"; RepRapFirmware, ``DDA::MatchSpeeds`` and its documents of M566.
 
 A circle touches both moves of a corner and passes it at the junction deviation d. With the angle
 theta between the moves (pi where the path goes straight on) its radius is
@@ -85,6 +85,14 @@ def by_jumps(moves: Moves, jumps: FloatArray) -> FloatArray:
     first = along_axes(jumps, speed[:1])
     share = np.concatenate((np.minimum(first, 1.0), np.minimum(along_axes(jumps, change), 1.0)))
     return np.asarray((np.append(moves.speed[0], shared) * share) ** 2)
+
+
+def by_shared_speed(moves: Moves, jumps: FloatArray) -> FloatArray:
+    """Return the (n - 1,) greatest v^2 between the moves by the (axes,) jumps of speed.
+
+    Both moves have the same speed at the corner, as RepRapFirmware has it.
+    """
+    return along_axes(jumps, np.diff(moves.direction, axis=0)) ** 2
 
 
 def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> FloatArray:

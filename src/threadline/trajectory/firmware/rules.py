@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
@@ -13,12 +15,15 @@ from threadline.machine.motion_planner import (
     GrblPlanner,
     KlipperPlanner,
     MarlinPlanner,
+    RepRapPlanner,
 )
+from threadline.machine.quantity import Quantity
 from threadline.trajectory.firmware.firmware_moves import Moves
 from threadline.trajectory.firmware.junctions import (
     along_axes,
     by_jumps,
     by_junction_deviation,
+    by_shared_speed,
     by_square_corner,
 )
 
@@ -82,6 +87,9 @@ class Rules:
             acceleration = np.where(plain, np.minimum(acceleration, most), acceleration)
         elif isinstance(planner, MarlinPlanner) and planner.acceleration is not None:
             acceleration = np.minimum(acceleration, planner.acceleration.si * MM)
+        elif isinstance(planner, RepRapPlanner) and planner.acceleration is not None:
+            travel = np.where(self._across(direction), planner.acceleration.si * MM, np.inf)
+            acceleration = np.minimum(acceleration, travel)
         with np.errstate(divide="ignore"):
             asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
         return Moves(length, direction, np.minimum(asked, fastest), acceleration, most)
@@ -90,18 +98,17 @@ class Rules:
         """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""
         planner = self.planner
         if isinstance(planner, MarlinPlanner) and planner.jump:
-            jumps = np.array(
-                [
-                    planner.jump[axis].si * scale if axis in planner.jump else np.inf
-                    for axis, scale in zip(self.axes, self.scale, strict=True)
-                ]
-            )
-            return by_jumps(moves, jumps)
+            return by_jumps(moves, self._jumps(planner.jump))
         if isinstance(planner, KlipperPlanner):
             between = by_square_corner(moves, self._plane, planner.square_corner_velocity.si * MM)
             plain = (moves.direction * self._plane != 0.0).any(axis=1)
             between = np.minimum(between, self._beside(moves))
             between = np.where(plain[1:] & plain[:-1], between, 0.0)
+        elif isinstance(planner, RepRapPlanner):
+            between = by_shared_speed(moves, self._jumps(planner.jump))
+            if not planner.joins_all:
+                across = self._across(moves.direction)
+                between = np.where(across[1:] == across[:-1], between, 0.0)
         elif isinstance(planner, GrblPlanner):
             deviation = planner.junction_deviation.si * MM
             between = by_junction_deviation(moves, self.acceleration, deviation)
@@ -117,6 +124,20 @@ class Rules:
         top = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
         return np.concatenate(([0.0], np.minimum(between, top)))
 
+    def _jumps(self, said: Mapping[str, Quantity]) -> FloatArray:
+        """Return the (axes,) jumps of speed; infinity where ``said`` has none."""
+        return np.array(
+            [
+                said[axis].si * scale if axis in said else np.inf
+                for axis, scale in zip(self.axes, self.scale, strict=True)
+            ]
+        )
+
+    def _across(self, direction: FloatArray) -> NDArray[np.bool_]:
+        """Return (n,) whether X or Y takes part in each move."""
+        bed = np.array([axis in "XY" for axis in self.axes])
+        return np.asarray((direction[:, bed] != 0.0).any(axis=1))
+
     @property
     def _plane(self) -> FloatArray:
         return np.array([float(axis in _LINEAR) for axis in self.axes])
@@ -130,12 +151,20 @@ class Rules:
         with np.errstate(divide="ignore"):
             return np.asarray((_INSTANT / change) ** 2)
 
+    @property
+    def _counted(self) -> list[str]:
+        """Axes whose length counts, in turn: the first group of which one moves."""
+        if isinstance(self.planner, KlipperPlanner):
+            return [_LINEAR]
+        if isinstance(self.planner, RepRapPlanner):
+            return [_LINEAR + _SECOND, _TURNING]
+        return [_LINEAR, _SECOND, _TURNING]
+
     def _length(self, way: FloatArray) -> FloatArray:
         if isinstance(self.planner, GrblPlanner):
             return np.asarray(np.linalg.norm(way, axis=1))
         found = np.zeros(len(way))
-        plain = isinstance(self.planner, KlipperPlanner)
-        for group in [_LINEAR] if plain else [_LINEAR, _SECOND, _TURNING]:
+        for group in self._counted:
             column = [axis in group for axis in self.axes]
             here = np.linalg.norm(way[:, column], axis=1)
             found = np.where(found > 0.0, found, here)
