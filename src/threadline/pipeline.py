@@ -28,7 +28,7 @@ from threadline.signals import Commands, Recording, RecordingBlock
 from threadline.signals.files.common import Written
 from threadline.targets.write import Target
 from threadline.verdict import Judge, Spec, Status, Verdict
-from threadline.verdict.types import REPEATED_RUNS
+from threadline.verdict.types import REPEATED_RUNS, Level, level_of
 from threadline.writing import together
 
 __all__ = [
@@ -79,6 +79,11 @@ class Trials:
     repeats: int = 1
     machines: int = 0
     wished: float | None = None
+
+    @property
+    def level(self) -> Level:
+        """How far a verdict over these runs reaches."""
+        return level_of(self.repeats, self.machines, self.wished)
 
 
 NOMINAL = Trials()
@@ -345,7 +350,8 @@ def prove_plan(
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
         of_them = plan if actual is None else replace(plan, machine=machine)
         found, tried = rejects(kind, of_them, judge, parts, trials.wished, random)
-        verdict = replace(verdict, results=(*verdict.results, found), machines=tried)
+        results = (*verdict.results, found)
+        verdict = replace(verdict, results=results, machines=tried, wished=trials.wished)
     return Proof(
         plan=plan,
         recording=replace(kind.simulate(commands, machine), origin=origin),

@@ -85,7 +85,7 @@ class ProofFile:
 
     @property
     def level(self) -> str:
-        """How far the verdict reaches: ``"nominal"``, ``"repeated"``, ``"over tolerances"``."""
+        """How far the verdict reaches: ``"nominal"``, ``"repeated"``, ``"over tolerances"``, ..."""
         return str(self.content["level"])
 
     @property

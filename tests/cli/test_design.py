@@ -90,7 +90,7 @@ def test_the_work_goes_on_with_what_was_found(
     assert code == 0, err
     content = json.loads(text)
     found = content["found"]
-    assert (found["passed"], found["level"]) == (True, "nominal")
+    assert (found["passed"], found["level"], found["runs"]) == (True, "repeated", 20)
     assert found["factors"]["belt"] > 1.0
     assert found["share_of_limit"] <= 1.0
     assert content["as_built"]["share_of_limit"] > 1.0
@@ -104,9 +104,10 @@ def test_the_work_goes_on_with_what_was_found(
     length = next(c for c in spec.criteria if c.name == "stitch_length_error")
     assert length.options["delay"] == pytest.approx(found["needle_delay_s"])
     assert length.limit == pytest.approx(0.05)
-    # A redesign is found by one run of each machine.
-    code, _, err = run(capsys, "prove", seam, "-m", str(out), "--nominal", "--json")
+    # At the level of the redesign, which is that of prove.
+    code, text, err = run(capsys, "prove", seam, "-m", str(out), "--json")
     assert code == 0, err
+    assert json.loads(text)["level"] == "repeated"
     assert run(capsys, "prove", seam, "-m", str(files / "mine.toml"), "--json")[0] == 1
     page = (files / "report" / "design.html").read_text()
     assert "links.x_belt.stiffness" in page

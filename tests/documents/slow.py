@@ -35,11 +35,11 @@ SLOW: dict[str, dict[str, str]] = {
         "threadline analyse NAME --json": "each NAME is run as one of the quick ones",
         "threadline analyse stitcher --axis X --report DIR": "a root locus, drawn",
         'threadline design examples/stitcher-steep.seam.toml -m stitcher --needle "75 stitch/s" '
-        '--feed-forward --smoothing "30 ms, 33 ms, 36 ms"': "minutes",
-        "threadline design examples/stitcher-test-path.seam.toml -m stitcher --over-tolerances "
+        '--feed-forward --smoothing "30 ms, 33 ms, 36 ms" --nominal': "minutes",
+        "threadline design examples/stitcher-test-path.seam.toml -m stitcher --nominal --corners "
         "-o found.toml --report DIR": "103 s",
-        "threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml "
-        "--report DIR": "54 s",
+        "threadline design examples/stitcher-test-path.seam.toml -m stitcher --nominal "
+        "-o found.toml --report DIR": "54 s",
         "threadline fastest SEAM -m stitcher": "34 s",
         "threadline fastest SEAM -m stitcher --feed-forward": "minutes",
         'threadline fastest SEAM -m stitcher --feed-forward --low "20 stitch/s" --mismatch '

@@ -43,7 +43,7 @@ def test_marks_stand_clear_and_axes_have_figures(
         machine=load_machine("stitcher"),
         job=SimpleNamespace(name="a seam"),
         region=region,
-        tolerances=False,
+        screened="1 run",
         as_built=corner,
         found=SimpleNamespace(candidate=corner),
         known={},

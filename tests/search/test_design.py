@@ -17,7 +17,7 @@ from threadline.machine.design import Design, DesignParameter, DesignSettings
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.options import Options
-from threadline.pipeline import check_loops, plan_job, prove_plan
+from threadline.pipeline import REPEATED, check_loops, plan_job, prove_plan
 from threadline.plant.loop import axis_loop
 from threadline.plant.margins import loop_margins
 from threadline.plant.values import Values
@@ -26,6 +26,7 @@ from threadline.search.design_evaluate import Effort, Evaluator
 from threadline.search.design_gains import design_gains
 from threadline.search.design_judge import design_judge
 from threadline.search.design_result import DesignResult
+from threadline.search.design_runs import OtherRuns
 from threadline.search.design_search import known_points, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
@@ -159,13 +160,14 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
     found = result.found
     assert found.verdict.passed
     plan = plan_job(read_job(corner, found.machine), found.machine, Options())
-    assert prove_plan(plan, found.spec).verdict.passed
+    assert prove_plan(plan, found.spec, trials=REPEATED).verdict.passed
     check_loops(found.machine)
     assert result.as_built.ratio > 1.0
     cost = sum(abs(np.log(f)) for f in found.candidate.factors.values())
     assert found.candidate.cost == pytest.approx(cost)
     space = design_space(two_parameters(stitcher))
-    evaluator = Evaluator(space, lambda m: read_job(corner, m), spec, Options(), False)
+    others = OtherRuns.of(space, REPEATED)
+    evaluator = Evaluator(space, lambda m: read_job(corner, m), spec, Options(), others)
     grid = [
         with_settings(space, np.array([belt, -load]), 4)
         for belt in np.linspace(0.0, cost, 5)
@@ -181,9 +183,38 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
 def test_what_is_told_of_a_design_says_its_level(
     result: DesignResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A redesign is proved in one run: that must not be read as proved in twenty."""
+    """In the line under the verdict, in the sentence at the end and over the other machines."""
     command._show(result)
-    assert "IN SPEC (nominal: 1 run; " in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "IN SPEC (repeated: 20 runs; " in told
+    assert "in spec (repeated) with belt x " in told
+    assert "of the limit, 20 runs" in told
+
+
+def test_candidates_are_tried_in_the_runs_that_prove_draws(
+    stitcher: Machine, spec: Spec, corner: Path
+) -> None:
+    """The worst of 20 runs is that of the whole pipeline: to rounding, for every candidate."""
+    space = design_space(two_parameters(stitcher))
+    others = OtherRuns.of(space, REPEATED)
+    evaluator = Evaluator(space, lambda m: read_job(corner, m), spec, Options(), others)
+    points = with_settings(space, np.log([2.5, 0.7]), 1)
+    tried = evaluator.tried(points, np.zeros(len(points), dtype=np.int64), beyond=np.inf)
+    assert evaluator.simulated == 20 * len(points)
+    for index, point in enumerate(points):
+        numbers = {k: float(v[0]) for k, v in space.numbers(point[None]).items()}
+        numbers |= {k: float(v[0]) for k, v in evaluator.gains(point[None])[0].items()}
+        machine = with_numbers(stitcher, numbers | space.slower(space.levels[0]))
+        asked = with_delay(spec, evaluator.delay_s(0, int(tried.delay[index])))
+        plan = plan_job(read_job(corner, machine), machine, Options())
+        verdict = prove_plan(plan, asked, trials=REPEATED).verdict
+        shares = [
+            result.measured / result.limit
+            for result in (verdict.result(n) for n in ("contour_error", "stitch_length_error"))
+            if result.measured is not None and result.limit is not None
+        ]
+        assert tried.ratio[index] == pytest.approx(max(shares), rel=1e-6)
+        assert tried.ratio[index] > tried.nominal[index]
 
 
 def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:
@@ -204,20 +235,21 @@ def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:
     assert result.region.found[-1, 0] > 1.0
 
 
-def test_tolerances_cost_more(
+def test_corners_cost_more(
     stitcher: Machine, spec: Spec, corner: Path, result: DesignResult
 ) -> None:
     """What must hold at +-10 % mass and +-20 % stiffness as well cannot be cheaper."""
     robust = design(
-        corner, two_parameters(stitcher, (1.0, 30.0)), spec, Options(), tolerances=True,
-        effort=SMALL,
+        corner, two_parameters(stitcher, (1.0, 30.0)), spec, Options(), corners=True, effort=SMALL
     )  # fmt: skip
     assert robust.found is not None
     assert result.found is not None
-    assert robust.found.proofs == 5
-    verdict = robust.found.verdict
-    assert verdict.passed
-    assert (verdict.level, verdict.runs, verdict.machines) == (Level.TOLERANCES, 1, 4)
+    verdict, corners = robust.found.verdict, robust.found.corners
+    assert verdict.passed and corners is not None and corners.passed
+    # The level is that of the machine itself: the corners are four machines of one run each.
+    assert (verdict.level, verdict.runs, verdict.machines) == (Level.REPEATED, 20, 0)
+    assert corners.runs + corners.machines == 4
+    assert robust.screened == "20 runs and 4 corners of the tolerances"
     assert robust.found.candidate.cost > result.found.candidate.cost
     plan = plan_job(read_job(corner, robust.found.machine), robust.found.machine, Options())
     for belt, load in ((0.8, 0.9), (0.8, 1.1), (1.2, 0.9), (1.2, 1.1)):

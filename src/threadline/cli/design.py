@@ -7,7 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.level import YieldOption, parse_yield
+from threadline.cli.level import (
+    NominalOption,
+    RepeatsOption,
+    TolerancesOption,
+    YieldOption,
+    trials_of,
+)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -33,6 +39,7 @@ from threadline.options import parse_width_s
 from threadline.report.design import (
     candidate_rows,
     change_rows,
+    corners_title,
     gain_rows,
     what_binds,
     write_design_report,
@@ -40,7 +47,7 @@ from threadline.report.design import (
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
 from threadline.search.design_result import Candidate, DesignResult
-from threadline.verdict import closing, load_spec, verdict_rows
+from threadline.verdict import Verdict, closing, load_spec, verdict_rows
 from threadline.writing import together
 
 _MOST_WIDTHS = 6
@@ -53,14 +60,17 @@ def design(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     contour: ContourOption = None,
-    over_tolerances: Annotated[
+    nominal: NominalOption = False,
+    repeats: RepeatsOption = None,
+    tolerances: TolerancesOption = False,
+    wished: YieldOption = None,
+    corners: Annotated[
         bool,
         typer.Option(
-            "--over-tolerances",
-            help="The design must hold at every corner of the parameters' tolerances.",
+            "--corners",
+            help="It must hold at every corner of the tolerances of [design], too.",
         ),
     ] = False,
-    wished: YieldOption = None,
     needle: Annotated[
         str | None, typer.Option(help='Replaces the needle speed of a seam: "75 stitch/s".')
     ] = None,
@@ -89,11 +99,14 @@ def design(
     """Find the smallest change to the machine with which JOB is within specification.
 
     The [design] table of the machine file says what may be changed, how far and at which cost.
+    What is found is proved as prove does by default, in twenty runs; --nominal asks for one,
+    --tolerances for other machines as well.
 
     Exit status: 0 when a design was found, 1 when there is none within the bounds, 2 wrong input.
 
     Example: threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml
     """
+    trials = trials_of(nominal, repeats, tolerances, wished)
     chosen = load_machine(machine)
     if output is not None:
         if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
@@ -120,8 +133,8 @@ def design(
             chosen,
             load_spec(spec, chosen),
             options_of(interpolation, None, tolerance, contour=contour),
-            tolerances=over_tolerances,
-            wished=None if wished is None else parse_yield(wished),
+            trials=trials,
+            corners=corners,
             needle_speed=needle,
             plotted=plotted,
             smoothing_s=smoothing_s,
@@ -174,11 +187,10 @@ def _show(result: DesignResult) -> None:
     if result.found is not None:
         print_table(f"{title}: the smallest change", *change_rows(result))
         print_table("Settings that go with it", *gain_rows(result.found))
-        over = f"over {result.found.proofs} machines at the tolerances' corners, the worst: "
-        print_table(
-            f"Verdict, {over if result.tolerances else ''}proved by the whole pipeline",
-            *verdict_rows(result.found.verdict),
-        )
+        print_table("Verdict, proved by the whole pipeline", *verdict_rows(result.found.verdict))
+        if result.found.corners is not None:
+            title = corners_title(result.found.corners)
+            print_table(title, *verdict_rows(result.found.corners))
         say(closing(result.found.verdict))
     print_table("Cost against margin, and other machines", *candidate_rows(result))
     say(what_binds(result))
@@ -189,7 +201,8 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
     found = result.found
     content: dict[str, Any] = {
         "found": None,
-        "over_tolerances": result.tolerances,
+        "level": result.level.value,
+        "screened": result.screened,
         "as_built": _candidate(result.as_built),
         "nearest": _candidate(result.nearest),
         "known": {name: _candidate(c) for name, c in result.known.items()},
@@ -204,13 +217,11 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
             **_candidate(found.candidate),
             "passed": found.verdict.passed,
             "level": found.verdict.level.value,
-            "proofs": found.proofs,
+            "runs": found.verdict.runs,
+            "machines": found.verdict.machines,
             "numbers": dict(found.numbers),
-            "worst": {
-                f"{r.name} {r.axis}".strip(): r.measured
-                for r in found.verdict.results
-                if r.limit is not None
-            },
+            "worst": _worst(found.verdict),
+            "worst_at_corners": None if found.corners is None else _worst(found.corners),
         }
     if result.region is not None:
         region = result.region
@@ -223,6 +234,12 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
     if page is not None:
         content["report"] = str(page)
     return content
+
+
+def _worst(verdict: Verdict) -> dict[str, float | None]:
+    return {
+        f"{r.name} {r.axis}".strip(): r.measured for r in verdict.results if r.limit is not None
+    }
 
 
 def _candidate(candidate: Candidate) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from threadline.kinds.kind import Kind
 from threadline.kinds.needle_columns import NeedleColumns
 from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
-from threadline.machine.vary import derate, varied_numbers, vary
+from threadline.machine.vary import derate, drawn_days, varied_numbers, vary
 from threadline.options import Options, PathChoice
 from threadline.path import chord_path, on_chords, plan_path, programmed_path
 from threadline.path.types import PlannedPath, ProgrammedPath
@@ -153,23 +153,21 @@ _RECORDED = (
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate with friction within +-30 %, supply within +-5 %, and encoders at any phase."""
+    """Simulate runs with other friction, supply and encoder phases; the first is as typed."""
     table = tick_table(commands)
     if count == 1 or machine.without_dynamics:  # of limits alone no day differs from another
         return [simulate(table, machine)]
-    friction, supply = np.ones(count), np.ones(count)
-    phases = np.full((count, len(table.axes)), 0.5)
-    for day in range(1, count):
-        friction[day], supply[day] = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
-        phases[day] = random.uniform(0.0, 1.0, len(table.axes))
+    days = drawn_days(count, len(table.axes), random)
     if machine.position_sources:
         return [
             simulate(table, vary(machine, friction=f, supply=s), encoder_phase=phase)
-            for f, s, phase in zip(friction.tolist(), supply.tolist(), phases, strict=True)
+            for f, s, phase in zip(
+                days.friction.tolist(), days.supply.tolist(), days.phases, strict=True
+            )
         ]
-    numbers = Values.of(machine, varied_numbers(machine, friction, supply)).replaced
+    numbers = Values.of(machine, varied_numbers(machine, days.friction, days.supply)).replaced
     values = Values(machine, numbers, count)
-    return [simulate_runs(table, values, encoder_phase=phases, kinds=_RECORDED)]
+    return [simulate_runs(table, values, encoder_phase=days.phases, kinds=_RECORDED)]
 
 
 def _others(

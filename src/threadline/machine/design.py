@@ -42,7 +42,7 @@ class DesignParameter:
     weight
         A change by a factor costs ``weight |ln factor|``.
     tolerance
-        Share by which the numbers may differ from the design. A design over the tolerances is
+        Share by which the numbers may differ from the design; with ``--corners`` it is
         simulated at both ends.
     note
         Text for people.

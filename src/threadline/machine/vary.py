@@ -3,15 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from threadline.arrays import FloatArray
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
 from threadline.machine.model import Drive, Machine
 from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
 
 DAMPING_OF_DAYS = (0.7, 1.3)
 """Least and largest damping of a machine from day to day, as a factor on its file's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Days:
+    """What varies from run to run of a machine with loops; the first run is the machine as typed.
+
+    Parameters
+    ----------
+    friction, supply
+        (runs,) factors, as ``vary`` takes them.
+    phases
+        (runs, axes) where between two counts each encoder stands at the start, 0 to 1.
+    """
+
+    friction: FloatArray
+    supply: FloatArray
+    phases: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.friction)
+
+    def taken(self, index: IntArray) -> Days:
+        """Return some of the runs."""
+        return Days(
+            friction=self.friction[index], supply=self.supply[index], phases=self.phases[index]
+        )
+
+
+def drawn_days(count: int, axes: int, random: np.random.Generator) -> Days:
+    """Draw ``count`` runs: friction within +-30 %, supply within +-5 %, encoders at any phase."""
+    friction, supply = np.ones(count), np.ones(count)
+    phases = np.full((count, axes), 0.5)
+    for day in range(1, count):
+        friction[day], supply[day] = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
+        phases[day] = random.uniform(0.0, 1.0, axes)
+    return Days(friction=friction, supply=supply, phases=phases)
 
 
 def vary(

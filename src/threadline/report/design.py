@@ -15,7 +15,7 @@ from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.search.design_result import Candidate, DesignResult, Found
-from threadline.verdict import verdict_rows
+from threadline.verdict import Verdict, closing, verdict_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ def gain_rows(found: Found) -> _Table:
 def candidate_rows(result: DesignResult) -> _Table:
     """Return the Pareto set and the machines that it is compared with."""
     names = list(result.space.names)
-    header = ["machine", *names, "cost", "of the limit", "limited by"]
+    header = ["machine", *names, "cost", f"of the limit, {result.screened}", "limited by"]
     rows = [_row("as it is", names, result.as_built)]
     rows += [_row(name, names, candidate) for name, candidate in result.known.items()]
     if result.found is not None:
@@ -95,21 +95,28 @@ def _row(title: str, names: list[str], candidate: Candidate) -> list[str]:
     ]
 
 
+def corners_title(corners: Verdict) -> str:
+    """Return the title of the verdict over the corners of what was redesigned."""
+    count = corners.runs + corners.machines
+    return f"Verdict of one run at each of {count} corners of the tolerances of [design]"
+
+
 def what_binds(result: DesignResult) -> str:
     """Return one sentence: the design that was found, or the criterion that prevents one."""
-    over = " over the tolerances" if result.tolerances else ""
     if result.found is not None:
+        level = f"in spec ({result.found.verdict.level})"
         candidate = result.found.candidate
         changed = [f"{n} x {f:.3g}" for n, f in candidate.factors.items() if f != 1.0]
         return (
-            f"in spec{over} with {', '.join(changed) or 'new settings alone'}: cost "
+            f"{level} with {', '.join(changed) or 'new settings alone'}: cost "
             f"{candidate.cost:.3f}, limited by {candidate.binding.replace('_', ' ')}"
         )
     nearest = result.nearest
     refused = f" (refused by the whole pipeline: {result.refused[0]})" if result.refused else ""
+    binding = nearest.binding.replace("_", " ")
     return (
-        f"no change within the bounds is in spec{over}: {nearest.binding.replace('_', ' ')} binds, "
-        f"at best {nearest.ratio:.0%} of its limit{refused}"
+        f"no change within the bounds is in spec ({result.level}): {binding} binds, "
+        f"at best {nearest.ratio:.0%} of its limit in {result.screened}{refused}"
     )
 
 
@@ -132,12 +139,13 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
                 title="Criteria",
                 header=verdict[0],
                 rows=verdict[1],
-                note=f"The worst of {result.found.proofs} machines at the corners of the "
-                "tolerances."
-                if result.tolerances
-                else "",
+                note=closing(result.found.verdict),
             )
         )
+        if result.found.corners is not None:
+            header, rows = verdict_rows(result.found.corners)
+            title = corners_title(result.found.corners)
+            tables.append(Table(title=title, header=header, rows=rows))
     header, rows = candidate_rows(result)
     tables.append(
         Table(
@@ -145,7 +153,8 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
             header=header,
             rows=rows,
             note="Factors on the machine's numbers. Cost is the sum of weight x |ln factor|; of "
-            "the limit: the worst measured over its limit, 100 % or less is in spec.",
+            "the limit: the worst measured over its limit, 100 % or less is in spec; what is out "
+            "of spec in its first run was not tried in others.",
         )
     )
     with figure_style():
@@ -181,8 +190,8 @@ def _region_caption(result: DesignResult) -> str:
     twice = " Dashed: the same boundary with everything else as the machine is." if others else ""
     return (
         f"Hatched: in spec, {kept}; the best of ten designs of the filters and of "
-        f"all needle delays at each point, without tolerances. Numbers on the lines: the worst "
-        f"measured over its limit.{twice}"
+        f"all needle delays at each point, in one run. Numbers on the lines: the worst measured "
+        f"over its limit.{twice}"
     )
 
 
@@ -236,9 +245,8 @@ def region_figure(result: DesignResult) -> Figure:
         axis.set_major_formatter(lambda v, _: f"{v:g}")
         axis.set_minor_locator(NullLocator())
     figure.legend(loc="outside lower center", ncols=1, markerscale=0.7)
-    # The points are judged over the tolerances when these were asked for, the region never.
-    nominal = " at nominal numbers" if result.tolerances else ""
-    panel.set_title(f"{result.job.name} on {result.machine.name}: what is in spec{nominal}")
+    # The points are judged in as many runs as were asked for, the region in one.
+    panel.set_title(f"{result.job.name} on {result.machine.name}: what is in spec in one run")
     return figure
 
 
@@ -272,12 +280,12 @@ def _mark(
 ) -> None:
     assert result.region is not None
     x, y = (candidate.factors[name] for name in result.region.names)
-    over = ", over the tolerances" if result.tolerances else ""
+    used = f"{min(candidate.ratio, 99.0):.0%} of the limit, {result.screened}"
     panel.plot(
         [x], [y], linestyle="none", marker=marker, markersize={"*": 13, "o": 18}.get(marker, 9),
         markerfacecolor="#E69F00" if filled else "none", markeredgecolor="black", clip_on=False,
         markeredgewidth=1.0 if filled else 1.6,
-        zorder=6, label=f"{title}: {min(candidate.ratio, 99.0):.0%} of the limit{over}",
+        zorder=6, label=f"{title}: {used}",
     )  # fmt: skip
 
 
@@ -309,6 +317,6 @@ def pareto_figure(result: DesignResult) -> Figure:
     panel.set_ylim(0.0, 100.0 * min(max(1.6, 1.1 * result.as_built.ratio), 4.0))
     panel.set_xlabel("cost: sum of weight x |ln factor|")
     panel.set_ylabel("worst measured over its limit [%]")
+    panel.set_title(f"What a change buys: {result.screened}")
     panel.legend()
-    panel.set_title("What a change buys")
     return figure

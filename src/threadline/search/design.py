@@ -16,10 +16,20 @@ from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
-from threadline.pipeline import Progress, check_loops, plan_job, simulate, try_plan, yielding
+from threadline.pipeline import (
+    REPEATED,
+    Progress,
+    Trials,
+    check_loops,
+    plan_job,
+    simulate,
+    try_plan,
+)
+from threadline.plan import Plan
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_region import region_of
 from threadline.search.design_result import Candidate, DesignResult, Found
+from threadline.search.design_runs import OtherRuns
 from threadline.search.design_search import (
     TARGETS,
     first_sample,
@@ -29,7 +39,7 @@ from threadline.search.design_search import (
     with_settings,
 )
 from threadline.search.design_space import Space, design_space
-from threadline.verdict import Spec
+from threadline.verdict import Spec, Verdict
 from threadline.verdict.judge import Judge
 
 _MOST_PROOFS = 12
@@ -49,8 +59,8 @@ def design(
     spec: Spec,
     options: Options,
     *,
-    tolerances: bool = False,
-    wished: float | None = None,
+    trials: Trials = REPEATED,
+    corners: bool = False,
     needle_speed: str | None = None,
     plotted: tuple[str, str] | None = None,
     smoothing_s: tuple[float, ...] = (),
@@ -61,11 +71,13 @@ def design(
 
     Parameters
     ----------
-    tolerances
-        Whether it must hold at every corner of the tolerances of the parameters.
-    wished
-        The yield that it must reach, a share: of machines with every number within its tolerance.
-        Of the candidates that trade cost for margin the cheapest that does is taken.
+    trials
+        The runs that prove it: its level. Candidates are tried in so many runs, too. Where other
+        machines within the tolerances of the file are asked for, or a yield of them, these are
+        left to the proof: of the candidates that trade cost for margin the cheapest is taken that
+        passes it.
+    corners
+        Whether it must hold at every corner of the tolerances of the parameters, too.
     needle_speed
         Replaces that of a seam: ``"75 stitch/s"``.
     plotted
@@ -103,7 +115,12 @@ def design(
         return at
 
     evaluator = Evaluator(
-        space, read, spec, options, tolerances, effort or (FEW if smoothing_s else THOROUGH)
+        space,
+        read,
+        spec,
+        options,
+        OtherRuns.of(space, trials, corners=corners),
+        effort or (FEW if smoothing_s else THOROUGH),
     )
     tried = first_sample(space, evaluator, report("sampling", 0.0, 0.25))
     tried = least_change(space, evaluator, tried, report("narrowing", 0.25, 0.55))
@@ -111,12 +128,12 @@ def design(
         at = 0.55 + 0.2 * turn / len(TARGETS)
         step = report("trading cost for margin", at, at + 0.2 / len(TARGETS))
         tried = least_change(space, evaluator, tried, step, target=target)
-    found, refused = _proved(space, evaluator, tried, spec, wished)
+    found, refused = _proved(space, evaluator, tried, spec, trials, corners)
     nearest = _nearest(space, tried)
     centre = tried.points[nearest] if found is None else _point(space, found)
     level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
-    # Beyond the limit the tolerances were not tried.
-    front = pareto(space, tried, 1.0 + 1e-9 if evaluator.tolerances else 1.5)
+    # Beyond the limit other runs were not tried.
+    front = pareto(space, tried, 1.0 + 1e-9 if evaluator.others.asked else 1.5)
     used = np.abs(tried.points[front[tried.ratio[front] <= 1.0], : space.parameters])
     region = region_of(
         space,
@@ -141,7 +158,8 @@ def design(
         region=region,
         nearest=_candidate(space, evaluator, tried, nearest),
         simulated=evaluator.simulated,
-        tolerances=evaluator.tolerances,
+        level=trials.level,
+        screened=evaluator.others.words,
         refused=refused,
     )
 
@@ -165,8 +183,8 @@ def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: Float
     """Return the best of those tried that have these parameters, whatever their settings."""
     same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
     own = tried.taken(np.flatnonzero(same))
-    if evaluator.tolerances:
-        # The first sample tried no corners of candidates that are in spec as drawn but expensive.
+    if evaluator.others.asked:
+        # The first sample tried no other runs of candidates that are in spec in one but expensive.
         points = with_settings(space, parameters, evaluator.effort.settings_log2)
         for level in range(len(space.levels)):
             levels = np.full(len(points), level, dtype=np.int64)
@@ -207,14 +225,14 @@ def _level(space: Space, candidate: Candidate) -> int:
 
 
 def _proved(
-    space: Space, evaluator: Evaluator, tried: Tried, spec: Spec, wished: float | None
+    space: Space, evaluator: Evaluator, tried: Tried, spec: Spec, trials: Trials, corners: bool
 ) -> tuple[Found | None, tuple[str, ...]]:
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     refused: list[str] = []
     order = _cheapest_first(space, tried)
-    if wished is not None:  # many cost nearly the same, and would all be as far from the yield
+    if trials.machines:  # many cost nearly the same, and would all be as far from passing
         order = pareto(space, tried, 1.0 + 1e-9)
-        # Evenly, from the cheapest to the one of most margin, which keeps a yield if any does.
+        # Evenly, from the cheapest to the one of most margin, which passes if any does.
         most = min(len(order), _MOST_PROOFS)
         order = order[np.linspace(0, len(order) - 1, most).round().astype(int)]
     for index in order[:_MOST_PROOFS]:
@@ -225,13 +243,14 @@ def _proved(
                 continue
             candidate = _candidate(space, evaluator, once, 0)
             try:
-                found = _prove(space, evaluator, point, candidate, spec, wished)
+                found = _prove(space, evaluator, point, candidate, spec, trials, corners)
             except PlanError as error:
                 refused.append(error.message)
                 continue
-            if found.verdict.passed:
+            if found.passed:
                 return found, tuple(refused)
-            failed = max(found.verdict.results, key=lambda r: r.severity)
+            of = found.verdict if found.corners is None else found.corners
+            failed = max(of.results, key=lambda r: r.severity)
             refused.append(f"{failed.name} {failed.axis}".strip())
     return None, tuple(refused)
 
@@ -254,9 +273,10 @@ def _prove(
     point: FloatArray,
     candidate: Candidate,
     spec: Spec,
-    wished: float | None,
+    trials: Trials,
+    corners: bool,
 ) -> Found:
-    """Prove one candidate, and its corners or its yield, by the whole pipeline.
+    """Prove one candidate, and its corners where they are asked for, by the whole pipeline.
 
     Raises
     ------
@@ -274,17 +294,11 @@ def _prove(
     plan = plan_job(
         evaluator.read(redesigned), redesigned, evaluator.options_at(_level(space, candidate))
     )
-    machines = [redesigned]
-    if evaluator.tolerances:
-        for corner in space.corners(point[None]):
-            off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
-            machines.append(with_numbers(redesigned, off))
-            check_loops(machines[-1])
-    recordings = [simulate(plan.commands, each) for each in machines]
     try:
-        verdict = Judge(plan, asked).verdict(recordings[:1], recordings[1:])
-        if wished is not None and verdict.passed:
-            verdict = try_plan(plan, asked, yielding(wished)).verdict
+        verdict = try_plan(plan, asked, trials).verdict
+        at_corners = None
+        if corners and verdict.passed:
+            at_corners = _at_corners(space, plan, redesigned, asked, point)
     except MachineError as error:
         raise PlanError(error.message) from error
     return Found(
@@ -293,8 +307,21 @@ def _prove(
         spec=asked,
         numbers=numbers,
         verdict=verdict,
-        proofs=len(machines),
+        corners=at_corners,
     )
+
+
+def _at_corners(
+    space: Space, plan: Plan, redesigned: Machine, spec: Spec, point: FloatArray
+) -> Verdict:
+    """Judge one run of each machine at the corners of the tolerances of the parameters."""
+    recordings = []
+    for corner in space.corners(point[None]):
+        off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
+        machine = with_numbers(redesigned, off)
+        check_loops(machine)
+        recordings.append(simulate(plan.commands, machine))
+    return Judge(plan, spec).verdict(recordings[:1], recordings[1:])
 
 
 def with_delay(spec: Spec, delay_s: float | None) -> Spec:

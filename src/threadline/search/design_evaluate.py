@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +13,10 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.numbers import with_numbers
 from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.pipeline import NOMINAL, plan_job
 from threadline.search.design_gains import design_gains
 from threadline.search.design_judge import HOPELESS, DesignJudge, Ratios, design_judge
+from threadline.search.design_runs import OtherRuns
 from threadline.search.design_space import Space
 from threadline.verdict import Spec
 
@@ -60,10 +61,10 @@ class Tried:
     level
         (n,) which share of the acceleration.
     ratio
-        (n,) worst measured over limit, at the best needle delay; over the tolerances where they
-        are asked for and it is in spec without them. At most 1 is in spec.
+        (n,) worst measured over limit, at the best needle delay; over other runs and machines
+        where they are asked for and it is in spec without them. At most 1 is in spec.
     nominal
-        (n,) the same without tolerances.
+        (n,) the same of one run.
     delay
         (n,) which needle delay is the best.
     binding
@@ -114,8 +115,8 @@ class Evaluator:
         Reads the job for a machine.
     spec, options
         How well the machine shall do it, and how it is planned.
-    tolerances
-        Whether a candidate counts over the corners of the tolerances.
+    others
+        In which other runs and machines a candidate must hold; in none when None.
     """
 
     def __init__(
@@ -124,11 +125,11 @@ class Evaluator:
         read: Callable[[Machine], Job],
         spec: Spec,
         options: Options,
-        tolerances: bool,
+        others: OtherRuns | None = None,
         effort: Effort = THOROUGH,
     ) -> None:
         self.space, self.effort = space, effort
-        self.tolerances = tolerances and space.corner_count > 1
+        self.others = others or OtherRuns.of(space, NOMINAL)
         self.read, self._spec, self._options = read, spec, options
         self.simulated = 0
         self.judges: tuple[DesignJudge, ...] = ()
@@ -157,7 +158,7 @@ class Evaluator:
         points, level
             (n, dims) and (n,).
         beyond
-            Tolerances are tried of those whose nominal ratio is at most this.
+            Other runs and machines are tried of those whose nominal ratio is at most this.
         """
         if self.space.ahead:
             return self._ahead(points, level, beyond)
@@ -185,7 +186,7 @@ class Evaluator:
         return replace(self._options, feed_forward_s=self.space.levels[level])
 
     def _ahead(self, points: FloatArray, level: IntArray, beyond: float) -> Tried:
-        """Plan every candidate through its own inverse, then judge it and its corners."""
+        """Plan every candidate through its own inverse, then judge it."""
         count = len(points)
         ratio = np.full(count, HOPELESS)
         nominal = ratio.copy()
@@ -198,16 +199,10 @@ class Evaluator:
                 judge = design_judge(plan, machine, self._spec, self.space.delays_s)
             except (PlanError, MachineError):
                 continue
-            found = judge.ratios({k: np.array([v]) for k, v in numbers.items()})
-            self.simulated += 1
-            nominal[index] = ratio[index] = found.best()[0][0]
-            if self.tolerances and nominal[index] <= beyond:
-                corners = self.space.corners(point[None])
-                worst = judge.ratios(self.space.numbers(corners))
-                self.simulated += len(corners)
-                found = worst.worst_of(len(corners)).worse(found)
-                ratio[index] = found.best()[0][0]
-            binding[index] = found.binding(0)
+            own = {k: np.array([v]) for k, v in numbers.items()}
+            found, ratios = self._judged(judge, point[None], own, beyond)
+            nominal[index], ratio[index] = found.best()[0][0], ratios.best()[0][0]
+            binding[index] = ratios.binding(0)
         return Tried(
             points=points,
             level=np.asarray(level, dtype=np.int64),
@@ -226,15 +221,12 @@ class Evaluator:
         binding = ["phase margin"] * count
         at = np.flatnonzero(possible)
         if len(at):
-            own = {k: v[at] for k, v in gains.items()}
-            found = judge.ratios(self.space.numbers(points[at]) | own)
-            self.simulated += len(at)
-            nominal[at], delay[at] = found.best()
-            ratio[at] = nominal[at]
+            own = self.space.numbers(points[at]) | {k: v[at] for k, v in gains.items()}
+            found, ratios = self._judged(judge, points[at], own, beyond)
+            nominal[at] = found.best()[0]
+            ratio[at], delay[at] = ratios.best()
             for i, k in enumerate(at.tolist()):
-                binding[k] = found.binding(i)
-            if self.tolerances:
-                self._corners(points, at, own, found, judge, beyond, ratio, delay, binding)
+                binding[k] = ratios.binding(i)
         return Tried(
             points=points,
             level=np.full(count, level, dtype=np.int64),
@@ -244,36 +236,15 @@ class Evaluator:
             binding=tuple(binding),
         )
 
-    def _corners(
+    def _judged(
         self,
-        points: FloatArray,
-        at: IntArray,
-        gains: dict[str, FloatArray],
-        found: Ratios,
         judge: DesignJudge,
+        points: FloatArray,
+        numbers: Mapping[str, FloatArray],
         beyond: float,
-        ratio: FloatArray,
-        delay: IntArray,
-        binding: list[str],
-    ) -> None:
-        """Fill in what the tolerances make of the candidates that are nominally good enough."""
-        near = np.flatnonzero(ratio[at] <= beyond)
-        if not len(near):
-            return
-        count = self.space.corner_count
-        corners = self.space.corners(points[at[near]])
-        # All corners get the filters of the machine as drawn: nobody knows at which corner it is.
-        numbers = self.space.numbers(corners) | {
-            k: np.repeat(v[near], count) for k, v in gains.items()
-        }
-        worst = judge.ratios(numbers).worst_of(count)
-        self.simulated += len(corners)
-        own = Ratios(
-            names=found.names,
-            others=found.others[near],
-            length=None if found.length is None else found.length[near],
-        )
-        both = worst.worse(own)
-        ratio[at[near]], delay[at[near]] = both.best()
-        for i, k in enumerate(at[near].tolist()):
-            binding[k] = both.binding(i)
+    ) -> tuple[Ratios, Ratios]:
+        """Return what (n, dims) candidates use of the limits in the first run, and at worst."""
+        first = judge.ratios(numbers)
+        worst, simulated = self.others.worst(judge, points, numbers, first, beyond)
+        self.simulated += len(points) + simulated
+        return first, worst

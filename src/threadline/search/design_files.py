@@ -55,9 +55,11 @@ def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
         path: quantity_text(number_at(machine, path), value)
         for path, value in found.numbers.items()
     }
-    over = " over the tolerances" if result.tolerances else ""
+    level = f" ({found.verdict.level})"
+    if found.corners is not None:
+        level += " and at the corners of the tolerances of [design]"
     lines = [
-        f"# Found by threadline design for {ascii_only(result.job.name)}: in specification{over}.",
+        f"# Found by threadline design for {ascii_only(result.job.name)}: in specification{level}.",
         f"# Cost {found.candidate.cost:.4g}: the sum of weight x |ln factor|.",
         f"base = {toml_string(_base(machine, folder))}",
         f"name = {toml_string(machine.name.split('+')[0] + '-redesigned')}",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.search.judge_runs import RunsJudge
@@ -56,6 +56,21 @@ class Ratios:
             length=length,
         )
 
+    def taken(self, index: IntArray) -> Ratios:
+        """Return those of some candidates."""
+        length = None if self.length is None else self.length[index]
+        return replace(self, others=self.others[index], length=length)
+
+    def worse_at(self, index: IntArray, other: Ratios) -> Ratios:
+        """Return these, of the candidates at ``index`` the worse of these and ``other``."""
+        worse = self.taken(index).worse(other)
+        others = self.others.copy()
+        others[index] = worse.others
+        length = None if self.length is None else self.length.copy()
+        if length is not None and worse.length is not None:
+            length[index] = worse.length
+        return replace(self, others=others, length=length)
+
     def worse(self, other: Ratios) -> Ratios:
         """Return the worse of two, candidate by candidate."""
         length = None
@@ -101,9 +116,22 @@ class DesignJudge:
     length: tuple[Criterion, ...]
     delays_s: FloatArray
 
-    def ratios(self, variants: Mapping[str, FloatArray]) -> Ratios:
-        """Return how much of each limit variants use; 1000 where there is no answer."""
-        found = self.runs.judged(variants)
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes that the job moves."""
+        return self.runs.plan.axes
+
+    def ratios(
+        self, variants: Mapping[str, FloatArray], phases: FloatArray | None = None
+    ) -> Ratios:
+        """Return how much of each limit variants use; 1000 where there is no answer.
+
+        Parameters
+        ----------
+        phases
+            (V, axes) where between two counts each encoder stands; 0.5 when None.
+        """
+        found = self.runs.judged(variants, phases)
         by_delay = [row for row in found.rows if row.name == _LENGTH]
         length = [
             _share(row.values, criterion.limit)

@@ -10,6 +10,7 @@ from threadline.machine import Machine
 from threadline.search.design_region import Region
 from threadline.search.design_space import Space
 from threadline.verdict import Spec, Verdict
+from threadline.verdict.types import Level
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,7 +24,7 @@ class Candidate:
     cost
         Weighted sum of |ln factor|.
     ratio, nominal
-        Worst measured over limit: over the tolerances if they were asked for, and without.
+        Worst measured over limit: of all the runs that it was tried in, and of one.
     binding
         The criterion that uses most of its limit.
     crossover_hz, phase_margin_deg
@@ -61,9 +62,10 @@ class Found:
     numbers
         Those that differ from the machine as it was: path to SI value.
     verdict
-        Of the machine as drawn and, where they were asked for, of all corners: the worst counts.
-    proofs
-        How many machines were proved.
+        Of the machine, at the level that was asked for.
+    corners
+        Of one run of each machine at the corners of the tolerances of the parameters; None where
+        they were not asked for, or the machine itself is out of specification.
     """
 
     candidate: Candidate
@@ -71,7 +73,12 @@ class Found:
     spec: Spec
     numbers: Mapping[str, float]
     verdict: Verdict
-    proofs: int
+    corners: Verdict | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the machine is in specification, and every corner that was asked for."""
+        return self.verdict.passed and (self.corners is None or self.corners.passed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,8 +103,12 @@ class DesignResult:
         The candidate that came nearest to the specification.
     simulated
         Machines simulated in the search.
-    tolerances
-        Whether the design was asked to hold at all corners of the tolerances.
+    level
+        At which the design was asked for.
+    screened
+        The runs of which ``Candidate.ratio`` is the worst, in words.
+    refused
+        Why candidates that the search took for good were not, when they were proved.
     """
 
     machine: Machine
@@ -110,5 +121,6 @@ class DesignResult:
     region: Region | None
     nearest: Candidate
     simulated: int
-    tolerances: bool
+    level: Level
+    screened: str
     refused: tuple[str, ...]

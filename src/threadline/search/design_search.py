@@ -46,9 +46,9 @@ def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
         found = part if found is None else found.join(part)
         report(0.7 * (at + len(part)) / len(everything))
     assert found is not None
-    if not evaluator.tolerances:
+    if not evaluator.others.asked:
         return found
-    # Corners of the cheapest only; what is in spec as drawn and was not tried at them is left out.
+    # Other runs of the cheapest only; what is in spec in one and was not tried in them is left out.
     good = np.flatnonzero(found.nominal <= 1.0)
     cheap = good[np.argsort(space.cost(found.points[good]), kind="stable")][: effort.proposals]
     out = found.taken(np.flatnonzero(found.nominal > 1.0))

@@ -126,6 +126,8 @@ def _level(verdict: Verdict) -> str:
     told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
     if verdict.machines:
         told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
+    if verdict.wished is not None:
+        told += f", {100.0 * verdict.wished:.6g} % of all to pass"
     return told
 
 

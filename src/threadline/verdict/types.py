@@ -30,11 +30,19 @@ class Level(StrEnum):
     LIMITS = "limits and time alone"  # the machine file has no dynamics: nothing is said of places
     NOMINAL = "nominal"  # few runs of one machine: nothing is said of others
     REPEATED = "repeated"  # so many runs that what varies from run to run is in them
-    TOLERANCES = "over tolerances"  # of other machines within the tolerances of the file as well
+    YIELD = "yield over tolerances"  # of a share of the machines within the tolerances of the file
+    TOLERANCES = "over tolerances"  # of every other machine that was drawn within them
 
 
 REPEATED_RUNS = 20
 """Runs from which a verdict is of level *repeated*."""
+
+
+def level_of(runs: int, machines: int, wished: float | None) -> Level:
+    """Return how far runs of a machine, and of others within its tolerances, reach."""
+    if machines:
+        return Level.TOLERANCES if wished is None else Level.YIELD
+    return Level.REPEATED if runs >= REPEATED_RUNS else Level.NOMINAL
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,6 +205,8 @@ class Verdict:
         How many runs of the machine were judged.
     machines
         How many other machines within its tolerances were, too.
+    wished
+        Share of these machines that has to be in specification; None where every one has to be.
     incomplete
         How a run ended before its last row; empty where none did.
     late_ticks
@@ -210,6 +220,7 @@ class Verdict:
     simulated: bool
     runs: int = 1
     machines: int = 0
+    wished: float | None = None
     incomplete: str = ""
     late_ticks: int = 0
     limits_alone: bool = False
@@ -219,9 +230,7 @@ class Verdict:
         """How far it reaches."""
         if self.limits_alone:
             return Level.LIMITS
-        if self.machines:
-            return Level.TOLERANCES
-        return Level.REPEATED if self.runs >= REPEATED_RUNS else Level.NOMINAL
+        return level_of(self.runs, self.machines, self.wished)
 
     @property
     def tightest(self) -> Result | None:
