@@ -35,7 +35,7 @@ def told(text: str, machine: str, folder: Path, capsys: pytest.CaptureFixture[st
             "knife is on only with z_is_down on, and Z is at 100 to 0 mm then",
         ),
         (
-            AIR + DOWN + '[[operation]]\nmove = { X = "200 mm" }\n' + KNIFE,
+            AIR + '[[operation]]\nmove = { X = "200 mm" }\n' + DOWN + KNIFE,
             7,
             "knife is on only with x_is_left on, and X is at 200 mm then",
         ),
@@ -55,7 +55,9 @@ def test_steps_that_contradict_the_interlocks_are_refused_with_their_line(
 
 def with_x_locked(folder: Path, needs: str) -> str:
     text = (LIBRARY / "letter-placer.toml").read_text(encoding="utf-8")
-    text = text.replace('stroke = "200 mm', f'needs = {needs}\nstroke = "200 mm')
+    own = 'needs = ["z_is_up"]\n'
+    assert text.count(own) == 1
+    text = text.replace(own, f"needs = {needs}\n")
     file = folder / "locked.toml"
     file.write_text(text, encoding="utf-8")
     return str(file)
@@ -64,14 +66,22 @@ def with_x_locked(folder: Path, needs: str) -> str:
 def test_a_cylinder_moves_only_where_its_interlock_holds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Out with the lift down, or while it goes down; with it up the example is proved."""
-    machine = with_x_locked(tmp_path, '["z_is_up"]')
+    """Out with the lift down, or while it moves; with it up the example is proved."""
+    machine = "letter-placer"
     out = '[[operation]]\nmove = { X = "200 mm" }\n'
     both = '[[operation]]\nmove = { X = "200 mm", Z = "100 mm" }\n'
     err = told(AIR + DOWN + out, machine, tmp_path, capsys)
     assert "list.toml:5: X moves only with z_is_up on, and Z is at 100 mm then" in err
     err = told(AIR + both, machine, tmp_path, capsys)
     assert "X moves only with z_is_up on, and Z is at 0 to 100 mm then" in err
+    up = '[[operation]]\nmove = { X = "200 mm", Z = "0 mm" }\n'
+    err = told(AIR + DOWN + up, machine, tmp_path, capsys)
+    assert "list.toml:5: X moves only with z_is_up on, and Z is at 100 to 0 mm then" in err
+    free = with_x_locked(tmp_path, "[]")
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", str(tmp_path / "list.toml"), "-m", free])
+    assert ended.value.code == 1, "where it has no interlock a list may do so"
+    capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
         main(["prove", "examples/letter-cycle.toml", "-m", machine])
     assert ended.value.code == 1, "it rings too much unshaped, and is not refused"

@@ -25,7 +25,7 @@ from threadline.search.levels import gapped, left_ringing, stepped, time_optimal
 from threadline.search.move_list import move_list, overlapped
 from threadline.targets.schedule import Scheduled
 from threadline.targets.schedule_moves import AT_ONCE
-from threadline.verdict import Spec, load_spec
+from threadline.verdict import Spec, Status, load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
 PLACER = "letter-placer+whole-scans+own-damping"
@@ -412,9 +412,16 @@ move = { X = "0 mm" }
 """
 
 
+def unlocked() -> Machine:
+    """Return the letter placer as one whose slide may move with the lift anywhere."""
+    machine = load_machine("letter-placer")
+    slide = replace(machine.cylinders["X"], needs=())
+    return replace(machine, cylinders={**machine.cylinders, "X": slide})
+
+
 @pytest.fixture(scope="module")
 def together(tmp_path_factory: pytest.TempPathFactory) -> tuple[Job, FastestCycle]:
-    machine = load_machine("letter-placer")
+    machine = unlocked()
     file = tmp_path_factory.mktemp("together") / "both.toml"
     file.write_text(TOGETHER, encoding="utf-8")
     job = read_job(file, machine)
@@ -425,7 +432,7 @@ def test_cylinders_that_set_out_together_have_a_command_each(
     together: tuple[Job, FastestCycle], tmp_path: Path
 ) -> None:
     """In spec on the twin, both from the same scan on, and the list that is written says so."""
-    machine = load_machine("letter-placer")
+    machine = unlocked()
     _, found = together
     assert found.job is not None
     assert found.proof.verdict.passed
@@ -448,7 +455,7 @@ def test_cylinders_that_set_out_together_have_a_command_each(
 
 def test_together_is_as_short_as_the_longer_of_both(together: tuple[Job, FastestCycle]) -> None:
     """And shorter than one after the other, by the whole of the shorter stroke with its rest."""
-    machine = load_machine("letter-placer")
+    machine = unlocked()
     job, found = together
     apart = read_job_text(TOGETHER.replace('X = "200 mm", Z', "Z"), machine, job)
     alone = fastest_cycle(apart, machine, load_spec(None, machine))
@@ -489,3 +496,33 @@ def test_levels_of_each_that_are_wrong_are_refused(
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
     assert "both.toml:" in err
+
+
+AT_ONCE_BACK = """
+[[operation]]
+step = "start"
+valve = "main_air"
+
+[[operation]]
+step = "out"
+move = { X = "200 mm" }
+
+[[operation]]
+wait = "x_is_right"
+
+[[operation]]
+step = "back"
+move = { X = "0 mm" }
+"""
+
+
+def test_a_cycle_is_found_where_a_cylinder_goes_back_at_once(tmp_path: Path) -> None:
+    """What rings after the first stroke is measured, and learned from: every step is in spec."""
+    machine = load_machine("letter-placer")
+    file = tmp_path / "back.toml"
+    file.write_text(AT_ONCE_BACK, encoding="utf-8")
+    found = fastest_cycle(read_job(file, machine), machine, load_spec(None, machine))
+    assert found.job is not None
+    told = [r for r in found.proof.verdict.results if r.name == "residual_vibration"]
+    assert {r.step for r in told} == {"start", "out", "back"}
+    assert all(r.status is Status.PASSED for r in told)

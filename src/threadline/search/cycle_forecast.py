@@ -30,6 +30,7 @@ _LONGEST_WAIT = 6  # steps: a longer one costs more than another command
 _MEASURE = "residual_vibration"
 _LESS = 0.93
 _LEAST_SEEN = 0.7  # of a period: less does not tell amplitude and rest apart
+_BY_SPEED = 0.05  # of a period: less does not tell place and speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,13 +263,19 @@ class CycleForecast:
         cylinder = self._machine.cylinders[axis]
         begin_s = move.end_s + cylinder.rest_s(move.planned.forward)
         end_s = min([*later, begin_s + period_s, float(frame[0][-1])])
-        if end_s - begin_s < _LEAST_SEEN * period_s:
+        if end_s < begin_s - 1e-9:
             return None
+        known = end_s - begin_s < _LEAST_SEEN * period_s
+        if known:  # it rings about the place at which it stood before the cycle
+            begin_s = min(begin_s, end_s - _BY_SPEED * period_s)
         inside = (frame[0] >= begin_s) & (frame[0] <= end_s)
         time_s = frame[0][inside] - (move.end_s + cylinder.delay.si)
         wave = np.exp(ringing.pole * time_s) * ringing.amplitude_m
         rows = np.column_stack((wave.real, -wave.imag, np.ones(len(time_s))))
-        real, imag, _ = np.linalg.lstsq(rows, frame[1][inside], rcond=None)[0]
+        if known:
+            rows = rows[:, :2]
+        moved = frame[1][inside] - frame[1][0]
+        real, imag = np.linalg.lstsq(rows, moved, rcond=None)[0][:2]
         return complex(real, imag)
 
     def job_of(self, cycle: Cycle) -> Job:

@@ -144,9 +144,12 @@ def over_band(
     plan: Plan, spec: Spec, machines: Sequence[tuple[float, Machine]]
 ) -> tuple[BandRun, ...]:
     """Return what each machine of a band makes of a plan, in one run each."""
-    judge = Judge(plan, spec)
     return tuple(
-        BandRun(relative=part, verdict=judge.verdict([simulate(plan.commands, one)]))
+        BandRun(
+            relative=part,
+            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
+            verdict=Judge(replace(plan, machine=one), spec).verdict([simulate(plan.commands, one)]),
+        )
         for part, one in machines
     )
 

@@ -3,6 +3,9 @@
 Time is counted in integers: for the machine in a unit of which scan and sample are whole
 multiples, for each cylinder in a finer one of which its dead time and the times of its valves are
 whole multiples, too.
+
+Compiled code that was kept does not see that what it calls in another file has changed: who changes
+``switching_cylinder`` changes this file, too, or removes what ``__pycache__`` keeps of it.
 """
 
 from __future__ import annotations

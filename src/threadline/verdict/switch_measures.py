@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from threadline.arrays import FloatArray
-from threadline.plant.pneumatic import flow_mode
+from threadline.plant.pneumatic import step_ringing
 from threadline.signals import ChannelKind
 from threadline.verdict.finding import Finding
 from threadline.verdict.switch_run import RunStep, SwitchRun, sample_at
 
 _LEAST_PERIODS = 0.5  # less does not show both extremes of what rings
+_BY_SPEED_PERIODS = 0.05  # so much tells place and speed of what rings
+_INSTANT_S = 1e-9
 _STOP_GIVES_M = 1e-5  # a piston that runs into its end stop presses it in by less
 
 
@@ -27,7 +29,9 @@ def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Fin
     """Per step and cylinder: half the peak-to-peak of its frame, m, once it has come to rest.
 
     It is watched from ``after`` s past its coming to rest, for ``window`` s or until its cylinder
-    moves again. What rings on from earlier moves counts too.
+    moves again. What rings on from earlier moves counts too. Where it moves again within half a
+    period, which does not show both extremes, the amplitude follows from place and speed of the
+    frame then: on a machine whose next input comes later it would ring on with that.
     """
     found: list[Finding] = []
     for axis in run.plan.job.axes:
@@ -38,8 +42,8 @@ def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Fin
         elif not run.steps:
             found += _unknown(run, axis)
         else:
-            period_s = 1.0 / flow_mode(run.plan.machine, axis)[0]
-            found += [_ringing(run, step, axis, frame, period_s, options) for step in run.steps]
+            pole = step_ringing(run.plan.machine, axis).pole
+            found += [_ringing(run, step, axis, frame, pole, options) for step in run.steps]
     return found
 
 
@@ -48,30 +52,63 @@ def _ringing(
     step: RunStep,
     axis: str,
     frame: tuple[FloatArray, FloatArray],
-    period_s: float,
+    pole: complex,
     options: Mapping[str, float],
 ) -> Finding:
     begin_s, end_s = run.quiet_s(step, axis)
     begin_s += options["after"]
     end_s = min(end_s, begin_s + options["window"])
     time_s, values = frame
+    blank = Finding(value=None, axis=axis, step=step.name, operation=step.operation)
     why = run.ended(time_s, min(end_s, run.due_s(step, axis)))
     if why:
-        return Finding(value=None, axis=axis, step=step.name, operation=step.operation, note=why)
-    inside = _between(time_s, begin_s, end_s)
+        return replace(blank, note=why)
+    period_s = 2.0 * np.pi / abs(pole)
     seen = (end_s - begin_s) / period_s
-    if inside.stop - inside.start < 2 or seen < _LEAST_PERIODS:
-        note = f"it moves again after {max(seen, 0.0):.2f} of a period: too soon to see what rings"
-        return Finding(value=None, axis=axis, step=step.name, operation=step.operation, note=note)
+    if seen < -_INSTANT_S / period_s:
+        when = " and been watched" if options["after"] else ""
+        return replace(blank, note=f"it moves again before it has come to rest{when}")
+    if seen < _LEAST_PERIODS:
+        return _by_speed(blank, frame, begin_s, end_s, pole)
+    inside = _between(time_s, begin_s, end_s)
+    if inside.stop - inside.start < 2:
+        return replace(blank, note="it is recorded too seldom to see what rings")
     part = values[inside]
     rest = 0.5 * (part.max() + part.min())
-    return Finding(
+    return replace(
+        blank,
         value=0.5 * float(np.ptp(part)),
-        axis=axis,
-        step=step.name,
         time_s=float(time_s[inside.start + int(np.argmax(np.abs(part - rest)))]),
-        operation=step.operation,
         note="" if seen >= 1.0 else f"{seen:.2f} of a period is seen before it moves again",
+    )
+
+
+def _by_speed(
+    blank: Finding,
+    frame: tuple[FloatArray, FloatArray],
+    begin_s: float,
+    end_s: float,
+    pole: complex,
+) -> Finding:
+    """Return the amplitude of a frame that is seen too shortly, by its place and its speed.
+
+    It rings about the place at which it stood before the cycle, as ``Re(a exp(pole t))``; ``a`` is
+    fitted to its samples by least squares.
+    """
+    time_s, values = frame
+    least_s = _BY_SPEED_PERIODS * 2.0 * np.pi / abs(pole)
+    inside = _between(time_s, min(begin_s, end_s - least_s), end_s)
+    if inside.stop - inside.start < 3:
+        return replace(blank, note="it moves again too soon for how seldom it is recorded")
+    wave = np.exp(pole * (time_s[inside] - begin_s))
+    rows = np.column_stack((wave.real, -wave.imag))
+    real, imag = np.linalg.lstsq(rows, values[inside] - values[0], rcond=None)[0]
+    seen = max(end_s - begin_s, 0.0) / (2.0 * np.pi / abs(pole))
+    return replace(
+        blank,
+        value=float(np.hypot(real, imag)),
+        time_s=float(begin_s),
+        note=f"by its place and speed: it moves again after {seen:.2f} of a period",
     )
 
 
@@ -208,7 +245,10 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
         at = int(np.argmax(beyond))
         value = 0.0 if 0.0 <= beyond[at] <= _STOP_GIVES_M else float(beyond[at])
         why = run.ended(load[0], run.end_s) if run.followed else ""
-        found.append(Finding(value=value, axis=axis, time_s=float(load[0][at]), unseen=why))
+        note = "beyond an end of its stroke" if value > 0.0 else ""
+        found.append(
+            Finding(value=value, axis=axis, time_s=float(load[0][at]), note=note, unseen=why)
+        )
     return found
 
 
