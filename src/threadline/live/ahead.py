@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import ceil
 
@@ -73,6 +74,11 @@ class Ahead:
         """Stop or wait at which the rows that were sent end; None if they end at neither."""
         halt = self._window.halt()
         return halt if halt is not None and self.place >= halt.tick else None
+
+    def met(self, now: Mapping[str, float]) -> bool:
+        """Return whether it stands at a wait whose input has the value waited for."""
+        halt = self.halt
+        return halt is not None and halt.kind == "wait" and now.get(halt.name) == halt.value
 
     @property
     def rests(self) -> bool:

@@ -302,6 +302,10 @@ class Executor:
             inputs = {name: values[-1] for name, values in samples.items() if len(values)}
             if head["starved"] and self.state in _SENDING:
                 self._fault("refills came too late: the machine has braked by itself")
+            if broken := next((told[3] for told in head["events"] if told[1] == "fault"), ""):
+                self._fault(broken)
+                self.over = True  # nothing is known behind it
+                return
             if self.ended is None and self._rest is None:
                 why = self._guards.trip(
                     int(head["tick"]), samples, bool(head["late"]), float(head["late_by"])
@@ -349,7 +353,7 @@ class Executor:
         elif self.state is State.RUNNING and ahead.halt is not None:
             if played:
                 self._go(Cause.HOLD, f"{ahead.halt.kind} {ahead.halt.name}".strip())
-        elif self.state is State.HOLDING and played and _met(ahead.halt, now):
+        elif self.state is State.HOLDING and played and ahead.met(now):
             self._command(Cause.RESUME)
         elif self.tick + self._depth > ahead.end and self._goes(ahead):
             self._link.send(ahead.extend(self.tick + self._depth))
@@ -393,8 +397,3 @@ class Executor:
         self._go(Cause.FAULT, text)
         fault = Event(tick=self.tick, kind="fault", operation=-1, name=text)
         self._sink.block(self.far_end.silent(self.tick, fault))
-
-
-def _met(halt: Event | None, now: Mapping[str, float]) -> bool:
-    """Return whether ``halt`` is a wait and its input has the value waited for."""
-    return halt is not None and halt.kind == "wait" and now.get(halt.name) == halt.value

@@ -55,11 +55,15 @@ class Guards:
 
     def __init__(self, machine: Machine) -> None:
         tick_s = float(machine.tick_clock.period_s)
-        answers, scale = answers_of(machine), machine.counts_per_unit
+        # Drives that are told positions have no loop and no encoder that could be looked at.
+        answers = {} if machine.told_positions else answers_of(machine)
+        scale = machine.counts_per_unit
         self._tick_s, self._switches = tick_s, tuple(machine.inputs)
         self._late = 0
         self._axes: list[_Axis] = []
         for k, (name, axis) in enumerate(machine.axes.items()):
+            if name not in answers:
+                continue
             controller = machine.controllers[axis.controller]
             ends = (-np.inf, np.inf) if axis.travel is None else tuple(p.si for p in axis.travel)
             self._axes.append(

@@ -112,6 +112,11 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
         )
     if not known and (where or kind == "switch-hit"):
         raise OptionError(f"--inject {kind} is of no axis", remedy=f'Write "{kind}@1.2 s".')
+    if kind in OF_AXES and machine.told_positions:
+        raise OptionError(
+            f"--inject {kind}: the drives of {machine.name} are told positions, without an encoder",
+            remedy=f"Use one of {', '.join(OF_ALL)}.",
+        )
     time_s = parse_number("--inject", when.strip(), "s", "1.2 s")
     if not 0.0 <= time_s <= _LATEST_S:
         raise OptionError(

@@ -20,7 +20,7 @@ from threadline.live.sim_faults import SimFault
 from threadline.live.wire import Message, event_of, event_told
 from threadline.machine import Machine
 from threadline.signals import Ended, Event, RecordingBlock, TickBlock
-from threadline.twin import Session
+from threadline.twin import session_of
 
 LATE = 0.5
 """Share of the period by which a report may come later than it is due."""
@@ -50,7 +50,7 @@ class SimMachine:
     ) -> None:
         self._fault, self._stuck = fault, dict[str, float]()
         self._machine, self._start, self._tell = machine, start_counts, tell
-        self._session = Session(machine, start_counts=start_counts)
+        self._session = session_of(machine, start_counts)
         self._rows: deque[tuple[IntArray, int]] = deque()  # held, one for each tick from now on
         self._events: deque[Event] = deque()
         self._wanted_until = 0  # tick from which on what is held is the spare tail
@@ -139,7 +139,7 @@ class SimMachine:
         if self._session.tick:
             self._start = self._start + self._position
             self._position = np.zeros_like(self._position)
-            self._session = Session(self._machine, start_counts=self._start)
+            self._session = session_of(self._machine, self._start)
         self._wanted_until, self._last, self._begun = 0, False, True
         self._number += 1
 
@@ -199,9 +199,11 @@ class SimMachine:
         """
         first = self.tick
         parts: list[RecordingBlock] = []
-        while self.tick < first + ticks:
+        while self.tick < first + ticks and not self._session.failed:
             room = first + ticks - self.tick
             parts.append(self._row_block(room) if self._rows else self._stand(room))
+        if self._session.failed:  # nothing is known of it any more
+            self._rows.clear()
         self._report(first, parts, late_by)
 
     def _row_block(self, room: int) -> RecordingBlock:

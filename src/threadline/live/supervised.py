@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from threadline.errors import OptionError, Place, PlanError, ProofError
+from threadline.kinds import kind_of
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Sink
@@ -71,12 +72,11 @@ def check_machine_runs(machine: Machine) -> None:
     Raises
     ------
     OptionError
-        If the machine has no axes, or a drive of it is given positions.
+        If its work is not in ticks.
     """
-    if not machine.axes or machine.told_positions:
+    if kind_of(machine).commands is not TickTable:
         raise OptionError(
-            f"{machine.name} cannot be run yet: the executor sends counts per tick to controllers "
-            "with loops",
+            f"{machine.name} cannot be run yet: the executor sends counts per tick to axes",
             remedy="threadline prove simulates it.",
         )
 

@@ -2,6 +2,14 @@
 
 from threadline.twin.batch import BatchResult, simulate_batch
 from threadline.twin.session import Session
-from threadline.twin.simulate import fastest_rates, simulate, simulate_runs
+from threadline.twin.simulate import fastest_rates, session_of, simulate, simulate_runs
 
-__all__ = ["BatchResult", "Session", "fastest_rates", "simulate", "simulate_batch", "simulate_runs"]
+__all__ = [
+    "BatchResult",
+    "Session",
+    "fastest_rates",
+    "session_of",
+    "simulate",
+    "simulate_batch",
+    "simulate_runs",
+]

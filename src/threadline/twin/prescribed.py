@@ -7,9 +7,7 @@ rotor and friction ask of the motor stands beside what its curve has at that spe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from numba import njit
@@ -20,75 +18,6 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
 from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
-from threadline.signals import (
-    Channel,
-    ChannelKind,
-    Event,
-    Recording,
-    RecordingBlock,
-    Stream,
-    TickTable,
-)
-from threadline.twin.commanded import told_rows
-
-
-def simulate_prescribed(
-    commands: TickTable,
-    machine: Machine,
-    phases: FloatArray,
-    record_every: int,
-    settle_s: float,
-) -> Recording:
-    """Return what ``machine`` does under ``commands``; it runs as it is read.
-
-    Channels, per axis: ``X.commanded``, ``X.load`` and, where it has one, ``X.frame`` in m or rad;
-    ``X.torque_share``, the torque asked of the drive over what it has at its speed, its largest
-    since the sample before. Then ``operation``. The recording ends with a fault where a run of a
-    belt falls slack: nothing is known from there on.
-
-    Parameters
-    ----------
-    phases
-        (axes,) where in a full step each stepper stands at the start, in [0, 1).
-
-    Raises
-    ------
-    MachineError
-        If an axis has a loop, or a part is not linear.
-    """
-    looped = [name for name in machine.axes if machine.source_of(name) is None]
-    if looped:
-        told = next(name for name in machine.axes if name not in looped)
-        raise MachineError(
-            f"axis {looped[0]} has a loop and axis {told} is told positions: a machine of both "
-            "sorts is not simulated",
-            place=machine.place,
-            remedy="Make a machine file of each sort.",
-        )
-    pieces = tuple(_advance_of(machine, piece) for piece in prescribed(machine))
-    channels = tuple(_channels(machine, record_every))
-    return Recording(
-        channels=channels,
-        blocks=Stream(_read, commands, machine, pieces, phases, record_every, settle_s),
-        job_sha256=commands.job_sha256,
-        machine_sha256=machine.sha256,
-        simulated=True,
-    )
-
-
-def _channels(machine: Machine, every: int) -> Iterator[Channel]:
-    clock = machine.tick_clock
-    for name, axis in machine.axes.items():
-        unit = "m" if axis.kind == "linear" else "rad"
-        kinds = [("commanded", ChannelKind.COMMANDED, unit), ("load", ChannelKind.LOAD, unit)]
-        if axis.frame is not None:
-            kinds.append(("frame", ChannelKind.FRAME, unit))
-        kinds.append(("torque_share", ChannelKind.TORQUE_SHARE, ""))
-        for ending, kind, own in kinds:
-            yield Channel(
-                name=f"{name}.{ending}", kind=kind, unit=own, clock=clock, axis=name, stride=every
-            )
-    yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock, stride=every)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,6 +47,28 @@ class Advance:
     servo: IntArray
     averaged: IntArray
     tick_s: float
+
+
+def advances_of(machine: Machine) -> tuple[Advance, ...]:
+    """Return the connected pieces of a machine, ready to be run; none of one without dynamics.
+
+    Raises
+    ------
+    MachineError
+        If an axis has a loop, or a part is not linear.
+    """
+    if machine.without_dynamics:
+        return ()
+    looped = [name for name in machine.axes if machine.source_of(name) is None]
+    if looped:
+        told = next(name for name in machine.axes if name not in looped)
+        raise MachineError(
+            f"axis {looped[0]} has a loop and axis {told} is told positions: a machine of both "
+            "sorts is not simulated",
+            place=machine.place,
+            remedy="Make a machine file of each sort.",
+        )
+    return tuple(_advance_of(machine, piece) for piece in prescribed(machine))
 
 
 def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
@@ -161,7 +112,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
     )
 
 
-class _Moving:
+class Moving:
     """One connected piece while it is run: its state between blocks."""
 
     def __init__(self, machine: Machine, advance: Advance, phases: FloatArray) -> None:
@@ -198,7 +149,7 @@ class _Moving:
             axis=1,
         )
         speed = np.diff(told, axis=0) / a.tick_s
-        pushed = told[:-1] @ a.by_position.T + speed @ a.by_speed.T
+        pushed = in_order(told[:-1], a.by_position) + in_order(speed, a.by_speed)
         states = follow(a.step, pushed, self.state)
         self.state = states[-1]
         states = states[:-1]
@@ -218,22 +169,38 @@ class _Moving:
                 acceleration[:, k] = (speed[:, k] - earlier) / (ticks * a.tick_s)
         self.before = history[-kept:]
         whole = np.hstack((states[:, : len(a.piece.states)], position, rate))
-        demand = a.piece.inertia * acceleration - whole @ a.piece.pulls.T
+        demand = a.piece.inertia * acceleration - in_order(whole, a.piece.pulls)
         demand += a.piece.friction * np.sign(rate)
         most = np.stack([s.most_torque(rate[:, k]) for k, s in enumerate(a.sources)], axis=1)
         # Where there is no torque left, what is asked is beyond any number.
-        share = np.abs(demand) / np.maximum(most, 1e-9 * np.abs(demand).max(initial=1e-300))
+        share = np.abs(demand) / np.maximum(most, 1e-9 * np.abs(demand) + 1e-300)
         return whole, share.reshape(-1, count), self._tight(whole)
 
     def _tight(self, whole: FloatArray) -> tuple[int, str]:
         known, why = len(whole), ""
         for belt in self.advance.piece.belts:
-            force = whole @ belt.row
+            force = in_order(whole, belt.row[None])[:, 0]
             loose = np.flatnonzero((force < belt.low) | (force > belt.high))
             if len(loose) and int(loose[0]) < known:
                 known = int(loose[0])
                 why = f"{belt.name}: a run falls slack, with {force[known]:.4g} N over its preload"
         return known, why
+
+
+def in_order(rows: FloatArray, factors: FloatArray) -> FloatArray:
+    """Return (n, k) ``rows @ factors.T`` of (n, m) rows, summed in the order of the columns.
+
+    A product of matrices is rounded differently for each number of rows, and on each processor.
+
+    Parameters
+    ----------
+    factors
+        (k, m).
+    """
+    total = np.zeros((len(rows), len(factors)))
+    for column, factor in zip(rows.T, factors.T, strict=True):
+        total += np.multiply.outer(column, factor)
+    return total
 
 
 def _stands(source: Source, counts: IntArray, phase: float) -> FloatArray:
@@ -261,57 +228,3 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
 
 
 follow = njit(cache=True, nogil=True)(_follow)
-
-
-def _read(
-    commands: TickTable,
-    machine: Machine,
-    pieces: tuple[Advance, ...],
-    phases: FloatArray,
-    every: int,
-    settle_s: float,
-) -> Iterator[RecordingBlock]:
-    moving = [_Moving(machine, piece, phases) for piece in pieces]
-    start, clock = commands.start_counts, machine.tick_clock
-    settle_ticks = ceil(settle_s / float(clock.period_s))
-    carried: FloatArray = np.zeros(len(machine.axes))
-    for tick, position, operation, events in told_rows(commands, settle_ticks):
-        first = -(-tick // every)
-        kept = slice(first * every - tick, len(operation), every)
-        samples: dict[str, FloatArray] = {}
-        ran = [one.run(position - start) for one in moving]
-        known, why = min((far for _, _, far in ran), key=lambda far: far[0])
-        kept = slice(kept.start, known, every)
-        for one, (whole, share, _) in zip(moving, ran, strict=True):
-            piece = one.advance.piece
-            for index, name in enumerate(piece.axes):
-                axis, at = machine.axes[name], machine.axis_names.index(name)
-                offset = start[at] / axis.counts.si
-                drive = piece.drives.index(axis.drive)
-                samples[f"{name}.commanded"] = position[:-1][kept, at] / axis.counts.si
-                samples[f"{name}.load"] = offset + whole[kept] @ piece.loads[index]
-                if piece.has_frame[index]:
-                    samples[f"{name}.frame"] = whole[kept] @ piece.frames[index]
-                largest, carried[at] = _since(share[:, drive], kept, carried[at])
-                samples[f"{name}.torque_share"] = largest
-        samples["operation"] = operation[kept].astype(np.float64)
-        if why:
-            ended = tick + known
-            fault = Event(tick=ended, kind="fault", operation=int(operation[known]), name=why)
-            told = (*(event for event in events if event.tick < ended), fault)
-            yield RecordingBlock(
-                first_tick={clock.name: first * every}, samples=samples, events=told
-            )
-            return
-        yield RecordingBlock(first_tick={clock.name: first * every}, samples=samples, events=events)
-
-
-def _since(share: FloatArray, kept: slice, carried: float) -> tuple[FloatArray, float]:
-    """Return the largest share since the sample before, and since the last one of these."""
-    at = np.arange(len(share))[kept]
-    if not len(at):
-        return np.empty(0), float(max(carried, share.max(initial=0.0)))
-    begins = np.concatenate(([0], at[:-1] + 1))
-    largest = np.maximum.reduceat(share[: at[-1] + 1], begins)
-    largest[0] = max(largest[0], carried)
-    return largest, float(share[at[-1] + 1 :].max(initial=0.0))

@@ -5,9 +5,7 @@ A simulated machine that is driven live is a session; ``simulate`` is a loop ove
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Collection
-from dataclasses import replace
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,25 +14,16 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.values import Values
-from threadline.signals import (
-    Channel,
-    ChannelKind,
-    Ended,
-    Event,
-    EventKind,
-    RecordingBlock,
-    TickBlock,
-)
+from threadline.signals import Channel, ChannelKind, RecordingBlock
 from threadline.twin.channels import readings_of, run_phases, samples_of, tick_channels
 from threadline.twin.kernel import Engine, Run
+from threadline.twin.row_session import RowSession
 from threadline.twin.session_part import Part, joined
 
-_HALTING = ("stop", "wait")
-_AT_ONCE = 1 << 16
 _REBUILT = frozenset(("channels", "_clock", "_readings", "_run"))
 
 
-class Session:
+class Session(RowSession):
     """One machine under commands that arrive piece by piece.
 
     The machine has its own clock, the tick, which always goes on; rows are taken up one at each
@@ -108,25 +97,11 @@ class Session:
     ) -> None:
         if record_every < 1:
             raise OptionError(f"record_every must be at least 1, got {record_every}")
-        axes = len(machine.axes)
-        start = np.zeros(axes, np.int64) if start_counts is None else np.asarray(start_counts)
-        if start.shape != (axes,):
-            raise OptionError(f"start_counts has shape {start.shape}, expected {(axes,)}")
-        self._machine, self._start = machine, start
+        super().__init__(machine, start_counts)
         self._values = Values.of(machine) if values is None else values
         self._phases = run_phases(machine, encoder_phase, self._values.count)
         self._kinds = tuple(kinds)
         self._every, self._quantised = record_every, quantised
-        self._rows: deque[tuple[IntArray, IntArray]] = deque()
-        self._events: deque[Event] = deque()  # of the commands, not met yet
-        self._inputs: dict[str, float] = {}
-        self._position = np.zeros(axes, dtype=np.int64)
-        self._operation = self._row = 0
-        self._halted: Event | None = None
-        self._held = False
-        self._ended: tuple[Ended, str] | None = None
-        self._final = False  # the end has been told
-        self._told: list[Event] = []  # since the last block
         self._begin(engine)
 
     def _begin(self, engine: Engine | None) -> None:
@@ -153,215 +128,18 @@ class Session:
         self._begin(None)
         self._run.restore(snapshot)
 
-    # --- what it is doing ------------------------------------------------------------------
-
     @property
     def tick(self) -> int:
         """Ticks of the machine's clock so far."""
         return self._run.tick
 
-    @property
-    def row(self) -> int:
-        """Rows taken up so far."""
-        return self._row
-
-    @property
-    def queued(self) -> int:
-        """Rows that wait to be taken up."""
-        return sum(len(counts) for counts, _ in self._rows)
-
-    @property
-    def halted(self) -> Event | None:
-        """The stop or wait at which the rows stand, None where they run or are only held."""
-        return self._halted
-
-    @property
-    def held(self) -> bool:
-        """Whether ``hold`` is in force."""
-        return self._held
-
-    @property
-    def ended(self) -> Ended | None:
-        """How it ended; None while it goes on, and while rows are left after ``finish``."""
-        return self._ended[0] if self._ended is not None and self._final else None
-
-    # --- what is done to it ----------------------------------------------------------------
-
-    def hold(self) -> None:
-        """Halt the rows from the next tick on, wherever they are; the plant goes on.
-
-        The command stands still at once, whatever that asks of the machine. A sender who wants to
-        come to rest within its limits sends rows that do so instead.
-        """
-        if not self._held:
-            self._held = True
-            self._tell("hold")
-
-    def resume(self) -> None:
-        """Let the rows go on, after ``hold``, after a stop, and after a wait that is passed over.
-
-        Where ``hold`` is in force at a stop, one call ends both.
-        """
-        if self._held or self._halted is not None:
-            self._held, self._halted = False, None
-            self._tell("resume")
-
-    def set_input(self, name: str, value: float) -> None:
-        """Set what a wait of the job may wait for.
-
-        Raises
-        ------
-        OptionError
-            If it is a limit switch of the machine: the plant decides on that.
-        """
-        if name in self._machine.inputs:
-            raise OptionError(
-                f"{name} is a limit switch of {self._machine.name}: where the load is decides on it"
-            )
-        self._inputs[name] = float(value)
-
-    def finish(self, ended: Ended = Ended.COMPLETED, text: str = "") -> None:
-        """Say that no more rows come.
-
-        Parameters
-        ----------
-        ended
-            ``COMPLETED`` when the rows that wait are all that is left: the recording says so once
-            they are taken up. ``STOPPED`` and ``FAULT`` take effect at once and drop those rows.
-        text
-            Why, for people.
-        """
-        if self._final:
-            return
-        self._ended = (ended, text)
-        if ended is not Ended.COMPLETED:
-            self._rows.clear()
-            self._events.clear()
-            self._halted, self._held = None, False
-        self._meet_events()
-
-    def advance(self, rows: TickBlock | None = None, *, ticks: int | None = None) -> RecordingBlock:
-        """Take up rows and go on; return what happened.
-
-        Parameters
-        ----------
-        rows
-            They follow those that were given before.
-        ticks
-            How many ticks to go on. A tick at which no row is there, after the first and before
-            ``finish``, comes late: the recording counts it. None goes on until the rows are used
-            up, or a stop or a wait halts them.
-
-        Returns
-        -------
-        RecordingBlock
-            Its events carry ticks of the machine's clock. It may have no samples.
-
-        Raises
-        ------
-        OptionError
-            If rows have another number of axes, leave others out, or come after the end.
-        MachineError
-            If the simulation has no answer.
-        """
-        if rows is not None:
-            self._take(rows)
-        first = self.tick
-        end = None if ticks is None else first + max(ticks, 0)
-        parts: list[Part] = []
-        while end is None or self.tick < end:
-            self._meet_events()
-            part = self._moving(end) or self._still(end)
-            if part is None:
-                break
-            self._run_over(part)
-            parts.append(part)
-        return self._block(first, parts)
-
-    # --- rows and events -------------------------------------------------------------------
-
-    def _take(self, rows: TickBlock) -> None:
-        if rows.counts.shape[1] != len(self._machine.axes):
-            raise OptionError(
-                f"rows of {rows.counts.shape[1]} axes for a machine of {len(self._machine.axes)}"
-            )
-        if self._ended is not None:
-            raise OptionError(f"rows after the commands were {self._ended[0].value}")
-        if rows.first_tick != self._row + self.queued:
-            raise OptionError(
-                f"rows from {rows.first_tick} on, the next is {self._row + self.queued}",
-                remedy="Send every row, in order.",
-            )
-        if len(rows):
-            self._rows.append((rows.counts, rows.operation))
-        self._events.extend(rows.events)
-
-    def _tell(
-        self, kind: EventKind, *, tick: int | None = None, name: str = "", value: float = 0.0
-    ) -> None:
-        at = self.tick if tick is None else tick
-        self._told.append(
-            Event(tick=at, kind=kind, operation=self._operation, name=name, value=value)
-        )
-
-    def _meet_events(self) -> None:
-        """Tell what is due before the next row; halt at a stop, and at a wait that is not met."""
-        waits = self._halted
-        if waits is not None and waits.kind == "wait" and self._met(waits):
-            self._halted = None
-            self._tell("resume")
-        while self._halted is None and self._events and self._events[0].tick <= self._row:
-            event = self._events.popleft()
-            self._told.append(replace(event, tick=self.tick))
-            if event.kind == "stop" or (event.kind == "wait" and not self._met(event)):
-                self._halted = event
-        if self._ended is not None and not self._final and self._halted is None and not self._rows:
-            self._final = True
-            ended, text = self._ended
-            self._tell(ended.value, name=text)
-
-    def _met(self, wait: Event) -> bool:
-        if wait.name in self._machine.inputs:
-            return self._run.tripped(wait.name) == bool(wait.value)
-        return self._inputs.get(wait.name) == wait.value
-
-    def _moving(self, end: int | None) -> Part | None:
-        """Return rows up to the next halt, as many as are there in one piece."""
-        if self._halted is not None or self._held or not self._rows:
-            return None
-        counts, operation = self._rows.popleft()
-        room = _AT_ONCE if end is None else min(_AT_ONCE, end - self.tick)
-        halts = (e.tick - self._row for e in self._events if e.kind in _HALTING)
-        n = min(room, len(counts), next(halts, room))
-        if n < len(counts):
-            self._rows.appendleft((counts[n:], operation[n:]))
-        travelled = np.empty((n, len(self._position)), dtype=np.int64)
-        travelled[0] = self._position
-        np.cumsum(counts[: n - 1], axis=0, out=travelled[1:])
-        travelled[1:] += self._position
-        while self._events and self._events[0].tick < self._row + n:
-            event = self._events.popleft()
-            self._told.append(replace(event, tick=self.tick + event.tick - self._row))
-        self._position = travelled[-1] + counts[n - 1]
-        self._row, self._operation = self._row + n, int(operation[n - 1])
-        return Part(travelled, operation[:n])
-
-    def _still(self, end: int | None) -> Part | None:
-        """Return ticks at which the command stands still; None where nobody asked for them."""
-        if end is None:
-            return None
-        n = min(_AT_ONCE, end - self.tick)
-        if self._halted is not None and self._halted.name in self._machine.inputs:
-            n = 1  # the plant decides, at any tick
-        if self._row and self._halted is None and not self._held and self._ended is None:
-            self._tell("late", value=float(n))
-        still = np.broadcast_to(self._position, (n, len(self._position)))
-        return Part(still, np.full(n, self._operation))
+    def _tripped(self, name: str) -> bool:
+        return self._run.tripped(name)
 
     # --- samples ---------------------------------------------------------------------------
 
-    def _run_over(self, part: Part) -> None:
-        part.read = self._run.advance(part.travelled, self._readings, every=self._every)
+    def _read(self, part: Part) -> Mapping[Any, FloatArray]:
+        read = self._run.advance(part.travelled, self._readings, every=self._every)
         failure = self._run.failure()
         if failure is not None:
             axes, why = failure
@@ -369,6 +147,7 @@ class Session:
                 f"axes {', '.join(axes)}: the simulation has no answer, {why}",
                 remedy="Check stiffness, friction and gains in the machine file.",
             )
+        return read
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         begin = -(-first // self._every) * self._every

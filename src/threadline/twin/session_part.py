@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +14,11 @@ from threadline.twin.kernel import Reading
 
 @dataclass(slots=True)
 class Part:
-    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, (n, runs) readings."""
+    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, what is read at them."""
 
     travelled: IntArray
     operation: IntArray
-    read: Mapping[Reading, FloatArray] = field(default_factory=dict)
+    read: Mapping[Any, FloatArray] = field(default_factory=dict)
 
 
 def joined(parts: Sequence[Part], axes: int, runs: int, readings: Sequence[Reading]) -> Part:

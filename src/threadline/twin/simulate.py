@@ -9,7 +9,7 @@ from math import ceil
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.plant.values import Values
@@ -24,10 +24,11 @@ from threadline.signals import (
     TickTable,
 )
 from threadline.twin.channels import encoder_phases, run_phases, tick_channels
-from threadline.twin.commanded import record_commanded
 from threadline.twin.kernel import Engine
-from threadline.twin.prescribed import simulate_prescribed
+from threadline.twin.prescribed import Advance, advances_of
+from threadline.twin.row_session import RowSession
 from threadline.twin.session import Session
+from threadline.twin.told_session import ToldSession, told_channels
 
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
@@ -60,8 +61,7 @@ def simulate(
     ``X.current_peak``, the value of largest magnitude since the sample before. Then ``operation``
     and one channel for each input, 1 from the instant at which a switch has cut its drive.
 
-    A machine whose drives are told positions has other channels: see ``prescribed``, and
-    ``commanded`` for one without dynamics.
+    A machine whose drives are told positions has other channels: see ``ToldSession``.
 
     Parameters
     ----------
@@ -89,16 +89,6 @@ def simulate(
         If the commands are not for this machine, or an option is out of range.
     """
     check_commands(commands, machine, record_every, settle_s)
-    if machine.told_positions:
-        if answers is not None:
-            raise OptionError(
-                f"the drives of {machine.name} are told positions: how long the operator takes at "
-                "a stop is not simulated there"
-            )
-        if machine.without_dynamics:
-            return record_commanded(commands, machine, record_every, settle_s)
-        phases = encoder_phases(machine, encoder_phase)
-        return simulate_prescribed(commands, machine, phases, record_every, settle_s)
     options = _Options(
         phases=encoder_phases(machine, encoder_phase)[None],
         record_every=record_every,
@@ -106,6 +96,8 @@ def simulate(
         quantised=quantised,
         answers=answers,
     )
+    if machine.told_positions:
+        return _told_recording(commands, machine, options)
     return _recording(commands, Values.of(machine), options)
 
 
@@ -186,6 +178,23 @@ def _recording(
     )
 
 
+def session_of(machine: Machine, start_counts: IntArray) -> RowSession:
+    """Return a session of a machine with axes, as one run of ``simulate`` makes it."""
+    if machine.told_positions:
+        return ToldSession(machine, start_counts=start_counts)
+    return Session(machine, start_counts=start_counts)
+
+
+def _told_recording(commands: TickTable, machine: Machine, options: _Options) -> Recording:
+    return Recording(
+        channels=told_channels(machine, options.record_every),
+        blocks=Stream(_told_blocks, advances_of(machine), machine, commands, options),
+        job_sha256=commands.job_sha256,
+        machine_sha256=machine.sha256,
+        simulated=True,
+    )
+
+
 def check_commands(
     commands: TickTable, machine: Machine, record_every: int, settle_s: float
 ) -> None:
@@ -242,7 +251,28 @@ def _blocks(
         kinds=options.kinds,
         engine=engine,
     )
-    tick_s = float(machine.tick_clock.period_s)
+    yield from _run_over(session, commands, options)
+
+
+def _told_blocks(
+    advances: tuple[Advance, ...], machine: Machine, commands: TickTable, options: _Options
+) -> Iterator[RecordingBlock]:
+    """Do the same with a machine whose drives are told positions."""
+    session = ToldSession(
+        machine,
+        start_counts=commands.start_counts,
+        phases=options.phases[0],
+        record_every=options.record_every,
+        advances=advances,
+    )
+    yield from _run_over(session, commands, options)
+
+
+def _run_over(
+    session: RowSession, commands: TickTable, options: _Options
+) -> Iterator[RecordingBlock]:
+    """Yield the blocks of a new session until it has settled, or failed."""
+    tick_s = float(commands.clock.period_s)
     owed: tuple[Event, ...] = ()
     # One more than the settling ticks: the instant at which the last of them ends.
     settling = _pause(session, ceil(options.settle_s / tick_s) + 1, options.most_rows)
@@ -251,15 +281,17 @@ def _blocks(
         if len(block.samples["operation"]):
             yield replace(block, events=owed)
             owed = ()
+        if session.failed:
+            return
 
 
-def _pause(session: Session, ticks: int, most: int) -> Iterator[RecordingBlock]:
+def _pause(session: RowSession, ticks: int, most: int) -> Iterator[RecordingBlock]:
     """Let the plant go on for ``ticks`` without new rows; blocks of at most ``most`` ticks."""
     for at in range(0, ticks, most):
         yield session.advance(ticks=min(most, ticks - at))
 
 
-def _parts(session: Session, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
+def _parts(session: RowSession, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
     """Yield the blocks of a run of the commands, which halts at stops and waits until answered."""
     answers = None if options.answers is None else iter(options.answers)
     for block in _pieces(commands, options.most_rows):
