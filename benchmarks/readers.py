@@ -4,6 +4,9 @@ All read the same generated file: G1 and three axis words on each line, an F her
 checks every block, keeps exact sums, and gives each move its position, feed and place; the peers
 split words (pygcode also sorts them by meaning) and keep neither modes nor positions. Ours is timed
 from the file's name on, hash and first checking pass included.
+
+Tags become columns of a run. What they cost is measured beside the same program in which the same
+letters are a comment for people: blanks stand where the equals signs stood.
 """
 
 from __future__ import annotations
@@ -24,11 +27,25 @@ BLOCKS = 200_000
 PYGCODE_BLOCKS = 5_000  # some seconds of it
 LONG_BLOCKS = 5_000_000
 REPEATS = 3
+TAG_REPEATS = 15
 UNIT = "block/s"
 MACHINE = load_machine("lathe-winder")
 
 
-def write_program(path: Path, blocks: int) -> None:
+def one_tag(k: int) -> str:
+    """Return the tag of a winding program: its tension, which changes now and then."""
+    return f" ; tension_N={20 + k // 1000 % 10}"
+
+
+def five_tags(k: int) -> str:
+    """Return five tags, of which some change with each block."""
+    return (
+        f" ; stitch={k} layer={k // 1000} circuit={k // 100} tension_N={20 + k % 7 / 2} "
+        f"thread={k % 3}"
+    )
+
+
+def write_program(path: Path, blocks: int, comment: Callable[[int], str] | None = None) -> None:
     """Write a program of ``blocks`` moves about the start position."""
     rng = random.Random(1994)
     with path.open("w") as stream:
@@ -36,8 +53,11 @@ def write_program(path: Path, blocks: int) -> None:
         for k in range(blocks):
             sign = 1 if k % 2 else -1
             feed = " F1200" if k % 100 == 0 else ""
+            behind = comment(k) if comment is not None else ""
             a, x, y = rng.uniform(0, 30), rng.uniform(0, 5), rng.uniform(0, 1)
-            stream.write(f"N{k % 99_999} G1 A{a:.3f} X{sign * x:.3f} Y{-sign * y:.3f}{feed}\n")
+            stream.write(
+                f"N{k % 99_999} G1 A{a:.3f} X{sign * x:.3f} Y{-sign * y:.3f}{feed}{behind}\n"
+            )
         stream.write("M30\n")
 
 
@@ -95,8 +115,27 @@ def run() -> list[dict[str, Any]]:
             )
             for how, ours in (("move by move", moves), ("in runs", runs))
         ]
+        results += [with_tags(Path(folder), *tags) for tags in ((1, one_tag), (5, five_tags))]
         results.append(long_program(long))
         return results
+
+
+def with_tags(folder: Path, count: int, tags: Callable[[int], str]) -> dict[str, Any]:
+    """Compare a program with tags on every block to the same one with comments as long.
+
+    Processor time, not the clock: the readings take turns, and the best of each counts.
+    """
+    paths = folder / "comments.nc", folder / "tags.nc"
+    write_program(paths[0], BLOCKS, lambda k: tags(k).replace("=", " "))
+    write_program(paths[1], BLOCKS, tags)
+    best = [float("inf")] * 2
+    for _ in range(TAG_REPEATS):
+        for index, path in enumerate(paths):
+            began = time.process_time()
+            blocks = read_runs(path)
+            best[index] = min(best[index], (time.process_time() - began) / blocks)
+    found = entry(f"reader, tags in columns, {count} to a block", 1.0 / best[1], 1.0 / best[0], "")
+    return {**found, "peer": "the same letters as a comment"}
 
 
 def peer_rate(read: Callable[[Path], int], path: Path) -> float | None:

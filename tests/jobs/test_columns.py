@@ -22,6 +22,7 @@ from threadline.jobs.operations import (
     move_runs,
 )
 from threadline.machine import load_machine
+from threadline.verdict.needle import has_stitches
 
 WINDER = load_machine("lathe-winder")
 
@@ -112,3 +113,12 @@ def test_moves_without_tags_share_one_mapping() -> None:
     moves = [Move((0.0,), None, Source("a.nc", 1)) for _ in range(3)]
     assert columns_of([move.tags for move in moves]) == {}
     assert all(move.tags is NO_TAGS for move in gathered(moves))
+
+
+def test_a_program_with_a_tag_called_stitch_is_no_seam(tmp_path: Path, examples: Path) -> None:
+    """Its moves have no contours and no wanted lengths, in runs or one by one."""
+    path = tmp_path / "tags.nc"
+    path.write_text("G91 G1 F600 X1 ; stitch=1\nX1 ; stitch=2\nX-2 ; stitch=3 contour=1\nM30\n")
+
+    assert not has_stitches(read_job(path, WINDER))
+    assert has_stitches(read_job(examples / "badge.seam.toml", load_machine("stitcher")))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
@@ -185,7 +186,9 @@ WORDS = st.sampled_from(
 )  # fmt: skip
 PLAIN = st.sampled_from(
     ["X1", "X-.5 Y.25", "A-0.001", "X 0.123 F600", "G0 X1", "G1 Y 2", "G90 X3", "G91", "G20", "G21",
-     "G93", "G94", "Y1 F2", "X0.1 ; a=1", "G1 X7.1234 (c) A3 ; d", "G4 P.1", "G28 X1", "A720.5"]
+     "G93", "G94", "Y1 F2", "X0.1 ; a=1", "G1 X7.1234 (c) A3 ; d", "G4 P.1", "G28 X1", "A720.5",
+     "X2 ; a=-2.50, bb=+.125", "Y.5 ; bb=7 a=3.", "X1 (t=1) ; a_b-3=-0", "X-1 ;width = 5 a=2",
+     "G90 ; a=4"]
 )  # fmt: skip
 LINES = st.lists(WORDS, max_size=5).map(" ".join)
 
@@ -228,6 +231,95 @@ def test_the_kernel_follows_modes_as_the_interpreter_does(
     path.write_bytes(text.encode())
 
     assert outcome(path, plain=True) == outcome(path, plain=False)
+
+
+TAGS = st.lists(
+    st.tuples(
+        st.sampled_from(["a", "A", "_b", "tension_N", "x-1", "n5", "stitch", "q" * 32, "q" * 33]),
+        st.sampled_from(["", "", "", " "]),  # a blank before the sign makes it a comment for people
+        st.one_of(
+            st.decimals(-999, 999, places=3).map(str),
+            st.integers(-(10**16), 10**16).map(str),
+            st.sampled_from(
+                [
+                    "-0",
+                    "+7",
+                    ".5",
+                    "-.25",
+                    "3.",
+                    "",
+                    ".",
+                    "-",
+                    "1e3",
+                    "1;2",
+                    "(4)",
+                    "x",
+                    "=5",
+                    "0.000000000000001",
+                    "123456789.123456",
+                    "\t6",
+                    "\xb5",
+                    "1.2.3",
+                ]
+            ),
+        ),
+        st.sampled_from([" ", ", ", ",", "\t", "  ", ",,", "; ", " to "]),
+    ),
+    max_size=5,
+).map(lambda some: "".join(f"{name}{blank}={number}{gap}" for name, blank, number, gap in some))
+TAGGED = st.tuples(
+    st.sampled_from(["X1", "G1 Y.5 F60", "G90", "N7", "(c)", "", "G92 X1"]),
+    st.sampled_from([";", " ; ", ";\t", "; ,", " ; note "]),
+    TAGS,
+).map("".join)
+
+
+@settings(max_examples=1000, phases=[Phase.explicit, Phase.generate])
+@given(lines=st.lists(st.one_of(TAGGED, TAGGED, PLAIN), max_size=12), end=st.sampled_from("\n\r"))
+def test_the_kernel_names_the_numbers_that_the_interpreter_names(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[str], end: str
+) -> None:
+    """Every tag of every move alike, signs of zero included, or the same error."""
+    path = tmp_path_factory.getbasetemp() / "tags.nc"
+    gap = "\n" if end == "\n" else "\r\n"
+    path.write_bytes(
+        gap.join(["G1 F100 X0", *lines, "M98 P2 L2", "M30", "O2", *lines, "M99"]).encode()
+    )
+
+    ours, plainly = outcome(path, plain=True), outcome(path, plain=False)
+
+    assert ours == plainly
+    assert repr([dict(sorted(o.tags.items())) for o in ours[0] if isinstance(o, Move)]) == repr(
+        [dict(sorted(o.tags.items())) for o in plainly[0] if isinstance(o, Move)]
+    )
+
+
+def test_tags_do_not_leave_the_kernel(tmp_path: Path) -> None:
+    """Moves with tags arrive in runs, with an array for each tag; NaN for a move without it."""
+    lines = [f"X{1 - 2 * (k % 2)} ; layer={k // 100} tension_N={k % 7 - 3}.5" for k in range(3000)]
+    lines[2500] = "X1"
+    job = read(tmp_path, "G91 G1 F100 Y1", *lines, "M30")
+
+    runs = [item for item in job.runs() if isinstance(item, MoveRun)]
+
+    assert len(runs) <= 3
+    layer = np.concatenate([run.columns["layer"] for run in runs])
+    tension = np.concatenate([run.columns["tension_N"] for run in runs])
+    expected = np.arange(3000.0)
+    written = np.array([float(f"{k % 7 - 3}.5") for k in range(3000)])
+    expected[2500] = written[2500] = np.nan
+    assert np.array_equal(layer, [np.nan, *expected // 100], equal_nan=True)
+    assert np.array_equal(tension, [np.nan, *written], equal_nan=True)
+
+
+def test_more_names_than_the_kernel_keeps(tmp_path: Path) -> None:
+    """The seventeenth name and those after it are read block by block, and nothing is lost."""
+    lines = [f"X1 ; name{k}={k} other{k}=1" for k in range(12)]
+    found = moves(read(tmp_path, "G91 G1 F100", *lines, "X1 ; name3=8", "M30"))
+    assert [dict(move.tags) for move in found] == [
+        *[{f"name{k}": float(k), f"other{k}": 1.0} for k in range(12)],
+        {"name3": 8.0},
+    ]
 
 
 def test_the_kernel_is_used(tmp_path: Path) -> None:

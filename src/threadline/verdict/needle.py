@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.jobs.operations import FeedMode, Job, Move, ToolEvent
+from threadline.jobs.operations import FeedMode, Job, Move, MoveRun, ToolEvent
 from threadline.plan import Plan
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 _ROUNDS = 3
+_SEWN = frozenset({"stitch", "contour", "exempt", "target_m"})  # tags of every stitch of a seam
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,15 +60,19 @@ class Stitches:
 
 
 def has_stitches(job: Job) -> bool:
-    """Say whether the moves of a job carry the tags of stitches; reads up to the first.
+    """Say whether the moves of a job carry the tags of a seam's stitches; reads up to the first.
 
-    Moves that are read in runs carry no tags; a tool event ``sew`` comes before the first stitch.
+    A seam begins with a tool event ``sew``. Part programs may name tags of their own, ``stitch``
+    among them, without being seams.
     """
-    return any(
-        (isinstance(o, ToolEvent) and o.name == "sew")
-        or (isinstance(o, Move) and "stitch" in o.tags)
-        for o in job.runs()
-    )
+    for item in job.runs():
+        if isinstance(item, ToolEvent) and item.name == "sew":
+            return True
+        if isinstance(item, Move) and item.tags.keys() >= _SEWN:
+            return True
+        if isinstance(item, MoveRun) and item.columns.keys() >= _SEWN:
+            return True
+    return False
 
 
 def planned_stitches(plan: Plan) -> Iterator[Stitches]:
@@ -108,10 +113,10 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
         came_from = np.concatenate([start[None], points[:-1]])
         came_s = np.concatenate([[before_s], down[:-1]])
         start, before_s = points[-1], float(down[-1])
-        sewn = np.array(["stitch" in move.tags for move in taken], dtype=np.bool_)
+        sewn = np.array([move.tags.keys() >= _SEWN for move in taken], dtype=np.bool_)
         if not sewn.any():
             continue
-        tags = [move.tags for move in taken if "stitch" in move.tags]
+        tags = [move.tags for move in taken if move.tags.keys() >= _SEWN]
         number = np.array([float(t["contour"]) for t in tags])
         before = np.concatenate([[contour], number[:-1]])
         contour = float(number[-1])
@@ -126,7 +131,7 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
             from_s=came_s[sewn],
             down_s=down[sewn],
             target_m=np.array([float(t["target_m"]) for t in tags]),
-            period_s=np.array([_period_s(m) for m in taken if "stitch" in m.tags]),
+            period_s=np.array([_period_s(m) for m in taken if m.tags.keys() >= _SEWN]),
             from_m=np.array([float(t.get("from_m", np.nan)) for t in tags]),
             to_m=np.array([float(t.get("to_m", np.nan)) for t in tags]),
         )

@@ -230,7 +230,7 @@ class Interpreter:
             for at, value in zip(changes, values[changes].tolist(), strict=True)
         )
         targets, line = plain.out_position[:count].copy(), plain.out_line[:count].copy()
-        return MoveRun(targets, line, feeds, self._path, self._passes)
+        return MoveRun(targets, line, feeds, self._path, self._passes, plain.columns(count))
 
     def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
         """Return the (count,) feeds of the moves just read, with inches undone for A B C alone."""

@@ -1,6 +1,6 @@
 """A compiled reader of the plain blocks of a part program.
 
-Nearly all lines of a long program are plain: N, G0 G1 G90 G91, axis words, F, a comment. This
+Nearly all lines of a long program are plain: N, G0 G1 G90 G91, axis words, F, a comment, tags. This
 reader handles them. It stops before the first line that is anything else, is wrong, or has too many
 digits; ``block`` and ``interpreter`` read that line. They can read plain blocks, too, and tests
 compare the two.
@@ -19,23 +19,49 @@ from numba import njit
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.jobs.gcode.comments import (
+    BLANK,
+    BOOK_SIZE,
+    CLOSE,
+    CR,
+    DECIMALS,
+    DIGITS,
+    DOT,
+    IN_BLOCK,
+    LAST_ASCII,
+    LF,
+    LOWER_A,
+    LOWER_Z,
+    MAX_DIGITS,
+    MINUS,
+    NAMES,
+    NINE,
+    NOT_PLAIN,
+    OPEN,
+    PLUS,
+    POWERS,
+    SEMICOLON,
+    TAB,
+    UPPER_A,
+    UPPER_Z,
+    WHICH,
+    ZERO,
+    follow_comment,
+    name_of,
+)
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.textfile import Lines
+from threadline.jobs.operations import NO_COLUMNS, Column
 
 STEPS = 10**7
-DECIMALS = 7
+PLACES = 7
 EXACT_LIMIT = 2**53
 
 # Entries of the state vector.
 MOTION, RELATIVE, TENTH_MM, INVERSE, LINE, AT, FOLLOW, RAPID_FEED, EACH_G, RAPID_F = range(10)
 STATE_SIZE = 10
 
-_TAB, _LF, _CR, _BLANK, _OPEN, _CLOSE, _PLUS, _MINUS, _DOT = 9, 10, 13, 32, 40, 41, 43, 45, 46
-_ZERO, _NINE, _SEMICOLON, _EQUALS, _UPPER_A, _UPPER_Z, _LOWER_A, _LOWER_Z = (
-    48, 57, 59, 61, 65, 90, 97, 122,
-)  # fmt: skip
 _F, _G, _N = ord("F"), ord("G"), ord("N")
-_MAX_DIGITS = 15
 _MAX_LINE = 4096
 _ROOM = 4096
 _LONGEST_PAUSE = 63
@@ -56,6 +82,9 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     out_line: IntArray,
     out_word: IntArray,
     used: NDArray[np.bool_],
+    book: IntArray,
+    out_tag: FloatArray,
+    tagged: IntArray,
 ) -> int:
     """Read plain blocks from ``state[AT]`` on; return the number of moves written.
 
@@ -84,6 +113,11 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         (room,) F of the block times 1e7, -1 where it has none.
     used
         (axes,) axes that have words; updated.
+    book
+        (BOOK_SIZE,) names and values of tags, see ``comments``; updated.
+    out_tag, tagged
+        (names, room), (names,): tags of the moves, NaN where a move has none, and how many moves
+        have each; updated with FOLLOW not 0.
     """
     # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
     n_axes = exact.shape[0]
@@ -106,75 +140,53 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             given[k] = False
         plain = True
         code_seen = False
+        book[IN_BLOCK] = 0
         while True:
             if at >= end:
                 break
             c = data[at]
-            if c == _BLANK or c == _TAB:
+            if c == BLANK or c == TAB:
                 at += 1
                 continue
-            if c == _LF:
+            if c == LF:
                 break
-            if c == _CR:
-                if at + 1 < end and data[at + 1] == _LF:
+            if c == CR:
+                if at + 1 < end and data[at + 1] == LF:
                     at += 1
                     break
                 plain = False
                 break
-            if c == _OPEN:
+            if c == OPEN:
                 at += 1
-                while at < end and data[at] != _CLOSE:
-                    if data[at] == _OPEN or data[at] < _BLANK or data[at] > 126:
+                while at < end and data[at] != CLOSE:
+                    if data[at] == OPEN or data[at] < BLANK or data[at] > LAST_ASCII:
                         break
                     at += 1
-                if at >= end or data[at] != _CLOSE:
+                if at >= end or data[at] != CLOSE:
                     plain = False
                     break
                 at += 1
                 continue
-            if c == _SEMICOLON:
-                at += 1
-                # "X 5; Y 6" is refused by the reader: two words in a row are not for here.
-                while at < end and (data[at] == _BLANK or data[at] == _TAB):
-                    at += 1
-                first = True
-                while at < end and data[at] != _LF:
-                    c = data[at]
-                    if c == _CR and at + 1 < end and data[at + 1] == _LF:
-                        break
-                    if c == _EQUALS or c > 126 or (c < _BLANK and c != _TAB):
-                        plain = False
-                        break
-                    if code_seen and (c == _SEMICOLON or c == _OPEN):
-                        plain = False  # a further part, which may read as a block too
-                        break
-                    if first and code_seen and at + 1 < end:
-                        d = data[at + 1]
-                        is_letter = (_UPPER_A <= c <= _UPPER_Z) or (_LOWER_A <= c <= _LOWER_Z)
-                        if is_letter and not (
-                            (_UPPER_A <= d <= _UPPER_Z) or (_LOWER_A <= d <= _LOWER_Z)
-                        ):
-                            plain = False
-                            break
-                    first = False
-                    at += 1
-                if at < end and plain and data[at] == _CR:
+            if c == SEMICOLON:
+                at = follow_comment(data, at + 1, code_seen, book)
+                plain = at != NOT_PLAIN
+                if plain and at < end and data[at] == CR:
                     at += 1
                 break
             # A word: letter, blanks, number.
-            if _LOWER_A <= c <= _LOWER_Z:
+            if LOWER_A <= c <= LOWER_Z:
                 c -= 32
-            if c < _UPPER_A or c > _UPPER_Z:
+            if c < UPPER_A or c > UPPER_Z:
                 plain = False
                 break
             letter = c
             code_seen = True
             at += 1
-            while at < end and (data[at] == _BLANK or data[at] == _TAB):
+            while at < end and (data[at] == BLANK or data[at] == TAB):
                 at += 1
             sign = 1
-            if at < end and (data[at] == _MINUS or data[at] == _PLUS):
-                if data[at] == _MINUS:
+            if at < end and (data[at] == MINUS or data[at] == PLUS):
+                if data[at] == MINUS:
                     sign = -1
                 at += 1
             value = 0
@@ -182,22 +194,22 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             dotted = False
             while at < end:
                 c = data[at]
-                if _ZERO <= c <= _NINE:
-                    value = value * 10 + int(c - _ZERO)
+                if ZERO <= c <= NINE:
+                    value = value * 10 + int(c - ZERO)
                     digits += 1
                     if dotted:
                         decimals += 1
-                    if digits > _MAX_DIGITS:
+                    if digits > MAX_DIGITS:
                         break
-                elif c == _DOT and not dotted:
+                elif c == DOT and not dotted:
                     dotted = True
                 else:
                     break
                 at += 1
-            if digits == 0 or digits > _MAX_DIGITS or decimals > DECIMALS:
+            if digits == 0 or digits > MAX_DIGITS or decimals > PLACES:
                 plain = False
                 break
-            if at < end and data[at] == _DOT:
+            if at < end and data[at] == DOT:
                 plain = False
                 break
             value *= sign
@@ -225,7 +237,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             if digits - decimals > 11:
                 plain = False
                 break
-            for _ in range(DECIMALS - decimals):
+            for _ in range(PLACES - decimals):
                 value *= 10
             if letter == _F:
                 if f_word != -1 or value <= 0:
@@ -294,6 +306,12 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 out_position[moves, k] = new[k]
             feed[0] = value_f
             out_feed[moves] = value_f if at_feed else -1.0
+            for k in range(book[IN_BLOCK]):
+                which, decimals = book[WHICH + k], book[DECIMALS + k]
+                # Up to 15 digits and powers of ten to 1e15 are exact: this rounds once.
+                number = book[DIGITS + k] / POWERS[decimals if decimals >= 0 else ~decimals]
+                out_tag[which, moves] = number if decimals >= 0 else -number
+                tagged[which] += 1
         if has_axes:
             if motion == 0 and f_word != -1 and state[RAPID_F] == 0:
                 state[RAPID_F] = state[LINE]
@@ -342,6 +360,9 @@ class PlainReader:
         self.out_line = np.empty(_ROOM, np.int64)
         self.out_word = np.empty(_ROOM, np.int64)
         self.used = np.zeros(axes, np.bool_)
+        self._book = np.zeros(BOOK_SIZE, np.int64)
+        self._out_tag = np.full((NAMES, _ROOM), np.nan)
+        self._tagged = np.zeros(NAMES, np.int64)
         self.usable = True
         self._pause = self._patience = 0
 
@@ -357,13 +378,22 @@ class PlainReader:
         moves = follow_plain(
             lines.data, self._axis_of, self._linear, self.state, self.exact, self.offset,
             self.position, self.feed, self.out_position, self.out_feed, self.out_line,
-            self.out_word, self.used,
+            self.out_word, self.used, self._book, self._out_tag, self._tagged,
         )  # fmt: skip
         self._patience = min(2 * self._patience + 1, _LONGEST_PAUSE) if moves == 0 else 0
         self._pause = self._patience
         lines.at = int(self.state[AT])
         lines.number = int(self.state[LINE])
         return int(moves)
+
+    def columns(self, count: int) -> Mapping[str, Column]:
+        """Return the tags of the ``count`` moves just read, (count,) values each by name."""
+        found: dict[str, Column] = {}
+        for which in np.flatnonzero(self._tagged).tolist():
+            found[name_of(self._book, which)] = self._out_tag[which, :count].copy()
+            self._out_tag[which, :count] = np.nan
+            self._tagged[which] = 0
+        return found or NO_COLUMNS
 
 
 def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:

@@ -1,0 +1,182 @@
+"""A compiled reader of what stands behind a semicolon: numbers with names, or words for people.
+
+Behind the words of a block ``; tension_N=25 layer=3`` names numbers, the tags of its move. It does
+so only where the whole comment is such pairs. A pair without a number is an error, and a comment
+with anything else in it is for people. This reader follows the rule of ``words``. It leaves to that
+file every line that is wrong, has letters outside ASCII, or has more than it can hold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from threadline.arrays import IntArray
+
+TAB, LF, CR, BLANK, OPEN, CLOSE, COMMA, PLUS, MINUS, DOT = 9, 10, 13, 32, 40, 41, 44, 43, 45, 46
+ZERO, NINE, SEMICOLON, EQUALS, UPPER_A, UPPER_Z, UNDERSCORE, LOWER_A, LOWER_Z = (
+    48, 57, 59, 61, 65, 90, 95, 97, 122,
+)  # fmt: skip
+LAST_ASCII = 126
+MAX_DIGITS = 15
+NOT_PLAIN = -1
+
+NAMES = 16
+"""How many names of tags a program may have; ``words`` reads the blocks with further ones."""
+_LETTERS = 32
+POWERS = np.array([float(10**k) for k in range(MAX_DIGITS + 1)])
+
+# Entries of a book of tags: how many names are known, and how many tags the block has; the length
+# of each name, and its letters; then for each tag of the block the index of its name, its digits,
+# and its decimals, which are inverted (``~``) where it is negative.
+KNOWN, IN_BLOCK, _SIZE = 0, 1, 2
+_NAME = _SIZE + NAMES
+WHICH = _NAME + NAMES * _LETTERS
+DIGITS = WHICH + NAMES
+DECIMALS = DIGITS + NAMES
+BOOK_SIZE = DECIMALS + NAMES
+
+
+def name_of(book: IntArray, which: int) -> str:
+    """Return the name of a tag.
+
+    >>> book = np.zeros(BOOK_SIZE, np.int64)
+    >>> text = np.frombuffer(b" tension_N=25.5 layer=-3", np.uint8)
+    >>> follow_comment(text, 0, True, book), name_of(book, 0), name_of(book, 1)
+    (24, 'tension_N', 'layer')
+    >>> book[DIGITS : DIGITS + 2].tolist(), book[DECIMALS : DECIMALS + 2].tolist()
+    ([255, 3], [1, -1])
+    """
+    at = _NAME + which * _LETTERS
+    return bytes(book[at : at + book[_SIZE + which]].tolist()).decode("ascii")
+
+
+def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cost half the speed
+    data: NDArray[np.uint8], at: int, behind_words: bool, book: IntArray
+) -> int:
+    """Read a comment from the byte behind its semicolon on; note the tags of its block in ``book``.
+
+    Returns
+    -------
+    int
+        Index of the line feed, or of the carriage return before it, that ends the line; NOT_PLAIN
+        where ``words`` has to read the line.
+    """
+    # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
+    end = data.shape[0]
+    while at < end and (data[at] == BLANK or data[at] == TAB):
+        at += 1
+    if behind_words and at + 1 < end:
+        # "X 5; Y 6" is refused by the reader: two words in a row are not for here.
+        c, d = data[at], data[at + 1]
+        if ((UPPER_A <= c <= UPPER_Z) or (LOWER_A <= c <= LOWER_Z)) and not (
+            (UPPER_A <= d <= UPPER_Z) or (LOWER_A <= d <= LOWER_Z) or d == EQUALS or d == UNDERSCORE
+        ):
+            return NOT_PLAIN
+    named = behind_words and at < end and data[at] != COMMA
+    right = True
+    known = book[KNOWN]
+    in_block = seen = 0
+    which = -1
+    while named:
+        while at < end and (data[at] == BLANK or data[at] == TAB or data[at] == COMMA):
+            at += 1
+        if at >= end or data[at] == LF or (at + 1 < end and data[at] == CR and data[at + 1] == LF):
+            break
+        # Tags mostly stand in the order of the block before: the next name is tried first.
+        size = -1
+        for _ in range(known):
+            which += 1
+            if which >= known:
+                which = 0
+            length, name = book[_SIZE + which], _NAME + which * _LETTERS
+            if at + length < end and data[at + length] == EQUALS:
+                k = 0
+                while k < length and data[at + k] == book[name + k]:
+                    k += 1
+                if k == length:
+                    size = length
+                    break
+        if size == -1:
+            # A new name: a letter or an underscore, then digits and hyphens, too.
+            size = 0
+            while at + size < end:
+                c = data[at + size]
+                if not (
+                    (UPPER_A <= c <= UPPER_Z)
+                    or (LOWER_A <= c <= LOWER_Z)
+                    or c == UNDERSCORE
+                    or (size > 0 and (ZERO <= c <= NINE or c == MINUS))
+                ):
+                    break
+                size += 1
+            if size == 0 or at + size >= end or data[at + size] != EQUALS:
+                named = False
+                break
+            if known < NAMES and size <= _LETTERS:
+                which = known
+                for k in range(size):
+                    book[_NAME + which * _LETTERS + k] = data[at + k]
+                book[_SIZE + which] = size
+                known += 1
+            else:
+                right = False  # no room
+                which = 0
+        at += size + 1
+        negative = at < end and data[at] == MINUS
+        if at < end and (data[at] == MINUS or data[at] == PLUS):
+            at += 1
+        number = digits = 0
+        whole = -1  # digits before the point
+        while at < end and digits <= MAX_DIGITS:
+            c = data[at]
+            if ZERO <= c <= NINE:
+                number = number * 10 + int(c - ZERO)
+                digits += 1
+            elif c == DOT and whole == -1:
+                whole = digits
+            else:
+                break
+            at += 1
+        decimals = 0 if whole == -1 else digits - whole
+        right = right and 0 < digits <= MAX_DIGITS and seen & (1 << which) == 0
+        seen |= 1 << which
+        while at < end:
+            c = data[at]
+            if c <= COMMA and (c == BLANK or c == TAB or c == COMMA or c == LF):
+                break
+            if c == CR and at + 1 < end and data[at + 1] == LF:
+                break
+            if c == EQUALS:
+                named = False
+                break
+            if c < BLANK or c > LAST_ASCII or c == SEMICOLON or c == OPEN:
+                return NOT_PLAIN
+            right = False  # a letter in the number
+            at += 1
+        if named and right:
+            book[WHICH + in_block] = which
+            book[DIGITS + in_block] = number
+            book[DECIMALS + in_block] = ~decimals if negative else decimals
+            in_block += 1
+    if named:
+        if not right:
+            return NOT_PLAIN
+        book[KNOWN], book[IN_BLOCK] = known, in_block
+        return at
+    while at < end:
+        c = data[at]
+        if c == LF:
+            break
+        if c == CR and at + 1 < end and data[at + 1] == LF:
+            break
+        if c > LAST_ASCII or (c < BLANK and c != TAB):
+            return NOT_PLAIN
+        if behind_words and (c == SEMICOLON or c == OPEN):
+            return NOT_PLAIN  # a further part, which may read as a block too
+        at += 1
+    return at
+
+
+follow_comment = njit(cache=True, nogil=True)(_follow_comment)
