@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+import short_jobs
+
 from threadline.cli.main import main as run_program
 
 LIBRARY = Path(__file__).resolve().parent.parent / "src" / "threadline" / "machine" / "library"
@@ -26,36 +28,6 @@ _WAITING = 15  # times as long by the clock, for what waits without working
 _LONG = 124  # as ``timeout`` has it
 WORD = re.compile(r"^still at work after \d+ s.*\n", re.MULTILINE)
 
-SHORT_PROGRAM = "%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 15 X -5 A 3;\nN 20 M30;\n%\n"
-SHORT_SEAM = """
-[drawing]
-file = "line.csv"
-
-[stitching]
-stitch_length = "2.5 mm"
-needle_speed = "40 stitch/s"
-"""
-SHORT_MOVES = """
-name = "short"
-
-[[operation]]
-step = "start"
-valve = "main_air"
-
-[[operation]]
-step = "descend"
-move = { Z = "100 mm" }
-
-[[operation]]
-wait = "z_is_down"
-
-[[operation]]
-dwell = "100 ms"
-"""
-# Tajima's records of three bytes: 0.9 mm along X, X, Y, back along X, and the end.
-SHORT_DESIGN = b"LA:short           \rST:      5\rCO:  0\r".ljust(512) + bytes.fromhex(
-    "040003 040003 200003 080003 080003 0000f3"
-)
 JOBS = {
     "lathe-winder": "short.prg", "stitcher": "short.seam.toml", "letter-placer": "short.toml",
     "stepper-winder": "short.prg", "schiffli-frame": "short.dst", "table-embroiderer": "short.dst",
@@ -77,11 +49,11 @@ class Case:
 
 def lay_out(folder: Path) -> None:
     """Write what every case may read."""
-    (folder / "short.prg").write_text(SHORT_PROGRAM)
-    (folder / "short.seam.toml").write_text(SHORT_SEAM)
-    (folder / "short.dst").write_bytes(SHORT_DESIGN)
+    (folder / "short.prg").write_text(short_jobs.PROGRAM)
+    (folder / "short.seam.toml").write_text(short_jobs.DRAWN_SEAM)
+    (folder / "short.dst").write_bytes(short_jobs.DESIGN)
     (folder / "line.csv").write_text("x [mm],y [mm]\n10,10\n30,10\n30,20\n")
-    (folder / "short.toml").write_text(SHORT_MOVES)
+    (folder / "short.toml").write_text(short_jobs.MOVES)
     for name in JOBS:
         shutil.copy(LIBRARY / f"{name}.toml", folder / f"{name}-base.toml")
         for own in (name, f"{name}-base"):

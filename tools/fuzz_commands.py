@@ -27,14 +27,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import short_jobs
 from fuzz_cases import (
     JOBS,
     LIBRARY,
     PLAIN,
-    SHORT_DESIGN,
-    SHORT_MOVES,
-    SHORT_PROGRAM,
-    SHORT_SEAM,
     Case,
     answer_alarms,
     run_case,
@@ -275,12 +272,13 @@ def names(rng: random.Random, _index: int) -> Case:
     }
     job = JOBS[machine]
     if machine == "letter-placer":
-        files["moves.toml"] = SHORT_MOVES.replace('"short"', json.dumps(name))
+        files["moves.toml"] = short_jobs.MOVES.replace('"short"', json.dumps(name))
         job = "moves.toml"
     elif rng.random() < 0.5 and len(name) < 200 and "/" not in name:
         ending = JOBS[machine].removeprefix("short")
         job = f"./{name}{ending}"
-        files[job] = {".prg": SHORT_PROGRAM, ".dst": SHORT_DESIGN}.get(ending, SHORT_SEAM)
+        texts = {".prg": short_jobs.PROGRAM, ".dst": short_jobs.DESIGN}
+        files[job] = texts.get(ending, short_jobs.DRAWN_SEAM)
     verb = rng.choice(("prove", "compile", "compile", "report"))
     if verb == "report":
         fast = [] if machine in PLAIN else ["--interpolation", "linear"]

@@ -24,7 +24,8 @@ import traceback
 from collections import Counter
 from pathlib import Path
 
-from fuzz_cases import SHORT_DESIGN, SHORT_MOVES, SHORT_PROGRAM, SHORT_SEAM, WORD
+import short_jobs
+from fuzz_cases import WORD
 from fuzz_odd import ODD
 
 from threadline.cli.main import main as run_program
@@ -73,11 +74,11 @@ _SHOWN = 20
 
 def lay_out(folder: Path) -> None:
     """Write what the commands read, and an old output."""
-    (folder / "short.prg").write_text(SHORT_PROGRAM)
-    (folder / "short.seam.toml").write_text(SHORT_SEAM)
-    (folder / "short.dst").write_bytes(SHORT_DESIGN)
+    (folder / "short.prg").write_text(short_jobs.PROGRAM)
+    (folder / "short.seam.toml").write_text(short_jobs.DRAWN_SEAM)
+    (folder / "short.dst").write_bytes(short_jobs.DESIGN)
     (folder / "line.csv").write_text("x [mm],y [mm]\n10,10\n30,10\n30,20\n")
-    (folder / "short.toml").write_text(SHORT_MOVES)
+    (folder / "short.toml").write_text(short_jobs.MOVES)
     (folder / "cam.csv").write_bytes(ODD["cam"])
     (folder / "old.npz").write_bytes(b"an old recording")
 

@@ -17,6 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import short_jobs
 from tests.verdict.interpreter import Facts, Stitch
 
 from threadline.jobs.operations import Move, OperationStream
@@ -33,34 +34,7 @@ from threadline.verdict.stitch_measures import measure_tables
 
 _FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read again and again
 atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
-_WINDING = "G21\nG91\nG1 X4 Y1 A6 F1800\nX4 Y-1 A6\nX-3\nM30\n"
-_SEAM = """
-[stitching]
-stitch_length = "2.5 mm"
-needle_speed = "20 stitch/s"
-
-[[contour]]
-unit = "mm"
-points = [[10, 10], [40, 10], [40, 15]]
-"""
-# Tajima's records of three bytes: 0.9 mm along X, X, Y, back along X, and the end.
-_DESIGN = b"LA:short           \rST:      5\rCO:  0\r".ljust(512) + bytes.fromhex(
-    "040003 040003 200003 080003 080003 0000f3"
-)
-_MOVES = """
-name = "short"
-
-[[operation]]
-step = "start"
-valve = "main_air"
-
-[[operation]]
-step = "descend"
-move = { Z = "100 mm" }
-
-[[operation]]
-wait = "z_is_down"
-"""
+_PLACER = "letter-placer+whole-scans+own-damping"
 
 
 @dataclass(frozen=True)
@@ -78,10 +52,10 @@ def seeds() -> tuple[Seed, ...]:
     """Return a short run of each kind of machine: winder, stitcher, on/off placer, embroiderer."""
     found = []
     for file, text, name, options in (
-        ("short.prg", _WINDING, "lathe-winder", Options()),
-        ("short.seam.toml", _SEAM, "stitcher", Options()),
-        ("short.toml", _MOVES, "letter-placer+whole-scans+own-damping", Options(shaper="zv")),
-        ("short.dst", _DESIGN, "schiffli-frame", Options()),
+        ("short.prg", short_jobs.PROGRAM_OF_ALL_AXES, "lathe-winder", Options()),
+        ("short.seam.toml", short_jobs.SEAM, "stitcher", Options()),
+        ("short.toml", short_jobs.MOVES, _PLACER, Options(shaper="zv")),
+        ("short.dst", short_jobs.DESIGN, "schiffli-frame", Options()),
     ):
         (_FOLDER / file).write_bytes(text if isinstance(text, bytes) else text.encode())
         machine = load_machine(name)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.machine.quantity import LEAST_SI, MOST_SI
 from threadline.plant.analysis import analyse_axis
+from threadline.plant.loop import axis_loop
 from threadline.plant.suspicions import suspicions
+from threadline.plant.values import Values
+from threadline.twin.switching import SAMPLE_S
+from threadline.twin.switching_cylinder import cylinders_of
 
 PLACER = {
     "bodies.head.inertia": "1e-300 kg",
@@ -103,3 +109,43 @@ def test_a_body_that_nothing_holds_is_named(tmp_path: Path) -> None:
     file.write_text(f'base = "lathe-winder"\n{body}')
     with pytest.raises(MachineError, match=r"bodies\.loose: no drive, sensor or axis"):
         analyse_axis(load_machine(str(file)), "X")
+
+
+def test_a_window_of_no_thousandth_of_a_degree_is_refused(tmp_path: Path) -> None:
+    """Angles are kept in thousandths: the window would be none, and what is divided by it."""
+    for angle, fits in (("0.0004 deg", False), ("1e-6 deg", False), ("0.001 deg", True)):
+        file = overlaid(tmp_path, "schiffli-frame", "shaft.window", angle)
+        if fits:
+            shaft = load_machine(file).shaft
+            assert shaft is not None
+            assert shaft.window_share == Fraction(1, 360_000)
+            continue
+        with pytest.raises(MachineError, match="angles are given to a thousandth of a degree"):
+            load_machine(file)
+
+
+def test_a_dead_time_of_too_many_ticks_is_refused(tmp_path: Path) -> None:
+    """3 ms of the stitcher: at 2 us 1500 states, at 136 fs 2e10, and no memory has as many."""
+    for period, fits in (("2 us", True), ("0.1 us", False), ("1e-6 us", False)):
+        loop = axis_loop(load_machine(overlaid(tmp_path, "stitcher", "clocks.filter", period)), "X")
+        if fits:
+            assert len(loop.closed().A) > 1500
+            continue
+        with pytest.raises(MachineError, match=r"ticks of .* s are under way in the dead time"):
+            loop.closed()
+
+
+def test_a_cylinder_whose_motion_grows_beyond_numbers_is_refused(tmp_path: Path) -> None:
+    """Air that a stroke strains 1e12 times: exp(383) in a sample; the square of it is not asked.
+
+    The pole goes with the root of what is strained: ten times that is exp(1200), beyond doubles.
+    """
+    for strained, fits in (("1e12", True), ("1e13", False)):
+        file = overlaid(tmp_path, "letter-placer", "links.air_up.stretch.table_up", strained)
+        machine = load_machine(file)
+        every = machine, tuple(machine.cylinders), Values(machine, {}, 1), float(SAMPLE_S)
+        if fits:
+            assert np.log(np.abs(cylinders_of(*every).step).max()) == pytest.approx(383, rel=0.01)
+            continue
+        with pytest.raises(MachineError, match="its motion grows beyond all numbers within"):
+            cylinders_of(*every)

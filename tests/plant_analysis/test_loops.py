@@ -445,3 +445,26 @@ def test_thousands_of_crossings_are_closed_in_on_together() -> None:
     np.testing.assert_allclose(factors, at / gain, rtol=1e-12)
     assert [c.omega_rad_s for c in found.gain_crossovers] == pytest.approx([gain], rel=1e-10)
     assert calls < 150  # of thousands of frequencies each, instead of tens of thousands of one
+
+
+def test_a_loop_whose_response_is_rounding_has_no_crossover_there():
+    """1/s^5, with noise of 1e-12 about it: where that is all there is, no grid is fine enough.
+
+    The phase of 1/s^5 is -90 degrees at every frequency; that of the noise passes -180 between any
+    two.
+    """
+    random = np.random.default_rng(3)
+
+    def response(omega: FloatArray) -> ComplexArray:
+        noise = 1e-12 * (random.normal(size=len(omega)) + 1j * random.normal(size=len(omega)))
+        return np.asarray((1j * omega) ** -5.0 + noise)
+
+    def silent(omega: FloatArray) -> ComplexArray:
+        return np.asarray(np.where(omega < 1e3, response(omega), 0.0))
+
+    for found in (response, silent):
+        grid = refined_grid(found, 0.1, 1e6)
+        assert len(grid) < 20_000
+        told = margins_of(found, grid)
+        assert [c.omega_rad_s for c in told.gain_crossovers] == [pytest.approx(1.0, rel=1e-9)]
+        assert not told.phase_crossovers

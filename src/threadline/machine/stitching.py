@@ -46,6 +46,11 @@ class Shaft:
                 "the needle enters at the end of the window or later, and leaves after that: "
                 "window <= needle_enters < needle_leaves"
             )
+        if self.window_share == 0:
+            raise ValueError(
+                f"the window is {self.window.si * 180.0 / pi:.3g} deg; angles are given to a "
+                "thousandth of a degree"
+            )
         if self.window_share >= 1:
             raise ValueError("the window must end before the turn does")
         if self.slowest_turn.si < self.turn.si:

@@ -25,6 +25,7 @@ _MOST_POINTS = 400_000
 _START_POINTS = 600
 _NEGLIGIBLE = 1e-3
 _HALVINGS = 48  # of an interval of the grid: to the last digits of a double
+_SILENT = 1e-9  # a gain below is the rounding of its parts: it has neither phase nor slope
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +104,8 @@ def refined_grid(
 ) -> FloatArray:
     """Return (n,) rad/s from ``low`` to ``high``, dense where ``response`` changes fast.
 
+    Where it is below 1e-9 it is rounding, which changes from point to point however near they are.
+
     Parameters
     ----------
     response
@@ -114,9 +117,12 @@ def refined_grid(
     grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), inside]))
     values = response(grid)
     for _ in range(_ROUNDS):
-        turn = np.abs(np.angle(values[1:] / values[:-1]))
-        rise = np.abs(np.log(np.abs(values[1:]) / np.abs(values[:-1])))
+        size = np.abs(values)
+        unit = values / np.maximum(size, _SILENT)
+        turn = np.abs(np.angle(unit[1:] * unit[:-1].conj()))
+        rise = np.abs(np.diff(_log(size)))
         coarse = (turn > _STEP) | (rise > 2 * _STEP)
+        coarse &= np.maximum(size[1:], size[:-1]) > _SILENT
         if not coarse.any() or len(grid) > _MOST_POINTS:
             break
         middle = np.sqrt(grid[:-1] * grid[1:])[coarse]
@@ -128,11 +134,14 @@ def refined_grid(
 
 
 def margins_of(response: Response, grid: FloatArray) -> Margins:
-    """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12."""
+    """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12.
+
+    A phase crossover below a gain of 1e-9 is none: there the response is rounding.
+    """
     values = response(grid)
-    size = np.log(np.abs(values))
+    size = _log(np.abs(values))
     here = (size[:-1] * size[1:] <= 0) & ((size[:-1] != 0.0) | (size[1:] != 0.0))
-    at = _roots(lambda w: np.log(np.abs(response(w))), grid[:-1][here], grid[1:][here])
+    at = _roots(lambda w: _log(np.abs(response(w))), grid[:-1][here], grid[1:][here])
     angle = np.degrees(np.angle(-response(at))) if len(at) else at
     gains = [
         GainCrossover(omega_rad_s=float(w), phase_margin_deg=float(p))
@@ -144,13 +153,18 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
     phases = [
         PhaseCrossover(omega_rad_s=float(w), gain_factor=float(1.0 / abs(v)))
         for w, v in zip(at, there, strict=True)
-        if v.real < 0
+        if v.real < -_SILENT
     ]
     return Margins(
         gain_crossovers=tuple(gains),
         phase_crossovers=tuple(phases),
         modulus_margin=float(np.abs(1.0 + values).min()),
     )
+
+
+def _log(size: FloatArray) -> FloatArray:
+    """Return the logarithm of (n,) magnitudes; of what is silent that of the least told."""
+    return np.asarray(np.log(np.maximum(size, _SILENT)))
 
 
 def _roots(

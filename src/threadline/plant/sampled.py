@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from threadline.arrays import FloatArray
+from threadline.errors import MachineError
 from threadline.plant.controllers import DigitalFilter
 from threadline.plant.linear import StateSpace
 
 _ROUNDING = 1e-9
+_MOST_TICKS = 4000  # of dead time: as many states, whose eigenvalues take 20 s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,6 +146,11 @@ def close_loop(
         controller reads, and the controller's name.
     gains
         Factors on the controllers' gains; 1 when None.
+
+    Raises
+    ------
+    MachineError
+        If the dead times last too many ticks: each is a state.
     """
     period = filters[0].period_s
     sampled = sample(plant, period)
@@ -151,6 +158,13 @@ def close_loop(
     factors = (1.0,) * m if gains is None else gains
     read = np.array([plant.C[plant.outputs.index(s)] for s in sensors])
     lines = [t + 1 for t in sampled.ticks]
+    if sum(lines) > _MOST_TICKS:
+        raise MachineError(
+            f"{', '.join(f'controllers.{name}' for name in names)}: {sum(sampled.ticks):.6g} ticks "
+            f"of {period:.4g} s are under way in the dead time, and a loop is analysed with up to "
+            f"{_MOST_TICKS}",
+            remedy="Give the controller a longer clock, or its drive a shorter delay.",
+        )
     starts = n + np.concatenate(([0], np.cumsum(lines)[:-1])).astype(int)
     memory = n + sum(lines)
     size = memory + 2 * m

@@ -18,6 +18,7 @@ from numba import njit
 from scipy.linalg import expm
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
 from threadline.plant.cylinders import cylinder_equations
@@ -129,7 +130,7 @@ def cylinders_of(
     Raises
     ------
     MachineError
-        If a cylinder has no equations.
+        If a cylinder has no equations, or its motion grows beyond all numbers within a sample.
     """
     made = [_tables(machine, name, values) for name in names]
     size = max(rate.shape[-1] for rate, *_ in made)
@@ -148,9 +149,18 @@ def cylinders_of(
         # The shortest part by series, the longer ones each the square of the one before.
         part = _short_step(rate * (step_s * 0.5**HALVINGS))
         for halvings in range(HALVINGS, -1, -1):
+            if not np.isfinite(part).all():
+                raise MachineError(
+                    f"cylinders.{names[c]}: its motion grows beyond all numbers within "
+                    f"{step_s * 0.5**halvings:.3g} s",
+                    place=machine.place,
+                    remedy="Correct its masses, its stiffness and how its air is strained.",
+                )
             block = step[:, c, :k, halvings]
             block[:, :, place[:, None], place] = part
-            part = part @ part
+            if halvings:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    part = part @ part
         block = rates[:, c, :k]
         block[:, :, place[:, None], place] = rate
         all_rows[:, c][:, :, place] = rows
