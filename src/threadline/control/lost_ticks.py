@@ -13,9 +13,9 @@ voltage, which leaves the sum of the voltages and their first moment as they wer
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray
+from threadline.compiled import njit
 
 AHEAD = 3
 """Number of voltages after a tick on which its level depends."""
@@ -62,7 +62,7 @@ class Levels:
         return np.asarray(levels)
 
 
-@njit(cache=True)
+@njit()
 def _levels(volts, held, sign, band):
     """Return the levels of the tick before ``volts`` and of all but their last three, and a sign.
 
@@ -109,7 +109,7 @@ def _levels(volts, held, sign, band):
     return out, sign
 
 
-@njit(cache=True)
+@njit()
 def _kept(level, change):
     """Return ``change``, cut so that at least half of ``level`` is left with its sign."""
     if level * change >= 0.0:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray
+from threadline.compiled import njit
 from threadline.control.exponential import decay_and_moments
 from threadline.control.inverse import Inverse, inverse_of
 from threadline.control.lost_ticks import AHEAD, Levels
@@ -264,7 +264,7 @@ class _Inner:
         return np.asarray(states)
 
 
-@njit(cache=True)
+@njit()
 def _recur(decay, push, start):  # type: ignore[no-untyped-def]
     """Return the (k, n) states ``x[k] = decay x[k - 1] + push[k]``, ``x[-1] = start``."""
     count, size = push.shape

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 _TOLERANCE_M = 1e-12
@@ -41,7 +41,7 @@ def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> 
     return result
 
 
-@numba.njit(cache=True)
+@njit()
 def _speed(top, bottom, begin, sweep, u):  # type: ignore[no-untyped-def]
     if sweep != 0.0:
         angle = begin + sweep * u
@@ -56,7 +56,7 @@ def _speed(top, bottom, begin, sweep, u):  # type: ignore[no-untyped-def]
     return math.hypot((qx - px / w * dw) / w, (qy - py / w * dw) / w)
 
 
-@numba.njit(cache=True)
+@njit()
 def _invert(  # type: ignore[no-untyped-def]
     top, bottom, begin_rad, sweep_rad, piece, begin_u, end_u, begin_m, even, span, wanted
 ):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +94,7 @@ def clear_of(
     return result
 
 
-@numba.njit(cache=True)
+@njit()
 def _clear_of(probes, begin, end, distance_m):  # type: ignore[no-untyped-def]
     limit = distance_m * distance_m
     clear = np.ones(len(probes), dtype=np.bool_)

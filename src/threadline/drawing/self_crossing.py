@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.drawing.curves import Pieces
 
 _MAX_FOUND = 1 << 20
@@ -79,7 +79,7 @@ def crossings(
     return first[rank], second[rank], at_first[rank], at_second[rank], bool(complete)
 
 
-@numba.njit(cache=True)
+@njit()
 def _sweep(a, b, order, closed, max_found, max_pairs):  # type: ignore[no-untyped-def]
     n = len(a)
     firsts = [0][:0]

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.machine import Machine
 from threadline.path.straight import chord_time_s, velocity_limit_of, with_previous
 from threadline.path.types import PieceBlock, ProgrammedPath
@@ -81,7 +81,7 @@ def bspline_coefficients(points: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True)
+@njit()
 def _fill(points, out):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         for j in range(points.shape[1]):

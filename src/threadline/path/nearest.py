@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from threadline.compiled import njit
 
 SAMPLES = 8  # per curved piece, before refining
 NEAREST = 40  # most steps to the nearest place of a piece; Newton's method needs a few
@@ -13,7 +14,7 @@ REFINE = 24  # golden-section steps: 1e-5 of a sample interval
 _GOLDEN = 0.6180339887498949
 
 
-@njit(cache=True)
+@njit()
 def _at(c, u, out):
     for j in range(c.shape[1]):
         value = 0.0
@@ -22,7 +23,7 @@ def _at(c, u, out):
         out[j] = value
 
 
-@njit(cache=True)
+@njit()
 def _to_chords(point, vertices, first, last, difference):
     """Return the squared distance to the chords between vertices ``first`` and ``last``."""
     best = np.inf
@@ -47,7 +48,7 @@ def _to_chords(point, vertices, first, last, difference):
     return best
 
 
-@njit(cache=True)
+@njit()
 def _gap(c, u, target):
     gap = 0.0
     for j in range(c.shape[1]):
@@ -58,7 +59,7 @@ def _gap(c, u, target):
     return gap
 
 
-@njit(cache=True)
+@njit()
 def _bracketed(c, target, low, high, u):
     """Return u and the squared distance of the nearest place between ``low`` and ``high``.
 
@@ -97,7 +98,7 @@ def _bracketed(c, target, low, high, u):
     return where, best
 
 
-@njit(cache=True)
+@njit()
 def _nearest_on_piece(c, target, limit, gaps):
     """Return u and the squared distance of the place of a piece that is nearest to ``target``.
 
@@ -130,7 +131,7 @@ def _nearest_on_piece(c, target, limit, gaps):
     return where, best
 
 
-@njit(cache=True)
+@njit()
 def compare(c, vertex, vertices, window, best, offset):
     """Compare n pieces with the vertices around them.
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.path.runs import Vertices
 
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
@@ -137,7 +137,7 @@ def control_polygon(
     )
 
 
-@njit(cache=True)
+@njit()
 def _insert(
     length: FloatArray, turn: FloatArray, spacing: FloatArray, first: int, stop: int
 ) -> tuple[FloatArray, IntArray, IntArray]:

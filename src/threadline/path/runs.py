@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.path.types import ProgrammedPath
 
 COINCIDENT_M = 1e-12  # a vertex nearer than this at the tool to the one before is left out
@@ -52,7 +52,7 @@ def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
     )
 
 
-@njit(cache=True)
+@njit()
 def _away(places, stops, near_m):  # type: ignore[no-untyped-def]
     """Return (n,) whether each of (n + 1, axes) places after the first one is kept.
 

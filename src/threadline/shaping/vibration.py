@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from typing import TypeVar, cast
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from threadline.arrays import FloatArray
+from threadline.compiled import njit
 from threadline.errors import OptionError
 from threadline.shaping.types import FlexibleMode, Shaper
 
@@ -19,7 +19,7 @@ _F = TypeVar("_F", bound=Callable[..., object])
 
 def compiled(function: _F) -> _F:
     """Compile with numba, keeping the type that mypy knows."""
-    return cast("_F", numba.njit(cache=True)(function))
+    return cast("_F", njit()(function))
 
 
 @compiled

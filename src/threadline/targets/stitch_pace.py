@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.laws import Law
 from threadline.machine import Machine
 from threadline.machine.stitching import Shaft, Tables
@@ -283,5 +283,5 @@ def _gone_on(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
     return out
 
 
-_within = njit(cache=True, nogil=True)(_held)
-_carried = njit(cache=True, nogil=True)(_gone_on)
+_within = njit(nogil=True)(_held)
+_carried = njit(nogil=True)(_gone_on)

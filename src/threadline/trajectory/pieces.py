@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.path.smoothing import Smoothing
 
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -257,7 +257,7 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
     return ends[0], ends[1]
 
 
-@njit(cache=True)
+@njit()
 def _note(zones, reach):  # type: ignore[no-untyped-def]
     """Note a zone of length ``reach``; zones of nearly the same length are noted as one."""
     for k in range(len(zones)):
@@ -270,7 +270,7 @@ def _note(zones, reach):  # type: ignore[no-untyped-def]
     zones[np.argmax(zones)] = max(reach, zones.max())
 
 
-@njit(cache=True)
+@njit()
 def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
     """Return row, start and end in [0, 1] of every part of every piece."""
     count = len(cap)
@@ -319,7 +319,7 @@ def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  
     return rows[:n], start[:n], stop[:n]
 
 
-@njit(cache=True)
+@njit()
 def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
     """Let the cap of a curved piece hold for all pieces that the smoothing sees from there."""
     for i in range(len(own)):

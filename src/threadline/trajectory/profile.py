@@ -14,13 +14,14 @@ analysis", IEEE Transactions on Robotics 34(3).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from threadline.compiled import njit
 
 PARTS = 4
 _TINY = 1e-300
 
 
-@njit(cache=True)
+@njit()
 def part_rows(c, part, limit_v, limit_a, p, s, bound):
     """Write the rows |p x0 + s x1| <= bound of one part; return its velocity limit on x."""
     axes = c.shape[1]
@@ -48,7 +49,7 @@ def part_rows(c, part, limit_v, limit_a, p, s, bound):
     return top
 
 
-@njit(cache=True)
+@njit()
 def largest_start(p, s, bound, end_most, start_most):
     """Return the largest x0 <= start_most for which some x1 in [0, end_most] meets the rows."""
     x0 = start_most
@@ -78,7 +79,7 @@ def largest_start(p, s, bound, end_most, start_most):
     return x0
 
 
-@njit(cache=True)
+@njit()
 def largest_end(p, s, bound, start, end_most):
     """Return the largest x1 <= end_most that the rows allow after x0 = start."""
     low, high = 0.0, end_most
@@ -92,7 +93,7 @@ def largest_end(p, s, bound, start, end_most):
     return max(min(high, end_most), min(low, end_most))
 
 
-@njit(cache=True)
+@njit()
 def straight_limits(c, limit_v, limit_a):
     """Return the largest u'^2 and |u''| of a straight piece."""
     top = np.inf
@@ -105,7 +106,7 @@ def straight_limits(c, limit_v, limit_a):
     return top, push
 
 
-@njit(cache=True)
+@njit()
 def backward(c, straight, cap, factor, limit_v, limit_a, end_x, most, merge):
     """Fill ``most`` (n, PARTS + 1) with the largest x from which the rest can be done.
 
@@ -149,7 +150,7 @@ def backward(c, straight, cap, factor, limit_v, limit_a, end_x, most, merge):
     return -1
 
 
-@njit(cache=True)
+@njit()
 def forward(c, straight, factor, limit_v, limit_a, start_x, most, x):
     """Fill ``x`` (n, PARTS + 1) with the fastest run; return x after the last piece."""
     rows = 3 * c.shape[2]
@@ -173,13 +174,13 @@ def forward(c, straight, factor, limit_v, limit_a, start_x, most, x):
     return now
 
 
-@njit(cache=True)
+@njit()
 def cruise(x0, x1, push, top):
     """Return the x reached between x0 and x1 on a straight piece, at most ``top``."""
     return max(x0, x1, min(top, 0.5 * (x0 + x1) + push))
 
 
-@njit(cache=True)
+@njit()
 def sample(c, straight, cap, x, limit_v, limit_a, step, state, out, owner):
     """Write positions every ``step`` into ``out`` until it is full or the pieces end.
 

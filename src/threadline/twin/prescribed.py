@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
@@ -227,4 +227,4 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
     return states
 
 
-follow = njit(cache=True, nogil=True)(_follow)
+follow = njit(nogil=True)(_follow)

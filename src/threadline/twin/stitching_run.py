@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.signals import StepPlay, StitchBlock
 from threadline.twin.stitching_machine import Driven
 
@@ -146,4 +146,4 @@ def _forward(
                 state[i] = fresh[i]
 
 
-_run = njit(cache=True, nogil=True)(_forward)
+_run = njit(nogil=True)(_forward)

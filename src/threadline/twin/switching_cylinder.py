@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
@@ -396,15 +396,15 @@ def _exhaust(c: int, bank: Bank, motion: Motion) -> None:
         x[air] = sign * most
 
 
-dot = njit(cache=True, nogil=True)(_dot)
-put = njit(cache=True, nogil=True)(_put)
-times = njit(cache=True, nogil=True)(_times)
-stroke_of = njit(cache=True, nogil=True)(_stroke_of)
-frame_of = njit(cache=True, nogil=True)(_frame_of)
-key_of = njit(cache=True, nogil=True)(_key)
-ended = njit(cache=True, nogil=True)(_ended)
-released = njit(cache=True, nogil=True)(_released)
-change = njit(cache=True, nogil=True)(_change)
-advance = njit(cache=True, nogil=True)(_advance)
-exhaust = njit(cache=True, nogil=True)(_exhaust)
-advance_share = njit(cache=True, nogil=True)(_advance_share)
+dot = njit(nogil=True)(_dot)
+put = njit(nogil=True)(_put)
+times = njit(nogil=True)(_times)
+stroke_of = njit(nogil=True)(_stroke_of)
+frame_of = njit(nogil=True)(_frame_of)
+key_of = njit(nogil=True)(_key)
+ended = njit(nogil=True)(_ended)
+released = njit(nogil=True)(_released)
+change = njit(nogil=True)(_change)
+advance = njit(nogil=True)(_advance)
+exhaust = njit(nogil=True)(_exhaust)
+advance_share = njit(nogil=True)(_advance_share)

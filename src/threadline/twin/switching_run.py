@@ -17,9 +17,9 @@ from math import lcm
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.numbers import exact_time_s
@@ -382,9 +382,9 @@ def _run(
     return filled, ended_waits
 
 
-contact = njit(cache=True, nogil=True)(_contact)
-switch = njit(cache=True, nogil=True)(_switch)
-move = njit(cache=True, nogil=True)(_move)
-send = njit(cache=True, nogil=True)(_send)
-sample = njit(cache=True, nogil=True)(_sample)
-run = njit(cache=True, nogil=True)(_run)
+contact = njit(nogil=True)(_contact)
+switch = njit(nogil=True)(_switch)
+move = njit(nogil=True)(_move)
+send = njit(nogil=True)(_send)
+sample = njit(nogil=True)(_sample)
+run = njit(nogil=True)(_run)

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.trajectory import TrajectoryReader
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure
@@ -103,7 +103,7 @@ def _advance(
     return low
 
 
-_advance_fast = njit(cache=True, nogil=True, error_model="numpy")(_advance)
+_advance_fast = njit(nogil=True, error_model="numpy")(_advance)
 
 
 class _Progress:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.verdict.samples import lanes
 
 
@@ -44,9 +44,9 @@ def _count_beyond(
                 count[a, r] += 1 if beyond else 0
 
 
-_largest_fast = njit(cache=True, nogil=True)(_largest)
-_add_squares_fast = njit(cache=True, nogil=True)(_add_squares)
-_count_beyond_fast = njit(cache=True, nogil=True)(_count_beyond)
+_largest_fast = njit(nogil=True)(_largest)
+_add_squares_fast = njit(nogil=True)(_add_squares)
+_count_beyond_fast = njit(nogil=True)(_count_beyond)
 
 
 def largest(values: FloatArray, reference: FloatArray | None = None) -> tuple[FloatArray, IntArray]:

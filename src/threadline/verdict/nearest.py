@@ -8,9 +8,9 @@ each run what it would alone, so that a run has the same bits in any company.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 
 _FINEST = 1.0 / 4096  # of the way between two points: finer parts of it are not looked at
 _MOST_PARTS = 32  # of a way that wait: one more for each halving, down to the finest
@@ -34,7 +34,7 @@ def _squared_to_segment(
     return squared, where
 
 
-squared_to_segment = njit(cache=True, inline="always")(_squared_to_segment)
+squared_to_segment = njit(inline="always")(_squared_to_segment)
 
 
 def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -193,9 +193,9 @@ def _vertices_to_path(
                 best_time_s[v, r] = from_s + where * long_s if nearer else best_time_s[v, r]
 
 
-_nearest_chords_fast = njit(cache=True, nogil=True, error_model="numpy")(_nearest_chords)
-between = njit(cache=True, nogil=True)(_between)
-_vertices_to_path_fast = njit(cache=True, nogil=True, error_model="numpy")(_vertices_to_path)
+_nearest_chords_fast = njit(nogil=True, error_model="numpy")(_nearest_chords)
+between = njit(nogil=True)(_between)
+_vertices_to_path_fast = njit(nogil=True, error_model="numpy")(_vertices_to_path)
 
 
 def nearest_chords(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.verdict.nearest import squared_to_segment
 from threadline.verdict.window import PathWindow
 
@@ -22,7 +22,7 @@ def _along(heading: FloatArray, start: FloatArray, end: FloatArray) -> float:
     return along / np.sqrt(length) if length > 0.0 else 0.0
 
 
-_along_fast = njit(cache=True, inline="always")(_along)
+_along_fast = njit(inline="always")(_along)
 
 
 def _refine(
@@ -63,7 +63,7 @@ def _refine(
                     last[i] = other
 
 
-_refine_fast = njit(cache=True, nogil=True)(_refine)
+_refine_fast = njit(nogil=True)(_refine)
 
 
 def chords_under_way(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.verdict.window import PathWindow
 
 
@@ -66,7 +66,7 @@ def _scan(
     return direction, at, count
 
 
-_scan_fast = njit(cache=True, nogil=True)(_scan)
+_scan_fast = njit(nogil=True)(_scan)
 
 
 class ReversalScan:

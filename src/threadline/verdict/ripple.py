@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.samples import Block, Setting
@@ -51,7 +51,7 @@ def _farthest(
             at[r] = i if larger else at[r]
 
 
-_farthest_fast = njit(cache=True, nogil=True, error_model="numpy")(_farthest)
+_farthest_fast = njit(nogil=True, error_model="numpy")(_farthest)
 
 
 class _Ripple:

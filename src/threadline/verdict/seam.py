@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.drawing.line import DrawnLine
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure
@@ -208,7 +208,7 @@ def _apart(
             strayed[i, r] = np.sqrt(strayed[i, r])
 
 
-_apart_fast = njit(cache=True, nogil=True, error_model="numpy")(_apart)
+_apart_fast = njit(nogil=True, error_model="numpy")(_apart)
 
 
 def start_seam(setting: Setting, options: Mapping[str, float]) -> Measure:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.reversals import ReversalScan, Turning
@@ -65,7 +65,7 @@ def _track(
     return closed
 
 
-_track_fast = njit(cache=True, nogil=True)(_track)
+_track_fast = njit(nogil=True)(_track)
 
 
 class _Axis:

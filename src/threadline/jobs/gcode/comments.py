@@ -9,10 +9,10 @@ file every line that is wrong, has letters outside ASCII, or has more than it ca
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from threadline.arrays import IntArray
+from threadline.compiled import njit
 
 TAB, LF, CR, BLANK, OPEN, CLOSE, COMMA, PLUS, MINUS, DOT = 9, 10, 13, 32, 40, 41, 44, 43, 45, 46
 ZERO, NINE, SEMICOLON, EQUALS, UPPER_A, UPPER_Z, UNDERSCORE, LOWER_A, LOWER_Z = (
@@ -179,4 +179,4 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
     return at
 
 
-follow_comment = njit(cache=True, nogil=True)(_follow_comment)
+follow_comment = njit(nogil=True)(_follow_comment)

@@ -15,10 +15,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.jobs.gcode.comments import (
     BLANK,
     BOOK_SIZE,
@@ -327,7 +327,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     return moves
 
 
-follow_plain = njit(cache=True, nogil=True)(_follow_plain)
+follow_plain = njit(nogil=True)(_follow_plain)
 
 
 class PlainReader:

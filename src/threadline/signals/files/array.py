@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from threadline.arrays import IntArray
+from threadline.compiled import njit
 from threadline.errors import Place, RecordingError
 from threadline.input_files import KnownFile
 from threadline.signals.commands import TickBlock, TickTable
@@ -83,7 +83,7 @@ def _lines(block: TickBlock, axes: int) -> Iterator[str]:
         yield f"0{',' * (3 * axes + 2)}{events_cell(pending)}\n"
 
 
-@numba.njit(cache=True)
+@njit()
 def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
     """Return a phase for which one line gives ``counts[begin:begin + n, axis]``, or -1."""
     total = 0
@@ -104,7 +104,7 @@ def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
     return lowest
 
 
-@numba.njit(cache=True)
+@njit()
 def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
     for axis in range(counts.shape[1]):
         phase = _phase(counts, begin, n, axis)
@@ -114,7 +114,7 @@ def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@njit()
 def _runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Cut rows into runs that one line each can give; none reaches over a mark.
 

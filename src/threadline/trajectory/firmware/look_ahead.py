@@ -9,10 +9,11 @@ Grbl and Marlin hold a number of blocks and always could stop at the end of the 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from threadline.compiled import njit
 
 
-@njit(cache=True)
+@njit()
 def entries_of_ring(most, gain, ring, begin):
     """Return the (n + 1,) squares of speed at the ends of n moves, for a ring of blocks.
 
@@ -39,7 +40,7 @@ def entries_of_ring(most, gain, ring, begin):
     return found
 
 
-@njit(cache=True)
+@njit()
 def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
     """Plan moves so that none speeds up only to slow down at once.
 

@@ -13,8 +13,8 @@ gives is bounded in the same way. The tangents follow the solution.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from threadline.compiled import njit
 from threadline.trajectory.optimal.rows import WEIGHTS
 
 _LEAST_PIVOT = 1e-13  # of the diagonal of the matrix: below is rounding
@@ -23,7 +23,7 @@ _SLACK_KEPT = 0.3  # of a slack when its tangent moves
 _NEAR = 0.9  # of the way to the nearest limit
 
 
-@njit(cache=True)
+@njit()
 def maps(length, i):
     """Return the five weights that take b[i : i + 3] to y0, y1, y2 of element i."""
     n = len(length)
@@ -40,14 +40,14 @@ def maps(length, i):
     )
 
 
-@njit(cache=True)
+@njit()
 def values(b, length, i):
     """Return y0, y1, y2 of element i."""
     m00, m01, m11, m21, m22 = maps(length, i)
     return m00 * b[i] + m01 * b[i + 1], m11 * b[i + 1], m21 * b[i + 1] + m22 * b[i + 2]
 
 
-@njit(cache=True)
+@njit()
 def duration(b, length):
     """Return an upper bound of the time that all elements take."""
     total = 0.0
@@ -57,7 +57,7 @@ def duration(b, length):
     return total
 
 
-@njit(cache=True)
+@njit()
 def room_of(row, y, tangent):
     """Return 1 less the share of its limit that a row of a drive uses."""
     used = 0.5 / tangent * row[6]
@@ -66,7 +66,7 @@ def room_of(row, y, tangent):
     return 1.0 - used
 
 
-@njit(cache=True)
+@njit()
 def _add_demands(drive, y, tangent, weight, row, gy, hy):
     """Add what the rows of the drives give to the gradient and the upper half of the matrix."""
     for k in range(len(drive)):
@@ -80,7 +80,7 @@ def _add_demands(drive, y, tangent, weight, row, gy, hy):
                 hy[a, c] += part / s * row[a] * row[c]
 
 
-@njit(cache=True)
+@njit()
 def newton(b, length, rows, tangent, weight):
     """Return the Newton step of duration - weight * sum(log(slack)), and its decrement."""
     acc, jerk, points, count, top, drive, begin = rows
@@ -153,7 +153,7 @@ def newton(b, length, rows, tangent, weight):
     return step, decrement
 
 
-@njit(cache=True)
+@njit()
 def _solve(matrix, g):
     """Return z of ``matrix z = -g`` by L D L'; entry (i, k) is that of row i and column i + k."""
     size = len(g)
@@ -188,7 +188,7 @@ def _solve(matrix, g):
     return z
 
 
-@njit(cache=True)
+@njit()
 def _far(y, dy, acc, jerk, points, count, top, drive, tangent):
     """Return how far along dy the y of one element may go before it reaches a limit."""
     best = 1e300
@@ -226,7 +226,7 @@ def _far(y, dy, acc, jerk, points, count, top, drive, tangent):
     return best
 
 
-@njit(cache=True)
+@njit()
 def advance(b, step, length, rows, tangent):
     """Go along the step as far as the slacks allow; change b, and return the share taken."""
     acc, jerk, points, count, top, drive, begin = rows
@@ -244,7 +244,7 @@ def advance(b, step, length, rows, tangent):
     return share
 
 
-@njit(cache=True)
+@njit()
 def follow(b, length, rows, tangent):
     """Move each tangent towards the present y, as far as the slacks that depend on it allow."""
     _, jerk, points, count, _, drive, begin = rows

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from threadline.compiled import njit
 from threadline.trajectory.optimal.barrier import room_of, values
 from threadline.trajectory.optimal.rows import WEIGHTS
 
@@ -15,7 +15,7 @@ _ROUNDS = 60
 _GROWTH = 3.0  # of x from element to element
 
 
-@njit(cache=True)
+@njit()
 def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
     """Return the (n,) largest even x, in units of the common parameter, that each element allows.
 
@@ -53,7 +53,7 @@ def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
     return out
 
 
-@njit(cache=True)
+@njit()
 def used(b, length, rows, tangent, out):
     """Write the (n,) largest shares of a limit into ``out``, with each tangent at its best."""
     acc, jerk, points, count, top, drive, begin = rows
@@ -82,7 +82,7 @@ def used(b, length, rows, tangent, out):
     return worst
 
 
-@njit(cache=True)
+@njit()
 def feasible(length, rows, most):
     """Return coefficients b and tangents within all limits.
 

@@ -14,7 +14,8 @@ the demand is less than that of the acceleration alone, which the limit of the a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from threadline.compiled import njit
 
 ORDER = 6  # coefficients of a piece
 WEIGHTS = np.array(
@@ -28,7 +29,7 @@ BASE = np.array([[1.0, -2.0, 1.0], [0.0, 2.0, -2.0], [0.0, 0.0, 1.0]])
 """The Bernstein polynomials of degree 2 in powers of u."""
 
 
-@njit(cache=True)
+@njit()
 def _bernstein(power, degree, out):
     """Write the Bernstein coefficients of a polynomial in powers into ``out[: degree + 1]``."""
     for i in range(degree + 1):
@@ -40,7 +41,7 @@ def _bernstein(power, degree, out):
         out[i] = total
 
 
-@njit(cache=True)
+@njit()
 def _degree(c, j):
     for k in range(ORDER - 1, 0, -1):
         if c[k, j] != 0.0:
@@ -48,7 +49,7 @@ def _degree(c, j):
     return 0
 
 
-@njit(cache=True)
+@njit()
 def _fastest(c, j, degree):
     """Return a bound of |q_u| of one axis."""
     slope, one = np.zeros(ORDER), np.zeros(ORDER)
@@ -58,7 +59,7 @@ def _fastest(c, j, degree):
     return np.abs(one).max()
 
 
-@njit(cache=True)
+@njit()
 def _acceleration_rows(c, j, degree, limit, out):
     """Write the rows of one curved axis; return how many: its degree and one more, made odd."""
     odd = 3 if degree <= 3 else 5
@@ -79,7 +80,7 @@ def _acceleration_rows(c, j, degree, limit, out):
     return odd + 1
 
 
-@njit(cache=True)
+@njit()
 def _jerk_rows(c, j, degree, limit, out, points):
     """Write the rows of one curved axis and the weights that they stand against."""
     even = 2 if degree <= 3 else 4
@@ -105,7 +106,7 @@ def _jerk_rows(c, j, degree, limit, out, points):
     return even + 1
 
 
-@njit(cache=True)
+@njit()
 def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
     """Write the rows of one element; return their numbers and the largest y.
 
@@ -145,7 +146,7 @@ def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
     return n_acc, n_jerk, top
 
 
-@njit(cache=True)
+@njit()
 def _demand_rows(c, j, degree, share_v, share_a, out):
     """Write the rows of what one drive must give for one axis; return how many.
 
@@ -194,7 +195,7 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
     return 2 * rows
 
 
-@njit(cache=True)
+@njit()
 def demand_rows(c, demand, limit_a, top):
     """Return the rows of all drives, and where those of each element begin.
 
@@ -235,7 +236,7 @@ def demand_rows(c, demand, limit_a, top):
     return out[:used].copy(), first
 
 
-@njit(cache=True)
+@njit()
 def assemble(c, guard, limit_v, limit_a, limit_j, cap):
     """Return the rows of all elements, their numbers, and the largest y of each."""
     n, axes = len(c), c.shape[2]

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from threadline.compiled import njit
 
 
-@njit(cache=True)
+@njit()
 def _squared(point, start, end):
     """Return the squared distance of a point from a straight way, and where on it (0..1)."""
     along, length = 0.0, 0.0
@@ -23,7 +24,7 @@ def _squared(point, start, end):
     return squared, where
 
 
-@njit(cache=True)
+@njit()
 def strayed(load, way, fine, window):
     """Return how far load and way are from each other, at the places of the way.
 
@@ -72,7 +73,7 @@ def strayed(load, way, fine, window):
     return out, tick
 
 
-@njit(cache=True)
+@njit()
 def blamed(error, tick, fine, acceleration, swing, tolerance):
     """Return the (f,) logarithms by which accelerations are to fall, 0 for those without blame.
 
@@ -104,7 +105,7 @@ def blamed(error, tick, fine, acceleration, swing, tolerance):
     return out
 
 
-@njit(cache=True)
+@njit()
 def aligned(time_s, tangent, before_s, after_s):
     """Return the (n,) least cosine between a tangent and those within a window of time.
 

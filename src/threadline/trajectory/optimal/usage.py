@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from threadline.compiled import njit
 from threadline.trajectory.optimal.rows import ORDER
 
 
-@njit(cache=True)
+@njit()
 def shares(c, guard, y, limit_v, limit_a, limit_j, demand, cap, places):
     """Return the (n, places, 3 axes + 1 + m + k) shares of the limits at ``places`` in [0, 1].
 

@@ -1,0 +1,89 @@
+"""Machine code on disk: no process runs that of other types, or of a file as it was before.
+
+Whatever comes between two steps of one process, another may read: so one is interrupted at every
+step by a reader, or by another writer, in this process and therefore always in the same order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from threadline.compiled import CacheFile
+
+
+def cache(folder: Path, stamp: str) -> CacheFile:
+    return CacheFile(cache_path=str(folder), filename_base="f", source_stamp=stamp)
+
+
+class Interrupted(CacheFile):
+    """Lets somebody else do something before and after it writes a file."""
+
+    def __init__(self, folder: Path, stamp: str, other: Callable[[], None]) -> None:
+        super().__init__(cache_path=str(folder), filename_base="f", source_stamp=stamp)
+        self._other = other
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: Any) -> Iterator[Any]:
+        self._other()
+        with super()._open_for_write(filepath) as file:
+            yield file
+        self._other()
+
+
+def test_who_reads_while_another_writes_never_gets_the_code_of_an_older_file(
+    tmp_path: Path,
+) -> None:
+    """numba's own cache names the code in its index first: the old code still stands there."""
+    cache(tmp_path, "old file").save("a float", "old code")
+    read = []
+    writer = Interrupted(
+        tmp_path, "new file", lambda: read.append(cache(tmp_path, "new file").load("a float"))
+    )
+    writer.save("a float", "new code")
+    assert len(read) == 4  # before and after machine code, before and after the index
+    assert set(read) == {None, "new code"}
+    assert cache(tmp_path, "new file").load("a float") == "new code"
+    # What nobody can read any more does not stay.
+    assert len(list(tmp_path.glob("*.nbc"))) == 1
+
+
+def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:
+    """numba's own cache gives the code of both the same name; one that is lost is compiled anew."""
+    turns = []
+
+    def another_writes() -> None:
+        turns.append(len(turns))
+        if len(turns) == 1:
+            cache(tmp_path, "file").save("two floats", "code for two")
+
+    Interrupted(tmp_path, "file", another_writes).save("a float", "code for one")
+    assert cache(tmp_path, "file").load("a float") == "code for one"
+    assert cache(tmp_path, "file").load("two floats") in (None, "code for two")
+
+
+@pytest.mark.parametrize("change", ["return 2.0 * x", "return FACTOR * x"])
+def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
+    tmp_path: Path, change: str
+) -> None:
+    """numba's own cache looks at the file of the caller alone."""
+    inner = "from threadline.compiled import njit\nFACTOR = 3.0\n@njit()\ndef inner(x):\n    "
+    (tmp_path / "outer.py").write_text(
+        "from inner import inner\nfrom threadline.compiled import njit\n\n"
+        "@njit()\ndef outer(x):\n    return inner(x) + 0.5\n"
+    )
+    found = []
+    for body in ("return x", change):
+        (tmp_path / "inner.py").write_text(inner + body + "\n")
+        ran = subprocess.run(
+            [sys.executable, "-c", "from outer import outer; print(outer(1.0))"],
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        found.append(float(ran.stdout))
+    assert found == [1.5, 2.5 if "2.0" in change else 3.5]
