@@ -12,6 +12,7 @@ from threadline.jobs import read_job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import plan_job, write
+from threadline.plan import Plan
 from threadline.signals import tick_table
 from threadline.signals.files import read_table
 
@@ -36,10 +37,14 @@ TICK_S = 0.005  # of the winder that sews
 
 
 @pytest.fixture
-def rows(sewer: Machine, tmp_path: Path) -> tuple[list[dict[str, str]], int]:
+def plan(sewer: Machine, tmp_path: Path) -> Plan:
     seam = tmp_path / "two.seam.toml"
     seam.write_text(SEAM, encoding="utf-8")
-    plan = plan_job(read_job(seam, sewer), sewer, Options(interpolation="linear"))
+    return plan_job(read_job(seam, sewer), sewer, Options(interpolation="linear"))
+
+
+@pytest.fixture
+def rows(plan: Plan, tmp_path: Path) -> tuple[list[dict[str, str]], int]:
     (written,) = write(plan, "csv", tmp_path / "two.csv")
     lines = [x for x in (tmp_path / "two.csv").read_text().splitlines() if not x.startswith("#")]
     assert read_table(tmp_path / "two.csv").rows_sha256() == tick_table(plan.commands).rows_sha256()
@@ -86,3 +91,37 @@ def test_between_contours_the_needle_is_up_and_the_thread_trimmed_for_as_long_as
     assert up[trim].all()
     # The first follows the last needle-down of its contour, within two ticks.
     assert 0.0 <= begins[0] * TICK_S - found[gap] <= 2 * TICK_S
+
+
+def test_the_archive_says_the_same_as_the_text(rows, plan: Plan, tmp_path: Path) -> None:
+    table, _ = rows
+    write(plan, "npz", tmp_path / "two.npz")
+    with np.load(tmp_path / "two.npz") as found:
+        down_s = found["needle_down_tick"] * TICK_S + found["needle_down_s"]
+        np.testing.assert_allclose(down_s, downs(table), atol=2e-9)  # nine digits of text
+        for name in ("needle_up", "trim"):
+            assert found[name].tolist() == [int(row[name]) for row in table if row[name]]
+    assert read_table(tmp_path / "two.npz").rows_sha256() == tick_table(plan.commands).rows_sha256()
+
+
+def test_the_trajectory_array_says_the_same_line_by_line(rows, plan: Plan, tmp_path: Path) -> None:
+    """A line of it lasts many ticks: needle and thread stay as they are in all of them."""
+    table, _ = rows
+    write(plan, "ticks", tmp_path / "two.ticks")
+    lines = [x for x in (tmp_path / "two.ticks").read_text().splitlines() if not x.startswith("#")]
+    array = [row for row in csv.DictReader(lines) if row["needle_up"]]
+    spans = np.array([int(row["ticks"]) for row in array])
+    assert 2 * len(spans) < spans.sum()
+    for name in ("needle_up", "trim"):
+        told = np.repeat([int(row[name]) for row in array], spans)
+        assert told.tolist() == [int(row[name]) for row in table if row[name]]
+    begins_s = (np.cumsum(spans) - spans) * TICK_S
+    found = [
+        begin_s + float(cell)
+        for begin_s, row in zip(begins_s, array, strict=True)
+        for cell in row["needle_down [s]"].split()
+    ]
+    np.testing.assert_allclose(found, downs(table), atol=2e-9)
+    assert (
+        read_table(tmp_path / "two.ticks").rows_sha256() == tick_table(plan.commands).rows_sha256()
+    )

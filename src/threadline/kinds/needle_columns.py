@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.plan import Plan
 from threadline.signals import Clock, TickBlock
+from threadline.signals.files.beside import NeedleRows
 from threadline.verdict.needle import planned_stitches
 
 _SLACK = 1e-6  # ticks: a needle-down at most this long before a tick counts as at the tick
 
 
 class NeedleColumns:
-    """Makes the cells of a seam's table, block by block, in the order of ``NEEDLE_COLUMNS``.
+    """Tells the needle beside the rows of a seam's table, block by block.
 
     The needle goes down at the end of every stitch, and once before the first one of a contour: a
     turn of it earlier. Before that and after a contour's last needle-down it must be up.
@@ -39,24 +40,21 @@ class NeedleColumns:
         self._ended = False
         self._trim_until = 0  # tick
 
-    def cells(self, block: TickBlock) -> Sequence[str]:
-        """Return the cells of every row of the next block, joined by commas."""
+    def rows(self, block: TickBlock) -> NeedleRows:
+        """Return what stands beside the rows of the next block."""
         first, rows = block.first_tick, len(block)
         period_s = float(self._clock.period_s)
         self._pull(float(self._clock.time_s(first + rows)) + period_s)
         ticks = np.floor(self._down_s / period_s + _SLACK).astype(np.int64)
         here = ticks < first + rows
-        down = [""] * rows
-        for tick, time_s in zip(ticks[here].tolist(), self._down_s[here].tolist(), strict=True):
-            row = max(tick - first, 0)
-            after_s = max(time_s - float(self._clock.time_s(tick)), 0.0)
-            down[row] = f"{down[row]} {after_s:.9f}".strip()
+        began_s = np.array([float(self._clock.time_s(tick)) for tick in ticks[here].tolist()])
+        after_s = np.maximum(self._down_s[here] - began_s, 0.0)
+        row = np.maximum(ticks[here] - first, 0)
         self._down_s = self._down_s[~here]
         middle_s = (first + np.arange(rows) + 0.5) * period_s
         begun = np.searchsorted(self._begin_s, middle_s, side="right")
         up = begun == np.searchsorted(self._end_s, middle_s, side="left")
-        trim = self._trims(block)
-        return [f"{d},{int(u)},{int(t)}" for d, u, t in zip(down, up, trim, strict=True)]
+        return NeedleRows(row=row, after_s=after_s, up=up, trim=self._trims(block))
 
     def _pull(self, until_s: float) -> None:
         """Read stitches until one is later than ``until_s``."""
@@ -75,7 +73,7 @@ class NeedleColumns:
             self._down_s = np.sort(np.concatenate((self._down_s, first_s, run.down_s)))
             self._known_s = float(run.down_s[-1])
 
-    def _trims(self, block: TickBlock) -> np.ndarray:
+    def _trims(self, block: TickBlock) -> NDArray[np.bool_]:
         """Return (rows,) whether the thread is trimmed while the row is played."""
         first, rows = block.first_tick, len(block)
         trims = np.zeros(rows, dtype=bool)

@@ -28,9 +28,8 @@ from threadline.shaping import parse_shaper
 from threadline.shaping.law_named import law_named
 from threadline.signals import ChannelKind, Commands, Recording, TickTable, tick_table
 from threadline.signals.files.common import Written
-from threadline.signals.files.table import write_table_csv
 from threadline.targets import followed_by_loads, followed_by_motors
-from threadline.targets.write import TICK_TARGETS, Target, WrittenPlan
+from threadline.targets.write import TABLES, TICK_TARGETS, TableWriter, Target, WrittenPlan
 from threadline.trajectory import check_budget, check_limits, plan_trajectory
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Spec
@@ -205,12 +204,16 @@ def _release(plan: Plan) -> None:
     check_limits(plan.motion.trajectory, plan.machine)
 
 
-def _write_csv(plan: WrittenPlan, path: Path) -> list[Written]:
-    """Write the rows; of a seam with the columns of the needle."""
-    table = tick_table(plan.commands)
-    sewn = isinstance(plan, Plan) and has_stitches(plan.job)
-    needle = NeedleColumns(plan, table.clock) if isinstance(plan, Plan) and sewn else None
-    return [write_table_csv(table, path, needle)]
+def _of_table(writer: TableWriter) -> Target:
+    """Return a target of the rows; of a seam with the columns of the needle."""
+
+    def write(plan: WrittenPlan, path: Path) -> list[Written]:
+        table = tick_table(plan.commands)
+        sewn = isinstance(plan, Plan) and has_stitches(plan.job)
+        needle = NeedleColumns(plan, table.clock) if isinstance(plan, Plan) and sewn else None
+        return [writer(table, path, needle)]
+
+    return Target(write=write)
 
 
 TICKS = Kind(
@@ -227,5 +230,5 @@ TICKS = Kind(
     asked=_asked,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
-    targets={**TICK_TARGETS, "csv": Target(write=_write_csv)},
+    targets={**{name: _of_table(writer) for name, writer in TABLES.items()}, **TICK_TARGETS},
 )

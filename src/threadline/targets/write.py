@@ -9,8 +9,9 @@ from typing import Protocol
 
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.signals import TickTable, tick_table
+from threadline.signals import TickTable
 from threadline.signals.files.array import write_array
+from threadline.signals.files.beside import Beside
 from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.boards import BOARDS
@@ -26,14 +27,21 @@ from threadline.targets.stitched import Stitched
 from threadline.targets.structured_text import write_structured_text
 from threadline.trajectory.types import Trajectory
 
-TableWriter = Callable[[TickTable, Path], Written]
+
+class TableWriter(Protocol):
+    """Writes a tick table."""
+
+    def __call__(self, table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+        """Write the table, of a seam with the needle beside its rows."""
+        ...
+
 
 TABLES: dict[str, TableWriter] = {
     "csv": write_table_csv,
     "npz": write_table_npz,
     "ticks": write_array,
 }
-"""Files of a tick table alone."""
+"""Files of a tick table; of a seam with the needle beside its rows."""
 
 
 class Timed(Protocol):
@@ -94,10 +102,6 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
     return written(path)
 
 
-def _of_table(writer: TableWriter) -> Target:
-    return Target(write=lambda plan, path: [writer(tick_table(plan.commands), path)])
-
-
 def _of_firmware(name: str) -> Target:
     return Target(
         write=lambda plan, path: [
@@ -115,7 +119,6 @@ def _of_firmware(name: str) -> Target:
 
 
 TICK_TARGETS: Mapping[str, Target] = {
-    **{name: _of_table(writer) for name, writer in TABLES.items()},
     "nc": Target(
         write=lambda plan, path: [write_nc(plan.job, plan.motion.trajectory, plan.machine, path)],
         takes_shaped=False,

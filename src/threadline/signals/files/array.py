@@ -9,6 +9,7 @@ the table from which the array was made.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from threadline.errors import Place, RecordingError
 from threadline.input_files import KnownFile
 from threadline.signals.commands import TickBlock, TickTable
 from threadline.signals.event import Event
+from threadline.signals.files.beside import NEEDLE_COLUMNS, Beside
 from threadline.signals.files.common import (
     Written,
     clear_errors,
@@ -47,25 +49,37 @@ TITLE = "trajectory-array 1"
 MAX_TICKS = 1 << 31  # of one line: products with a remainder stay exact in 64 bits
 
 
-def _columns(axes: tuple[str, ...]) -> list[str]:
+def _columns(axes: tuple[str, ...], needle: bool) -> list[str]:
     of_axis = [f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")]
-    return ["ticks", *of_axis, "operation", "events"]
+    return ["ticks", *of_axis, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
 
-def write_array(table: TickTable, path: Path) -> Written:
-    """Write ``table`` as a trajectory array."""
-    return write_text(table, path, TITLE, _columns(table.axes), _text)
+def write_array(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+    """Write ``table`` as a trajectory array.
+
+    Parameters
+    ----------
+    needle
+        Columns of the needle, for a seam; a line ends where the needle has to come up, or the
+        trimming begins or ends.
+    """
+    columns = _columns(table.axes, needle is not None)
+    period_s = float(table.clock.period_s)
+    return write_text(table, path, TITLE, columns, partial(_text, needle, period_s))
 
 
-def _text(block: TickBlock, axes: int) -> str:
-    return "".join(_lines(block, axes))
+def _text(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> str:
+    return "".join(_lines(needle, period_s, block, axes))
 
 
-def _lines(block: TickBlock, axes: int) -> Iterator[str]:
+def _lines(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> Iterator[str]:
     pending = list(block.events)
+    told = None if needle is None else needle.rows(block)
     operation = block.operation
     cuts = {0, len(block), *(np.flatnonzero(np.diff(operation)) + 1).tolist()}
     cuts |= {e.tick - block.first_tick for e in pending if e.tick < block.first_tick + len(block)}
+    if told is not None:
+        cuts |= set(told.changes().tolist())
     marks = np.array(sorted(cuts), dtype=np.int64)
     begins, spans, phases = _runs(np.ascontiguousarray(block.counts), marks)
     for begin, span, phase in zip(begins.tolist(), spans.tolist(), phases.tolist(), strict=True):
@@ -75,12 +89,14 @@ def _lines(block: TickBlock, axes: int) -> Iterator[str]:
         here = [e for e in pending if e.tick == tick]
         if here:
             pending = [e for e in pending if e.tick != tick]
-        yield f"{span},{','.join(cells)},{operation[begin]},{events_cell(here)}\n"
+        beside = "" if told is None else f"{told.cells(begin, begin + span, period_s)},"
+        yield f"{span},{','.join(cells)},{operation[begin]},{beside}{events_cell(here)}\n"
     if pending:  # at the end of the last row
         end = block.first_tick + len(block)
         if any(e.tick != end for e in pending):
             raise ValueError(f"an event lies outside its block: {pending[0]}")
-        yield f"0{',' * (3 * axes + 2)}{events_cell(pending)}\n"
+        empty = 3 * axes + 2 + (0 if told is None else len(NEEDLE_COLUMNS))
+        yield f"0{',' * empty}{events_cell(pending)}\n"
 
 
 @njit()
@@ -163,12 +179,14 @@ def read_array(path: Path) -> TickTable:
     """
     with clear_errors(path):
         meta, number, columns = read_head(path, TITLE)
-        table = table_from(meta, path, _blocks, number)
-        check_columns(columns, _columns(table.axes), Place(str(path), number))
+        needle = NEEDLE_COLUMNS[0] in columns.split(",")
+        table = table_from(meta, path, _blocks, number, len(NEEDLE_COLUMNS) if needle else 0)
+        check_columns(columns, _columns(table.axes, needle), Place(str(path), number))
         return checked_rows(table, meta, path)
 
 
-def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
+def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
+    """Yield the blocks; of the ``beside`` columns of the needle only their number is read."""
     path = known.path
     first, ready = 0, 0  # tick of the next block, rows in hand
     counts: list[IntArray] = []
@@ -189,21 +207,23 @@ def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
             if line.startswith(END):
                 check_end(line, first + ready, place)
                 continue
-            cells = line.split(",", 3 * axes + 2)
-            if len(cells) != 3 * axes + 3:
+            wanted = 3 * axes + 3 + beside
+            cells = line.split(",", wanted - 1)
+            if len(cells) != wanted:
                 raise RecordingError(
-                    f"the line has {len(cells)} cells, expected {3 * axes + 3}", place=place
+                    f"the line has {len(cells)} cells, expected {wanted}", place=place
                 )
             span = whole_number(cells[0], place)
             here = parse_events_cell(cells[-1], first + ready, place)
             if span == 0:
                 events += here
                 continue
+            of = whole_number(cells[1 + 3 * axes], place)
             if not 0 < span <= MAX_TICKS:
                 raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
             if span > READ_ROWS:
                 _check_within(first + ready + span, path, place)
-            for part in _rows(cells[1:-2], span, path, place):
+            for part in _rows(cells[1 : 1 + 3 * axes], span, path, place):
                 if ready >= READ_ROWS:
                     yield block()
                     first, ready = first + ready, 0
@@ -211,7 +231,7 @@ def _blocks(known: KnownFile, axes: int, head: int) -> Iterator[TickBlock]:
                 events += here
                 here = []
                 counts.append(part)
-                operation.append(np.full(len(part), whole_number(cells[-2], place)))
+                operation.append(np.full(len(part), of))
                 ready += len(part)
         if ready:
             yield block()

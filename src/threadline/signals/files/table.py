@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Protocol
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
@@ -18,6 +18,7 @@ from threadline.signals.clock import Clock
 from threadline.signals.commands import TickBlock, TickTable
 from threadline.signals.event import Event
 from threadline.signals.files.archive import ColumnArchive, ColumnSpool
+from threadline.signals.files.beside import NEEDLE_COLUMNS, Beside
 from threadline.signals.files.common import (
     Counts,
     Finite,
@@ -40,11 +41,13 @@ from threadline.signals.stream import Stream
 READ_ROWS = 1 << 16
 MAX_AXES = 64
 TITLE = "tick-table 1"
-NEEDLE_COLUMNS = ("needle_down [s]", "needle_up", "trim")
-"""Columns of a seam: time from the tick to needle-down, whether the needle must be up, trim."""
 END = "# end after ticks: "
 """Begins the last line of a text table: without it a file that was cut off could pass."""
 
+
+_NEEDLE_ARRAYS = (
+    ("needle_down_tick", "<i8"), ("needle_down_s", "<f8"), ("needle_up", "|u1"), ("trim", "|u1"),
+)  # fmt: skip
 
 _UNIT: Final = "count/m of a linear axis, count/rad of a rotary one"
 
@@ -144,20 +147,35 @@ def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
     return table
 
 
-def write_table_npz(table: TickTable, path: Path) -> Written:
+def write_table_npz(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
     """Write ``table`` as an archive of columns: ``numpy.load(path)["counts"]`` is (n, axes).
 
     Memory is bounded by a block; the columns grow in temporary files beside ``path``.
+
+    Parameters
+    ----------
+    needle
+        Columns of the needle, for a seam: ``needle_down_tick`` and ``needle_down_s`` after that
+        tick, a row for each time that it goes down; ``needle_up`` and ``trim``, a row for each
+        tick.
     """
     with atomic_file(path) as file, ColumnSpool(Path(file.name).parent) as spool:
         spool.column("counts", "<i8", (len(table.axes),))
         spool.column("operation", "<i8")
+        for name, dtype in _NEEDLE_ARRAYS if needle is not None else ():
+            spool.column(name, dtype)
         events, digest = EventSpool(spool), table.rows_hash()
         for block in table:
             digest.add((block.counts, block.operation), block.events)
             spool.append("counts", block.counts)
             spool.append("operation", block.operation)
             events.append(block.events)
+            if needle is not None:
+                beside = needle.rows(block)
+                spool.append("needle_down_tick", block.first_tick + beside.row)
+                spool.append("needle_down_s", beside.after_s)
+                spool.append("needle_up", beside.up)
+                spool.append("trim", beside.trim)
         meta = {**table_meta(table), "rows_sha256": digest.hexdigest()}
         spool.pack(file, {"format": TITLE, **meta, "event_names": events.names})
     return written(path)
@@ -248,14 +266,6 @@ def checked_counts(counts: IntArray, path: Path) -> IntArray:
     return counts
 
 
-class Beside(Protocol):
-    """Makes the cells of ``NEEDLE_COLUMNS``."""
-
-    def cells(self, block: TickBlock) -> Sequence[str]:
-        """Return the cells of every row of the next block, joined by commas."""
-        ...
-
-
 def csv_columns(axes: Sequence[str], needle: bool) -> list[str]:
     """Return the names of the columns of a table."""
     counts = [f"{axis} [count]" for axis in axes]
@@ -271,7 +281,8 @@ def write_table_csv(table: TickTable, path: Path, needle: Beside | None = None) 
         Columns of the needle, for a seam.
     """
     columns = csv_columns(table.axes, needle is not None)
-    return write_text(table, path, TITLE, columns, partial(_csv_rows, needle))
+    period_s = float(table.clock.period_s)
+    return write_text(table, path, TITLE, columns, partial(_csv_rows, needle, period_s))
 
 
 def write_text(
@@ -301,12 +312,15 @@ def write_text(
     return written(path)
 
 
-def _csv_rows(needle: Beside | None, block: TickBlock, axes: int) -> str:
+def _csv_rows(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> str:
     cells: dict[int, list[Event]] = {}
     for event in block.events:
         cells.setdefault(event.tick, []).append(event)
     lines = []
-    beside = [""] * len(block) if needle is None else [f"{c}," for c in needle.cells(block)]
+    beside = [""] * len(block)
+    if needle is not None:
+        told = needle.rows(block)
+        beside = [f"{told.cells(row, row + 1, period_s)}," for row in range(len(block))]
     rows = zip(block.counts.tolist(), block.operation.tolist(), beside, strict=True)
     for tick, (counts, operation, more) in enumerate(rows, start=block.first_tick):
         cell = events_cell(cells.pop(tick)) if tick in cells else ""

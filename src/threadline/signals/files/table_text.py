@@ -15,6 +15,7 @@ from threadline.foreign_messages import nearest
 from threadline.input_files import KnownFile
 from threadline.signals.commands import TickBlock, TickTable
 from threadline.signals.event import Event
+from threadline.signals.files.beside import NEEDLE_COLUMNS
 from threadline.signals.files.common import (
     MAX_COUNTS,
     clear_errors,
@@ -25,7 +26,6 @@ from threadline.signals.files.common import (
 from threadline.signals.files.events import parse_events_cell
 from threadline.signals.files.table import (
     END,
-    NEEDLE_COLUMNS,
     READ_ROWS,
     TITLE,
     checked_counts,
