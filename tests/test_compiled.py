@@ -7,6 +7,7 @@ step by a reader, or by another writer, in this process and therefore always in 
 from __future__ import annotations
 
 import contextlib
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -87,3 +88,14 @@ def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
         )  # fmt: skip
         found.append(float(ran.stdout))
     assert found == [1.5, 2.5 if "2.0" in change else 3.5]
+
+
+def test_nothing_goes_round_it() -> None:
+    """A function that numba keeps by itself has none of this."""
+    source = Path(__file__).parents[1] / "src" / "threadline"
+    importing = {
+        file.name
+        for file in source.rglob("*.py")
+        if re.search(r"^\s*(import|from) numba", file.read_text(), re.MULTILINE)
+    }
+    assert importing == {"compiled.py"}

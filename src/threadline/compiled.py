@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable, Hashable
 from pathlib import Path
 from types import CodeType
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 from numba.core.caching import IndexDataCacheFile
@@ -20,10 +20,11 @@ from numba.core.dispatcher import Dispatcher
 
 __all__ = ["njit"]
 
+F = TypeVar("F", bound=Callable[..., Any])
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 
 
-class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
+class CacheFile(IndexDataCacheFile):
     """An index, and files of machine code whose names say what they were made from."""
 
     def save(self, key: Hashable, data: object) -> None:
@@ -32,10 +33,11 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
         name = self._data_name_pattern.replace(
             "{number:d}", hashlib.sha256(made_from).hexdigest()[:16]
         )
-        self._save_data(name, data)
-        known = self._load_index()
+        inherited: Any = self  # numba has types for some of itself
+        inherited._save_data(name, data)
+        known = inherited._load_index()
         known[key] = name
-        self._save_index(known)
+        inherited._save_index(known)
         self._forget(set(known.values()))
 
     def _forget(self, kept: set[str]) -> None:
@@ -45,28 +47,29 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
                 file.unlink(missing_ok=True)
 
 
-def njit(**options: Any) -> Any:
+def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     """Compile the function that is given next, as ``numba.njit``; its machine code is kept."""
 
-    def compiled(function: Callable[..., Any]) -> Any:
-        found = numba.njit(cache=True, **options)(function)
+    def compiled(function: F) -> Dispatcher[F]:
+        found: Dispatcher[F] = numba.njit(cache=True, **options)(function)
         _keep_safely(found)
         return found
 
     return compiled
 
 
-def _keep_safely(function: Dispatcher) -> None:
+def _keep_safely(function: Any) -> None:
     cache = function._cache
     own = cache._cache_file
-    cache._cache_file = CacheFile(
+    made: Callable[..., CacheFile] = CacheFile
+    cache._cache_file = made(
         cache_path=own._cache_path,
         filename_base=cache._impl.filename_base,
         source_stamp=(own._source_stamp, _used_by(function.py_func, {function})),
     )
 
 
-def _used_by(function: Callable[..., Any], seen: set[Dispatcher]) -> tuple[Hashable, ...]:
+def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ...]:
     """Return what machine code of ``function`` is made from beside its file.
 
     Constants of the module, and the files of compiled functions that it calls, which may call
@@ -74,8 +77,9 @@ def _used_by(function: Callable[..., Any], seen: set[Dispatcher]) -> tuple[Hasha
     """
     found: list[Hashable] = []
     for name in sorted(_names(function.__code__)):
-        value = function.__globals__.get(name)
-        if isinstance(value, Dispatcher):
+        value: Any = function.__globals__.get(name)
+        called: bool = isinstance(value, Dispatcher)
+        if called:
             if value not in seen:
                 seen.add(value)
                 found += [(name, value._cache._impl.locator.get_source_stamp())]
