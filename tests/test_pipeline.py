@@ -10,6 +10,7 @@ from threadline.described import describe, options_from
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
+from threadline.kinds import watched
 from threadline.machine import load_machine
 from threadline.options import (
     LEAST_SHARE,
@@ -18,7 +19,10 @@ from threadline.options import (
     parse_share,
     parse_tolerance_m,
 )
-from threadline.pipeline import check_loops, plan_job
+from threadline.pipeline import Trials, check_loops, plan_job, prove_plan
+from threadline.verdict import load_spec
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
 @pytest.mark.parametrize(
@@ -95,3 +99,16 @@ def test_an_unstable_loop_is_refused_before_any_planning(examples: Path) -> None
     with pytest.raises(PlanError, match=r"axis X: the loop is UNSTABLE.*0\.6\d+ times the gain"):
         check_loops(load_machine("stitcher+head-feedback"))
     check_loops(load_machine("lathe-winder"))
+
+
+def test_the_share_of_all_runs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It grows from run to run, to the whole at the end of the last: a run is no whole."""
+    monkeypatch.setattr(watched, "_LONG_S", -1.0)
+    machine = load_machine("letter-placer")
+    plan = plan_job(read_job(EXAMPLES / "letter-cycle.toml", machine), machine, Options())
+    told: list[float] = []
+    trials = Trials(repeats=3)
+    prove_plan(plan, load_spec(None, machine), lambda _, share: told.append(share), trials)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert sum(1 for share in told if share < 0.34) > 1

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,13 +17,14 @@ from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.kinds.rejects import rejects
 from threadline.kinds.retold import played_by
 from threadline.kinds.unanswered import answering, unanswered
+from threadline.kinds.watched import Share
 from threadline.machine import Machine
 from threadline.machine.dynamics import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
 from threadline.options import Options
 from threadline.plan import Plan
-from threadline.signals import Commands, Recording, RecordingBlock
+from threadline.signals import Commands, Recording
 from threadline.signals.files.common import Written
 from threadline.targets.write import Target
 from threadline.verdict import Judge, Spec, Status, Verdict
@@ -98,8 +98,6 @@ def yielding(share: float) -> Trials:
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction that is done."""
-
-_LONG_S = 1.0  # of simulating, after which progress is reported
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -331,18 +329,16 @@ def prove_plan(
         parts = ends_then_drawn(machine, trials.machines, VARIANT_SEED)
     others = kind.others(commands, machine, parts, random) if len(parts) else ()
 
-    def told(these: Sequence[Recording]) -> Sequence[Recording]:
-        return these if progress is None else [_watched(one, plan, progress) for one in these]
-
+    share = Share(plan, progress, len(recordings) + len(others))
     judge = Judge(plan, spec)
     try:
-        verdict = judge.verdict(told(recordings), told(others))
+        verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
     except (MachineError, RecordingError):
         if not len(parts):
             raise
         # A machine as drawn may never come to the end: the others are judged without it.
         others, why = answering(kind, commands, machine, parts, random)
-        verdict = judge.verdict(told(recordings), told(others))
+        verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
         stuck = unanswered(len(parts), why)
         verdict = replace(verdict, results=(*verdict.results, stuck), machines=len(parts))
     if trials.wished is not None:
@@ -372,29 +368,3 @@ def try_plan(
     if trials == NOMINAL or failed:
         return nominal
     return prove_plan(plan, spec, None, trials, actual)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Watched:
-    """The blocks of a recording; while they are read, ``progress`` is told how far it is.
-
-    It is no ``Stream``: the callback cannot be sent to another process. The duration of the plan
-    may cost a reading of the whole trajectory, and is asked for only after ``_LONG_S``.
-    """
-
-    blocks: Iterable[RecordingBlock]
-    plan: Plan
-    progress: Progress
-
-    def __iter__(self) -> Iterator[RecordingBlock]:
-        clock, began = self.plan.commands.clock, time.monotonic()
-        for block in self.blocks:
-            yield block
-            if time.monotonic() - began > _LONG_S:
-                done_s = clock.time_s(block.first_tick.get(clock.name, 0))
-                fraction = min(done_s / max(self.plan.duration_s, 1e-9), 1.0)
-                self.progress("simulating and judging", fraction)
-
-
-def _watched(recording: Recording, plan: Plan, progress: Progress) -> Recording:
-    return replace(recording, blocks=_Watched(recording.blocks, plan, progress))

@@ -236,7 +236,7 @@ def test_a_dwell_that_is_kept_is_told_in_words(shaped: Proof) -> None:
     """No negative time: 0 too short, and how long the quickest valve rested of what it needs."""
     result = shaped.verdict.result("switching_dwell")
     assert result.measured == 0.0
-    assert " ms at least, of 20 ms that it needs" in result.note
+    assert " ms; it needs 20 ms" in result.note
     assert float(result.note.split(" rests ")[1].split(" ms")[0]) >= 20.0
 
 

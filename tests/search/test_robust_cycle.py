@@ -65,6 +65,7 @@ def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
     spec.write_text(SPEC, encoding="utf-8")
     said = StringIO()
     words = ["fastest", job, "-m", "letter-placer", "-s", spec, "--robust", "20 %", "--nominal"]
+    words += ["--report", folder / "report"]
     with redirect_stdout(said), pytest.raises(SystemExit) as ended:
         main([*map(str, words), "-o", str(file), "--json"])
     assert ended.value.code == 0
@@ -162,3 +163,19 @@ def test_a_specification_that_limits_nothing_asks_for_no_robust_command(
     code, out, err = run(capsys, *words)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "limits no residual_vibration of Z" in err
+
+
+def test_its_report_is_that_of_the_cycle_that_was_found(
+    robust: tuple[dict[str, Any], Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pictures and verdict of its proof; its own list is proved without a warning about levels."""
+    found, file, spec = robust
+    folder = file.parent / "report"
+    assert found["report"] == str(folder / "report.html")
+    assert {f"report-{name}.png" for name in ("residual", "cycle", "petri-net")} <= {
+        f.name for f in folder.iterdir()
+    }
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", str(file), "-m", "letter-placer", "-s", str(spec)])
+    assert ended.value.code == 0
+    assert "is told" not in capsys.readouterr().err

@@ -119,3 +119,37 @@ def test_ticks_keep_each_band(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0
     for over in json.loads(out)["bands"]:
         assert over["worst"] <= max(over["nearest_worst"], over["tolerance"]) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--mode", "3.04Hz", "--mode", "8Hz", "--kind", "um-si", "--tick", "10ms"), "were asked"),
+        (("--mode", "3.04Hz:0:20%", "--kind", "um-si", "--tick", "20ms"), "within the band of"),
+    ],
+)
+def test_a_band_that_ticks_do_not_keep_is_told(
+    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The largest of the printed band, over 5 %."""
+    code, _, err = run(capsys, "shaper", *words)
+    assert code == 0
+    assert any(told in line and "more than the 5 %" in line for line in err.splitlines())
+
+
+def test_a_train_that_rings_more_than_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """154 % at the mode: 200 ms between switchings are longer than the half period of 164 ms."""
+    words = (
+        "shaper",
+        "--mode",
+        "3.04Hz",
+        "--damping",
+        "0.17",
+        "--kind",
+        "um-2ei",
+        "--tick",
+        "10 ms",
+    )
+    code, out, err = run(capsys, *words, "--dwell", "200 ms")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "leaves 154 % at 3.04 Hz itself, more than no shaper at all" in err

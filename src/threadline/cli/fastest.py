@@ -90,7 +90,8 @@ def fastest(
         typer.Option(
             parser=report_folder,
             metavar="<path>",
-            help="Folder for the picture of --mismatch (PNG, SVG).",
+            help="Folder for the picture of --mismatch (PNG, SVG); of a move list without it for "
+            "the report of the cycle that was found.",
         ),
     ] = None,
     out: Annotated[

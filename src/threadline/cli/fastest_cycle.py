@@ -14,7 +14,7 @@ from threadline.cli.fastest_robust import (
     show_beside,
     show_robust,
 )
-from threadline.cli.found import command_line, margin_words
+from threadline.cli.found import command_line, limit_words, margin_words
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -25,6 +25,7 @@ from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.pipeline import Trials
 from threadline.report.mismatch import write_mismatch
+from threadline.report.switching import write_switching
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_beside import cycles_beside
 from threadline.search.cycle_forecast import MoveChoice
@@ -63,7 +64,8 @@ def fastest_moves(
     actual
         The machine that runs the cycles; None for the one that the commands are made for.
     mismatch, report
-        Whether to search at the ends of the tolerances as well, and the folder of its picture.
+        Whether to search at the ends of the tolerances as well; and a folder for the picture of
+        that, without it for the report of the cycle that was found.
     robust_in
         The band of frequency that the cycle is to hold over, as typed; None for the machine as its
         file says.
@@ -71,7 +73,8 @@ def fastest_moves(
     asked = {**asked, **level_option(trials)}
     band = None if robust_in is None else parse_band(robust_in)
     check_outputs(file=out)
-    check_mismatch(mismatch, actual is not None, report)
+    check_mismatch(mismatch, actual is not None, report if mismatch else None)
+    check_outputs(folder=report)
     if band is not None and (actual is not None or mismatch):
         raise OptionError(
             "--robust simulates machines all over its band, and no others",
@@ -88,7 +91,11 @@ def fastest_moves(
             read, machine, spec, found, robust, band, actual=actual, progress=progress
         )
     title = f"{read.name} on {machine.name}{margin_words(margin)}"
-    drawn = None if report is None else write_mismatch(cells, title, CYCLE, report)
+    fastest = found.proof if robust is None else robust.proof
+    drawn = None
+    if report is not None:
+        mapped = write_mismatch(cells, title, CYCLE, report) if mismatch else None
+        drawn = mapped or write_switching(fastest, report)
     chosen = found.job if robust is None else robust.job
     written = None
     if out is not None and chosen is not None:
@@ -199,17 +206,15 @@ def _show(found: FastestCycle, title: str) -> None:
     saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
     if saved_s > 0.0:
         unshaped += f"; what the list lets overlap saves {saved_s:.3f} s"
+    limits = limit_words(found.limited_by)
     if found.cycle_s is None:
-        say(
-            f"no cycle in spec was found ({found.tried} tried): {found.limited_by} fails; "
-            f"{unshaped}"
-        )
+        say(f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}")
         print_table("verdict where the search came closest", *verdict_rows(found.proof.verdict))
         return
-    limited = "" if found.limited_by == RANGE else f", limited by {found.limited_by}"
+    before = "" if found.limited_by == RANGE else f" (the one before it fails {limits})"
     say(
-        f"fastest: a cycle of {found.cycle_s:.3f} s{limited}; {found.tried} cycles tried on the "
-        f"twin; {unshaped}"
+        f"fastest: a cycle of {found.cycle_s:.3f} s; {found.tried} cycles tried on the twin"
+        f"{before}; {unshaped}"
     )
     print_table("verdict at the fastest", *verdict_rows(found.proof.verdict))
     say(closing(found.proof.verdict))

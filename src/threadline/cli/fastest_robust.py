@@ -33,7 +33,7 @@ def parse_band(text: str) -> float:
 
 def show_robust(robust: RobustCycle, title: str, band: float) -> None:
     """Print the cycle found for the band ``band`` (half width, a share), move by move."""
-    header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over"]
+    header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over the bound"]
     rows = [
         [
             move.step,

@@ -17,9 +17,11 @@ from threadline.cli.shaper_text import (
     bands_of,
     curve_lines,
     designed,
+    missed,
     modes_of,
     price_content,
     price_table,
+    refuse_worse_than_none,
     suspicions,
     tolerances_of,
 )
@@ -172,8 +174,10 @@ def shaper(
         )
         realised = realise(made, modes, limits, relative=bands, tolerance=tolerances)
         made = realised.shaper
+        refuse_worse_than_none(made, modes)
+    asked_of = tuple(zip(modes, bands, tolerances, strict=True))
     warnings = doubted(modes) if klipper else list(suspicions(modes))
-    warnings += _spoiled(realised)
+    warnings += [*_spoiled(realised), *(missed(made, asked_of) if kind in BANDED else ())]
     # A positive train amplifies nothing, anywhere.
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
@@ -254,7 +258,7 @@ def _tables(answer: _Answer) -> list[Table]:
             header=("mode Hz", "damping ratio", "vibration", "Hz", "insensitivity"),
             rows=modes,
         ),
-        Table(title="Cost", header=("", ""), rows=_cost(answer)),
+        Table(title="Cost", header=("what", "is"), rows=_cost(answer)),
         *([] if answer.realised is None else [price_table(answer.realised)]),
         *([] if answer.study is None else study_tables(answer.study)),
     ]
@@ -267,16 +271,19 @@ def _cost(answer: _Answer) -> list[list[str]]:
         ["every move takes longer by", f"{train.duration_s:.6f} s"],
         ["in periods of the slowest mode", f"{train.duration_s / period:.4f}"],
         ["mean delay (centroid)", f"{train.centroid_s:.6f} s"],
-        ["step leaves [0, 1] by", f"{without_noise(train.over_level):.4g}"],
+        ["a shaped step goes beyond 0 ... 1 by", f"{without_noise(train.over_level):.4g}"],
     ]
     if answer.realised is not None:
         made = answer.realised
         rows += [
             ["on ticks", " ".join(map(str, made.ticks))],
-            ["price of the controller in time", f"{made.time_price_s * 1e3:+.3f} ms"],
             [
-                "price of the controller in vibration at the modes",
-                f"{without_noise(made.vibration_price) * 100:+.3g} %",
+                f"{'longer' if made.time_price_s >= 0.0 else 'shorter'} than the exact train by",
+                f"{abs(made.time_price_s) * 1e3:.3f} ms",
+            ],
+            [
+                "rings more than that at the modes by",
+                f"{without_noise(made.vibration_price) * 100:.3g} %",
             ],
         ]
     return rows

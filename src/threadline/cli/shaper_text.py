@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from threadline.shaping import (
     parse_mode_hz,
     residual_vibration,
     unit_magnitude_over_bands,
+    vibration_of,
 )
 from threadline.shaping.types import MAX_DAMPING_RATIO
 from threadline.units import without_noise
@@ -36,6 +37,7 @@ SUSPICIOUS_DAMPING = 0.1
 
 _ROWS, _COLUMNS = 12, 61
 _SPAN = 0.5
+_IN_BAND, _ROUNDED = 201, 1.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +150,41 @@ def bands_of(asked: Sequence[Asked], band: float | None) -> tuple[float, ...]:
 def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
     """Return the tolerance of every mode: that of the mode, else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
+
+
+def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
+    """Refuse a train that ticks and the dwell have made worse, at its own mode, than no shaper.
+
+    Raises
+    ------
+    OptionError
+        With the mode and what rings.
+    """
+    for mode in modes:
+        left = vibration_of(made, mode)
+        if left >= 1.0:
+            raise OptionError(
+                f"on these ticks shaper {made.name!r} leaves {left * 100:.3g} % at "
+                f"{mode.frequency_hz:g} Hz itself, more than no shaper at all",
+                remedy="Take a shorter --tick or --dwell, or another kind.",
+            )
+
+
+def missed(made: Shaper, asked: Sequence[tuple[FlexibleMode, float, float]]) -> Iterator[str]:
+    """Yield a warning for each mode, band and tolerance that a train does not keep to."""
+    for mode, band, tolerance in asked:
+        parts = np.linspace(1.0 - band, 1.0 + band, _IN_BAND)
+        left = [
+            vibration_of(made, replace(mode, frequency_hz=mode.frequency_hz * part))
+            for part in parts.tolist()
+        ]
+        worst = int(np.argmax(left))
+        if left[worst] > tolerance * _ROUNDED:
+            yield (
+                f"shaper {made.name!r} leaves {left[worst] * 100:.3g} % at "
+                f"{mode.frequency_hz * parts[worst]:.4g} Hz, within the band of +-{band:.0%} about "
+                f"{mode.frequency_hz:g} Hz, more than the {tolerance * 100:.3g} % that were asked"
+            )
 
 
 def designed(

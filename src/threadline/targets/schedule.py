@@ -26,7 +26,12 @@ from threadline.jobs.operations import (
 from threadline.machine import Machine
 from threadline.signals import Clock, Event, SwitchSchedule
 from threadline.targets.homing import Homing, home_stage
-from threadline.targets.schedule_checks import check_air, check_interlocks, check_wait
+from threadline.targets.schedule_checks import (
+    check_air,
+    check_interlocks,
+    check_wait,
+    distance_told,
+)
 from threadline.targets.schedule_moves import (
     AxisShaping,
     Levels,
@@ -320,15 +325,9 @@ class _Builder:
                 levels=levels,
             )
         )
-        off_m = levels.commanded_m - levels.wanted_m
-        if abs(off_m) > 1e-6:
-            self.warnings.append(
-                f"{source.place}: {axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
-                f"{levels.wanted_m * 1e3:.2f} mm: whole scans of "
-                f"{float(self.clock.period_s) * 1e3:g} ms at {cylinder.speed.si:g} m/s; "
-                f"set the flow to {cylinder.speed.si * levels.wanted_m / levels.commanded_m:.6g} "
-                "m/s to meet it"
-            )
+        self.warnings += distance_told(
+            levels, axis, float(self.clock.period_s), source, written="levels" in how
+        )
         return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
 
     def _levels(

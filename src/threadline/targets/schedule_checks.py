@@ -8,6 +8,10 @@ from threadline.errors import PlanError
 from threadline.jobs.operations import Source
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Contact
+from threadline.targets.schedule_moves import Levels
+
+_SEEN_M = 1e-6
+_MEANT = 0.25  # of a scan: levels that are written out may cover so much less or more
 
 
 def reads_on(contact: Contact, place_m: float) -> bool:
@@ -94,3 +98,26 @@ def check_interlocks(
                     place=source.place,
                     remedy=f'Write [[operation]] wait = "{name}" before it, or let {other} rest.',
                 )
+
+
+def distance_told(
+    levels: Levels, axis: str, tick_s: float, source: Source, *, written: bool
+) -> list[str]:
+    """Return a warning where whole scans do not meet a distance; none where they do.
+
+    Levels that the list writes out itself are what it means, to a quarter of a scan: those of a
+    robust search trade a fifth of one for less ringing.
+    """
+    off_m = abs(levels.commanded_m - levels.wanted_m)
+    if off_m <= (_MEANT * tick_s * levels.speed_m_s if written else _SEEN_M):
+        return []
+    told = (
+        f"{source.place}: {axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
+        f"{levels.wanted_m * 1e3:.2f} mm"
+    )
+    if written:
+        return [f"{told}: so much its levels cover"]
+    return [
+        f"{told}: whole scans of {tick_s * 1e3:g} ms at {levels.speed_m_s:g} m/s; set the flow to "
+        f"{levels.speed_m_s * levels.wanted_m / levels.commanded_m:.6g} m/s to meet it"
+    ]

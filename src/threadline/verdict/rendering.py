@@ -13,6 +13,7 @@ from threadline.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.types import Level, Result, Status, Verdict
 
+_IN_SECONDS = 10.0  # milliseconds beyond it would have an exponent
 _SHOWN = {
     "m": (1e3, "mm"),
     "m/s": (1e3, "mm/s"),
@@ -210,6 +211,8 @@ def _row(result: Result) -> list[str]:
         # note.
         room = shown(without_noise(-measured), result.unit)
         measured, note = 0.0, f"{room} of room left"
+    elif result.name == "travel" and measured == 0.0:
+        note = note or "as far as its end, and not beyond"
     return [
         result.name,
         result.axis,
@@ -271,5 +274,7 @@ def shown(value: float, unit: str) -> str:
         return "never" if unit == "s" else "unbounded"
     if not unit:
         return f"{100.0 * value:.3g} %"
+    if unit == "s" and abs(value) >= _IN_SECONDS:
+        return f"{value:.5g} s"
     factor, name = _SHOWN.get(unit, (1.0, unit))
     return f"{value * factor:.4g} {name}"

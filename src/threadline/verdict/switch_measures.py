@@ -320,8 +320,8 @@ def switching_dwell(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
             worst = Finding(
                 value=max(need_s - shortest_s, 0.0),
                 time_s=float(run.time_s[at[short + 1]]),
-                note=f"{run.commands.outputs[column]} rests {shortest_s * 1e3:.4g} ms at least, "
-                f"of {need_s * 1e3:.4g} ms that it needs",
+                note=f"{run.commands.outputs[column]} is the quickest, switched again after "
+                f"{shortest_s * 1e3:.4g} ms; it needs {need_s * 1e3:.4g} ms",
             )
     return [worst]
 
