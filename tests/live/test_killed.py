@@ -11,6 +11,7 @@ import random
 import signal
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,9 @@ from threadline.live import sim_process
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Kept
-from threadline.live.sim_machine import SimMachine
+from threadline.live.sim_rows import SimRows
 from threadline.live.states import State
+from threadline.live.ways import way_of
 from threadline.live.wire import Connection, Message
 from threadline.signals import Ended
 
@@ -43,7 +45,7 @@ def child(work: object) -> int:
         os._exit(1)
 
 
-class Watched(SimMachine):
+class Watched(SimRows):
     """A machine with a black box: what it commands and where its load is, to the very end."""
 
     box: dict[str, list[float]]
@@ -68,7 +70,8 @@ class Watched(SimMachine):
 
 def machine_with_black_box(end: socket.socket, box: Path) -> None:
     Watched.box = {"a": [], "x": [], "load": [], "heard": [0.0], "held": [0.0]}
-    sim_process.SimMachine = Watched  # type: ignore[misc]
+    way = replace(way_of(winder()), simulated=Watched)
+    sim_process.way_of = lambda _: way  # type: ignore[assignment]
     sim_process.serve(end, winder(), np.zeros(3, np.int64), SPEED)
     box.write_text(json.dumps(Watched.box), "utf-8")
 
@@ -90,7 +93,7 @@ def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executo
 @pytest.fixture(scope="module", autouse=True)
 def warm() -> None:
     """Build the twin here, so that every fork has it."""
-    SimMachine(winder(), np.zeros(3, np.int64), lambda _: None)
+    SimRows(winder(), np.zeros(3, np.int64), lambda _: None)
 
 
 def some_ticks() -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
 from contextlib import closing as closed
@@ -10,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.arrays import finite
 from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
 from threadline.cli.operator_keys import at_the_keys
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -48,7 +50,7 @@ from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError
 from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
-from threadline.live.hold_deviation import hold_deviation_m, hold_limit_m
+from threadline.live.hold_deviation import hold_limit_m
 from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME, sim_link
 from threadline.live.supervised import (
@@ -56,8 +58,9 @@ from threadline.live.supervised import (
     check_machine_runs,
     check_override,
     check_runnable,
-    run_table,
+    run_commands,
 )
+from threadline.live.ways import way_of
 from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.plan import Plan
 from threadline.proof_file import read_proof, write_proof
@@ -182,11 +185,10 @@ def run(
             proof = prove_plan(plan, asked, progress, trials)
             tell(doubts(proof))
             write_proof(proof, proof_file)
-        table, known = check_runnable(proof_file, plan, asked, override)
-        leaves_m, limit_m = hold_deviation_m(plan), hold_limit_m(asked)
-        if leaves_m > 0.0:
-            where = "so h stands at the next rest" if leaves_m > limit_m else "within the limit"
-            note(f"a hold may stand {1e3 * leaves_m:.2f} mm beside the path, {where}")
+        known = check_runnable(proof_file, plan, asked, override)
+        way = way_of(chosen)
+        leaves_m = way.hold_deviation_m(plan)
+        at_rest = _hold_at_rest(leaves_m, hold_limit_m(asked))
         told = {"link": link, **({"override": override} if override else {})}
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
         kept = RunStore(store).begin(plan, known, told, speed, inputs)
@@ -195,15 +197,15 @@ def run(
             at_the_keys(desk, plan.duration_s, progress) as watch,
             kept,
         ):
-            ended, text, _ = run_table(
-                table,
+            ended, text, _ = run_commands(
+                plan.commands,
                 chosen,
-                sim_link(chosen, table.start_counts, speed, fault),
+                sim_link(chosen, way.start(plan.commands), speed, fault),
                 desk,
                 kept,
                 speed=speed,
                 pass_stops=pass_stops,
-                hold_at_rest=leaves_m > limit_m,
+                hold_at_rest=at_rest,
                 watch=watch,
             )
     happened = read_recording(kept.trace)
@@ -214,7 +216,7 @@ def run(
         "run": kept.path.name,
         "trace": str(kept.trace),
         "ended": ended.value,
-        "hold_deviation_m": leaves_m,
+        "hold_deviation_m": finite(leaves_m),
     }
     kept.judged(content, ended.value, text)
     if recording is not None:
@@ -233,6 +235,15 @@ def run(
         _show(verdict, plan, link)
         say(f"Run: {kept.path}")
     raise typer.Exit(0 if verdict.passed else 1)
+
+
+def _hold_at_rest(leaves_m: float, limit_m: float) -> bool:
+    """Say how far beside its path a hold would stand; return whether it waits for a rest."""
+    at_rest = leaves_m > limit_m or not math.isfinite(leaves_m)
+    if 0.0 < leaves_m < math.inf:
+        where = "so h stands at the next rest" if at_rest else "within the limit"
+        note(f"a hold may stand {1e3 * leaves_m:.2f} mm beside the path, {where}")
+    return at_rest
 
 
 def _show(verdict: Verdict, plan: Plan, link: str) -> None:

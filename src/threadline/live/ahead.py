@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.errors import LimitError
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import CommandError, LimitError
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import PathWindow
 from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
-from threadline.signals import Event, TickTable
+from threadline.signals import Commands, Event, tick_table
 
 _KEPT = 4  # past ticks that are kept
+SETTLE_S = 0.5
+"""Time in s for which the machine is recorded after the last row, as in a simulation."""
 _LIMIT_COUNTS = 2.0
 """Tolerance of the limits, in counts: rounding adds up to one count at either end of a row."""
 
@@ -28,7 +31,7 @@ class Ahead:
 
     Parameters
     ----------
-    table
+    commands
         Table that is run.
     machine
         Machine whose limits every row has to keep.
@@ -42,10 +45,14 @@ class Ahead:
         path anywhere else.
     """
 
-    def __init__(self, table: TickTable, machine: Machine, *, pass_stops: bool = False) -> None:
+    keeps_home = True  # positions are counted through every stop
+
+    def __init__(self, commands: Commands, machine: Machine, *, pass_stops: bool = False) -> None:
+        table = tick_table(commands)
         self._window = PathWindow(table, pass_stops=pass_stops)
         self._machine, self._limits = machine, CountLimits.of(machine)
-        self._start = table.start_counts
+        self.start = table.start_counts
+        self.settle_ticks = ticks_in(SETTLE_S, machine) + 1
         self._first = 0  # tick of the first place that is kept
         self._places = np.zeros(1)  # at the ticks from there on
         self._rising: FloatArray = np.empty(0)  # places on the way back to the full rate
@@ -74,6 +81,14 @@ class Ahead:
         """Stop or wait at which the rows that were sent end; None if they end at neither."""
         halt = self._window.halt()
         return halt if halt is not None and self.place >= halt.tick else None
+
+    def refuse_elsewhere(self, stands: IntArray) -> None:
+        """Refuse a run that does not begin where the axes stand."""
+        refuse_start_elsewhere(self._machine, stands, self.start)
+
+    def hear(self, head: Mapping[str, Any]) -> str:  # noqa: ARG002
+        """Return nothing: where rows are is known from their ticks."""
+        return ""
 
     def met(self, now: Mapping[str, float]) -> bool:
         """Return whether it stands at a wait whose input has the value waited for."""
@@ -207,7 +222,7 @@ class Ahead:
             With the axis; the rows are then not sent.
         """
         limits, names = self._limits, self._machine.axis_names
-        stands = self._window.counts(places) + self._start
+        stands = self._window.counts(places) + self.start
         scale = self._machine.counts_per_unit
         tick_s = float(self._machine.tick_clock.period_s)
         for k, name in enumerate(names):
@@ -241,4 +256,32 @@ class Ahead:
 
 def ticks_in(duration_s: float, machine: Machine) -> int:
     """Return the number of ticks in a duration, rounded up, at least 1."""
-    return max(1, ceil(duration_s / float(machine.tick_clock.period_s) - 1e-9))
+    return max(1, ceil(duration_s / float(machine.command_clock.period_s) - 1e-9))
+
+
+def halts_of_rows(commands: Commands) -> Iterator[Event]:
+    """Yield the stops and waits of a table; reads it twice. A stop at its end is none."""
+    table = tick_table(commands)
+    rows = table.tick_count()
+    for block in table:
+        for event in block.events:
+            if event.kind == "wait" or (event.kind == "stop" and event.tick < rows):
+                yield event
+
+
+def refuse_start_elsewhere(machine: Machine, stands: IntArray, starts: IntArray) -> None:
+    """Refuse a run that does not begin at the present position of the machine.
+
+    Raises
+    ------
+    CommandError
+        With the first axis that is elsewhere, and both positions.
+    """
+    scale, names = machine.counts_per_unit, machine.axis_names
+    for k, (here, begins) in enumerate(zip(stands, starts, strict=True)):
+        if here != begins:
+            raise CommandError(
+                f"axis {names[k]} stands at {here / scale[k]:.5g}, the run begins at "
+                f"{begins / scale[k]:.5g}",
+                remedy="Home the machine, or move it there.",
+            )

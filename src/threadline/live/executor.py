@@ -13,26 +13,25 @@ import numpy as np
 
 from threadline.arrays import IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
-from threadline.live.ahead import Ahead, ticks_in
+from threadline.live.ahead import ticks_in
 from threadline.live.desk import Desk
 from threadline.live.far_end import FarEnd
-from threadline.live.guards import Guards, refuse_start_elsewhere
 from threadline.live.jogging import JogAhead
 from threadline.live.kept import Sink
 from threadline.live.states import MOVING, Cause, State, next_state
+from threadline.live.ways import RunAhead, way_of
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
-from threadline.signals import Ended, Event, TickTable
+from threadline.signals import Commands, Ended
 
 DEPTH_S = 0.1
 """Rows are sent no further ahead than this, s."""
 LEASE_S = 0.25
 """Time in s after which a jog ends unless the operator has renewed it."""
-SETTLE_S = 0.5
-"""Time in s for which the machine is recorded after the last row, as in a simulation."""
 _STEPPED_S = 60.0  # longest silence, in s, of a machine whose time waits for the executor
 _LEAD_S = 0.02
 """Time in s from the last report to the beginning of a stop: reports are that old in real time."""
+_STARVED = "refills came too late: the machine has braked by itself"
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
 
@@ -59,7 +58,7 @@ class Executor:
         self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
         self.far_end = FarEnd(link, machine)
         self._real_time = speed == 1.0
-        self._guards = Guards(machine)
+        self._way = way_of(machine)
         self.state = State.DISABLED
         self.tick = 0  # of the machine, as it was last told
         self.late_ticks = 0
@@ -68,13 +67,13 @@ class Executor:
         self._homed = False
         self._stands = np.zeros(len(machine.axes), dtype=np.int64)
         self._began = self._stands  # where the run began
-        self._ahead: Ahead | JogAhead | None = None
+        self._ahead: RunAhead | JogAhead | None = None
         self._number = 0  # of runs and jogs since the machine greeted
         self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
-        self._settle = ticks_in(SETTLE_S, machine) + 1
+        self._settle = 0
         self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
         self._rest: int | None = None  # the tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
@@ -133,14 +132,14 @@ class Executor:
         self._go(Cause.HOMED)
 
     def start(
-        self, table: TickTable, *, pass_stops: bool = False, hold_at_rest: bool = False
+        self, commands: Commands, *, pass_stops: bool = False, hold_at_rest: bool = False
     ) -> None:
         """Begin a run. The caller has checked the proof; the limits of each row are checked here.
 
         Parameters
         ----------
-        table
-            Table that is run.
+        commands
+            What is run.
         pass_stops
             Whether the run goes on at stops of the program without an answer.
         hold_at_rest
@@ -154,10 +153,10 @@ class Executor:
             If the first rows break a limit; nothing has moved then.
         """
         next_state(self.state, Cause.START)  # refused before anything is sent
-        refuse_start_elsewhere(self._machine, self._stands, table)
-        ahead = Ahead(table, self._machine, pass_stops=pass_stops)
+        ahead = self._way.ahead(commands, self._machine, pass_stops=pass_stops)
+        ahead.refuse_elsewhere(self._stands)
         self._hold_at_rest = hold_at_rest
-        self._set_out(Cause.START, ahead, table.start_counts)
+        self._set_out(Cause.START, ahead, ahead.start)
 
     def jog(self, axis: str, velocity: float) -> None:
         """Move an axis until ``let_go``, or until it was not renewed for ``LEASE_S``.
@@ -197,11 +196,12 @@ class Executor:
         if self.state is State.JOGGING:
             self._brake()
 
-    def _set_out(self, cause: Cause, ahead: Ahead | JogAhead, stands: IntArray) -> None:
+    def _set_out(self, cause: Cause, ahead: RunAhead | JogAhead, stands: IntArray) -> None:
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
-        self._guards = Guards(self._machine)  # nothing of the motion before is remembered
+        self._guards = self._way.guards(self._machine)  # nothing of the motion before is remembered
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
+        self._settle = ahead.settle_ticks
         self._go(cause)
         self._link.send(Message("begin"))
         self._link.send(first)
@@ -210,9 +210,7 @@ class Executor:
     @property
     def time_s(self) -> float:
         """Time of the machine since the beginning of the run, in s."""
-        return self.tick * float(self._machine.tick_clock.period_s)
-
-    # --- a run -----------------------------------------------------------------------------
+        return self.tick * float(self._machine.command_clock.period_s)
 
     def step(self) -> None:
         """Wait for a report or a command and act on it; to be called until ``over`` is True."""
@@ -253,10 +251,11 @@ class Executor:
         moving = self.state in MOVING
         self._go(cause)
         if cause is Cause.STOP and moving:
+            self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
             self.ended = self.ended or (Ended.STOPPED, "stopped by the operator")
             self._brake()
         elif cause is Cause.HOLD:
-            if self._hold_at_rest and isinstance(self._ahead, Ahead):
+            if self._hold_at_rest and not isinstance(self._ahead, JogAhead | None):
                 self._ahead.to_rest = True
             else:
                 self._brake()
@@ -275,7 +274,7 @@ class Executor:
 
     def _start_again(self) -> None:
         ahead = self._ahead
-        assert isinstance(ahead, Ahead)  # a jog is not held
+        assert not isinstance(ahead, JogAhead | None)  # a jog is not held
         rested, ahead.to_rest = ahead.to_rest, False
         ahead.rest_until(self.tick + self._lead)
         if ahead.halt is not None:
@@ -298,13 +297,17 @@ class Executor:
             self.tick = int(head["now"])
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
             self.late_ticks += int(head["late"])
+            why = _STARVED if head["starved"] else ""
+            if not isinstance(self._ahead, JogAhead | None):
+                why = self._ahead.hear(head) or why
             samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
             inputs = {name: values[-1] for name, values in samples.items() if len(values)}
-            if head["starved"] and self.state in _SENDING:
-                self._fault("refills came too late: the machine has braked by itself")
-            if broken := next((told[3] for told in head["events"] if told[1] == "fault"), ""):
-                self._fault(broken)
-                self.over = True  # nothing is known behind it
+            if why and self.state in _SENDING:
+                self._fault(why)
+            told = [one[3] for one in head["events"] if one[1] == "fault"]
+            if told and self.ended is None:  # of its own accord: nothing is known behind it
+                self._fault(told[0])
+                self.over = True
                 return
             if self.ended is None and self._rest is None:
                 why = self._guards.trip(
@@ -358,7 +361,7 @@ class Executor:
         elif self.tick + self._depth > ahead.end and self._goes(ahead):
             self._link.send(ahead.extend(self.tick + self._depth))
 
-    def _goes(self, ahead: Ahead) -> bool:
+    def _goes(self, ahead: RunAhead) -> bool:
         """Return whether rows are to be sent: in a run, and in a hold on its way to a rest."""
         return self.state is State.RUNNING or (
             self.state is State.HOLDING and ahead.to_rest and not ahead.rests
@@ -374,8 +377,6 @@ class Executor:
             self._brake()
         elif self.tick + self._depth > jog.end:
             self._link.send(jog.extend(self.tick + self._depth))
-
-    # --- ends ------------------------------------------------------------------------------
 
     def _leave(self) -> None:
         self.over = True
@@ -395,5 +396,4 @@ class Executor:
         """Record that the link is lost; the machine plays its braking tail."""
         self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
         self._go(Cause.FAULT, text)
-        fault = Event(tick=self.tick, kind="fault", operation=-1, name=text)
-        self._sink.block(self.far_end.silent(self.tick, fault))
+        self._sink.block(self.far_end.lost(self.tick, text))

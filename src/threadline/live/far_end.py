@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from math import ceil
+
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError
-from threadline.live.greeting import channels_told
+from threadline.live.greeting import channels_told, samples_per_tick
 from threadline.live.wire import Connection, Message, event_of
 from threadline.machine import Machine
 from threadline.signals import Channel, Event, RecordingBlock
@@ -33,6 +36,7 @@ class FarEnd:
     def __init__(self, link: Connection, machine: Machine) -> None:
         self._link, self._machine = link, machine
         self.channels: tuple[Channel, ...] = ()
+        self._per_tick = Fraction(1)
 
     def greet(self) -> bool:
         """Receive the greeting of the machine; return whether it is simulated.
@@ -46,6 +50,7 @@ class FarEnd:
         """
         hello = self._expect("hello").head
         self.channels = channels_told(hello, self._machine)
+        self._per_tick = samples_per_tick(self._machine, self.channels)
         return bool(hello["simulated"])
 
     def enable(self) -> None:
@@ -67,18 +72,20 @@ class FarEnd:
         self._link.send(Message("leave"))
 
     def reported(self, report: Message, until: int | None) -> RecordingBlock:
-        """Return the samples of a report, those before the tick ``until``, and its events."""
-        first = int(report.head["tick"])
-        last = None if until is None else max(until - first, 0)
+        """Return the samples of a report before the tick ``until`` of commands, and its events."""
+        first = int(report.head["sample"])
+        last = None if until is None else max(ceil(until * self._per_tick) - first, 0)
         samples = {
             name: np.asarray(values[:last], dtype=np.float64)
             for name, values in report.arrays.items()
         }
         return self._block(first, samples, *(event_of(told) for told in report.head["events"]))
 
-    def silent(self, tick: int, event: Event) -> RecordingBlock:
-        """Return a block with an event and without samples."""
-        return self._block(tick, {channel.name: np.empty(0) for channel in self.channels}, event)
+    def lost(self, tick: int, why: str) -> RecordingBlock:
+        """Return a block that tells of a fault at a tick of the commands, without samples."""
+        at = ceil(tick * self._per_tick)
+        nothing = {channel.name: np.empty(0) for channel in self.channels}
+        return self._block(at, nothing, Event(tick=at, kind="fault", operation=-1, name=why))
 
     def _block(self, first: int, samples: dict[str, FloatArray], *events: Event) -> RecordingBlock:
         clock = self.channels[0].clock.name

@@ -18,8 +18,8 @@ def greeting(machine: Machine, channels: tuple[Channel, ...]) -> dict[str, Any]:
         "protocol": PROTOCOL,
         "machine": machine.name,
         "machine_sha256": machine.sha256,
-        "period": str(machine.tick_clock.period_s),
-        "clock": machine.tick_clock.name,
+        "period": str(channels[0].clock.period_s),
+        "clock": channels[0].clock.name,
         "simulated": True,
         "channels": [
             {"name": c.name, "kind": c.kind.value, "unit": c.unit, "axis": c.axis,
@@ -56,3 +56,8 @@ def channels_told(told: Mapping[str, Any], machine: Machine) -> tuple[Channel, .
         )
         for c in told["channels"]
     )  # fmt: skip
+
+
+def samples_per_tick(machine: Machine, channels: tuple[Channel, ...]) -> Fraction:
+    """Return how many samples of a recording come in a tick of the commands."""
+    return machine.command_clock.period_s / channels[0].clock.period_s

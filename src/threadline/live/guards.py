@@ -8,19 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.errors import CommandError
+from threadline.arrays import FloatArray
+from threadline.live.lateness import Lateness
 from threadline.machine import Machine
 from threadline.plant.closed_loop import answers_of
-from threadline.signals import TickTable
 
 FOLLOWING_M = 1e-3
 """Following error in m that is allowed in addition to twice the lag of the model; rotary axes at
 their radius."""
-LATE_IN_A_ROW = 3
-LATE_PERIODS = 5.0
-"""A fault is this number of consecutive late reports, and a report late by this number of periods.
-"""
 _TRAVEL_M = 2e-3  # distance by which the loop may pass an end of travel
 _JUMP = 3.0  # an encoder that moves at more than this times the axis' speed limit has a fault
 _JUMP_COUNTS = 4.0
@@ -59,7 +54,7 @@ class Guards:
         answers = {} if machine.told_positions else answers_of(machine)
         scale = machine.counts_per_unit
         self._tick_s, self._switches = tick_s, tuple(machine.inputs)
-        self._late = 0
+        self._lateness = Lateness()
         self._axes: list[_Axis] = []
         for k, (name, axis) in enumerate(machine.axes.items()):
             if name not in answers:
@@ -101,11 +96,8 @@ class Guards:
         late, late_periods
             Whether the report came late, and by how many of its periods.
         """
-        self._late = self._late + 1 if late else 0
-        if late_periods >= LATE_PERIODS:
-            return f"a tick came {late_periods:.0f} periods late"
-        if self._late >= LATE_IN_A_ROW:
-            return f"{self._late} ticks in a row came late"
+        if why := self._lateness.trip(late, late_periods):
+            return why
         for name in self._switches:
             if name in samples and samples[name].any():
                 return f"the limit switch {name} is hit"
@@ -157,21 +149,3 @@ class Guards:
         before = axis.last.get(what, float(found[0]))
         axis.last[what] = float(found[-1])
         return np.concatenate([[before], found])
-
-
-def refuse_start_elsewhere(machine: Machine, stands: IntArray, table: TickTable) -> None:
-    """Refuse a run that does not begin at the present position of the machine.
-
-    Raises
-    ------
-    CommandError
-        With the first axis that is elsewhere, and both positions.
-    """
-    scale, names = machine.counts_per_unit, machine.axis_names
-    for k, (here, begins) in enumerate(zip(stands, table.start_counts, strict=True)):
-        if here != begins:
-            raise CommandError(
-                f"axis {names[k]} stands at {here / scale[k]:.5g}, the run begins at "
-                f"{begins / scale[k]:.5g}",
-                remedy="Home the machine, or move it there.",
-            )

@@ -50,6 +50,10 @@ class JogAhead:
         If there is no such axis, or the velocity is above its manual feed.
     """
 
+    keeps_home = True
+    halt = None
+    settle_ticks = 0
+
     def __init__(self, machine: Machine, stands: IntArray, axis: str, velocity: float) -> None:
         if axis not in machine.axes:
             raise CommandError(

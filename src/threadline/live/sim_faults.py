@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +14,9 @@ from threadline.machine import Machine
 from threadline.options import parse_number
 
 OF_AXES = ("stuck-encoder", "encoder-jump", "unheeded-reversal")
+OF_GRIDS = ("light-grid",)
 OF_ALL = ("late-ticks", "one-late-tick", "lost-link", "power-loss")
-KINDS = (*OF_AXES, "switch-hit", *OF_ALL)
+KINDS = (*OF_AXES, "switch-hit", "stuck-contact", *OF_GRIDS, *OF_ALL)
 _JUMP_COUNTS = 20_000.0
 _LATEST_S = 1e9
 _FORM = re.compile(r"([a-z-]+)(?::([A-Za-z_0-9]+))?@(.+)")
@@ -29,13 +29,14 @@ class SimFault:
     Parameters
     ----------
     kind
-        One of ``KINDS``. Faults of encoders, reversals and switches change the reports to the
-        executor alone; the simulated loops keep their true readings. After a lost link the machine
+        One of ``KINDS``. Faults of encoders, reversals, switches and contacts change the reports to
+        the executor alone; the simulated controllers keep their true readings. A broken light grid
+        is one for the controller, too. After a lost link the machine
         plays the rows that it holds; without power it plays and reports nothing.
     tick
         Tick at which the fault begins.
     where
-        Name of the axis or switch; empty for a fault of neither.
+        Name of the axis, switch or contact; empty for a fault of none.
     """
 
     kind: str
@@ -43,26 +44,29 @@ class SimFault:
     where: str = ""
 
     def told(
-        self, first: int, samples: dict[str, FloatArray], machine: Machine, stuck: dict[str, float]
+        self, at: int, samples: dict[str, FloatArray], machine: Machine, stuck: dict[str, float]
     ) -> None:
-        """Change the samples of a report that begins at tick ``first``, in place.
+        """Change the samples of a report from number ``at`` on, in place.
 
         Parameters
         ----------
+        at
+            0 where the fault began before them.
         samples
             (n,) samples of each channel.
         machine
             The machine, for the scale of an encoder.
         stuck
-            Reading of each stuck encoder, by its axis; it is added when the encoder sticks.
+            Reading of each stuck encoder or contact; it is added when that sticks.
         """
         name = next(iter(samples), "")
-        at = max(self.tick - first, 0)
         if not name or at >= len(samples[name]):
             return
         if self.kind == "stuck-encoder":
             values = samples[f"{self.where}.measured"]
             values[at:] = stuck.setdefault(self.where, float(values[at]))
+        elif self.kind == "stuck-contact":
+            samples[self.where][at:] = stuck.setdefault(self.where, samples[self.where][at])
         elif self.kind == "switch-hit":
             samples[self.where][at:] = 1.0
         elif self.kind == "encoder-jump":
@@ -84,6 +88,18 @@ class SimFault:
         return 6.0 if self.kind == "one-late-tick" else 0.0
 
 
+def _places(machine: Machine) -> dict[str, list[str]]:
+    """Return what could have each kind of fault; faults of the whole machine are left out."""
+    looped = [] if machine.told_positions else list(machine.axes)
+    contacts = machine.contacts.items()
+    return {
+        **dict.fromkeys(OF_AXES, looped),
+        "switch-hit": list(machine.inputs),
+        "stuck-contact": [name for name, contact in contacts if contact.cylinder],
+        **{k: [n for n, contact in contacts if contact.kind == k] for k in OF_GRIDS},
+    }
+
+
 def parse_fault(text: str, machine: Machine) -> SimFault:
     """Return the fault that a text like ``"stuck-encoder:X@1.2 s"`` describes.
 
@@ -100,27 +116,24 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
     kind, where, when = form.groups()
     if kind not in KINDS:
         raise OptionError(f"there is no fault {kind[:40]!r}", remedy=nearest(kind, KINDS))
-    known: Mapping[str, object] = {}
-    if kind in OF_AXES:
-        known = machine.axes
-    elif kind == "switch-hit":
-        known = machine.inputs
-    if known and where not in known:
+    places = _places(machine)
+    known = places.get(kind)
+    if known is not None and not known:
+        raise OptionError(
+            f"--inject {kind}: {machine.name} has nothing that could fail so",
+            remedy=f"Use one of {', '.join([k for k in KINDS if places.get(k, True)])}.",
+        )
+    if known is not None and kind not in OF_GRIDS and where not in known:
         raise OptionError(
             f"--inject {kind}: {machine.name} has no {str(where)[:40]!r}",
             remedy=f"It has {', '.join(known)}.",
         )
-    if not known and (where or kind == "switch-hit"):
+    if where and (known is None or kind in OF_GRIDS):
         raise OptionError(f"--inject {kind} is of no axis", remedy=f'Write "{kind}@1.2 s".')
-    if kind in OF_AXES and machine.told_positions:
-        raise OptionError(
-            f"--inject {kind}: the drives of {machine.name} are told positions, without an encoder",
-            remedy=f"Use one of {', '.join(OF_ALL)}.",
-        )
     time_s = parse_number("--inject", when.strip(), "s", "1.2 s")
     if not 0.0 <= time_s <= _LATEST_S:
         raise OptionError(
             f"--inject {kind}: {when.strip()[:40]!r} is no time of a run",
             remedy=f"Give one from 0 s to {_LATEST_S:g} s.",
         )
-    return SimFault(kind, round(time_s / float(machine.tick_clock.period_s)), where or "")
+    return SimFault(kind, round(time_s / float(machine.command_clock.period_s)), where or "")

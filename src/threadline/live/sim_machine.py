@@ -1,40 +1,39 @@
-"""The simulated machine at the far end of a link: a twin that plays rows tick by tick.
+"""The simulated machine at the far end of a link, as far as it is the same for every kind of work.
 
-It knows nothing of jobs and plans. It holds rows that end in a braking tail, and plays one row at
-each tick. A refill replaces the rows from a tick on; without refills the tail is played, and the
-machine stands. A real machine has to act in the same way on the same messages.
+It knows nothing of jobs and plans. It holds a piece of the commands that ends at rest, and plays
+it tick by tick. A refill replaces what it holds from a tick on; without refills it comes to rest.
+A real machine has to act in the same way on the same messages.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
+from math import ceil
 from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.live.greeting import greeting
+from threadline.arrays import IntArray
+from threadline.live.greeting import greeting, samples_per_tick
 from threadline.live.sim_faults import SimFault
-from threadline.live.wire import Message, event_of, event_told
+from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
-from threadline.signals import Ended, Event, RecordingBlock, TickBlock
-from threadline.twin import session_of
+from threadline.signals import Channel, Ended, Event, RecordingBlock
 
 LATE = 0.5
 """Share of the period by which a report may come later than it is due."""
 
 
-class SimMachine:
+class SimMachine(ABC):
     """A machine that answers the messages of an executor.
 
     Parameters
     ----------
     machine
         The machine that is simulated.
-    start_counts
-        (axes,) position when it is switched on, in counts; it is its home, too.
+    start
+        Position when it is switched on, in the units of its commands; it is its home, too.
     tell
         Called with each message to the executor.
     fault
@@ -44,32 +43,70 @@ class SimMachine:
     def __init__(
         self,
         machine: Machine,
-        start_counts: IntArray,
+        start: IntArray,
         tell: Callable[[Message], None],
         fault: SimFault | None = None,
     ) -> None:
-        self._fault, self._stuck = fault, dict[str, float]()
-        self._machine, self._start, self._tell = machine, start_counts, tell
-        self._session = session_of(machine, start_counts)
-        self._rows: deque[tuple[IntArray, int]] = deque()  # held, one for each tick from now on
-        self._events: deque[Event] = deque()
-        self._wanted_until = 0  # tick from which on what is held is the spare tail
-        self._position = np.zeros(len(machine.axes), dtype=np.int64)  # commanded, from the start
+        self._machine, self._start, self._tell, self._fault = machine, start, tell, fault
+        self._stuck = dict[str, float]()
         self._enabled = self._homed = self._begun = False
         self._number = 0  # of runs and jogs since it was switched on
-        self._last = False  # what is held ends with the last row of the run
         self.starved = False
         self.left = False  # the executor has said that it is done
         self._answers: dict[str, Callable[[Message], None]] = {
             "enable": self._enable, "disable": self._disable, "home": self._home,
             "begin": self._begin, "refill": self._refill, "finish": self._finish,
-            "leave": self._leave, "go": self._go,
+            "leave": self._leave,
+            "go": lambda _: None,  # it only lets time go on (see ``sim_process``)
         }  # fmt: skip
 
+    # --- what each kind of work does in its own way ----------------------------------------
+
     @property
+    @abstractmethod
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels that it reports."""
+
+    @property
+    @abstractmethod
     def tick(self) -> int:
         """Ticks since the beginning of the run."""
-        return self._session.tick
+
+    @property
+    @abstractmethod
+    def held(self) -> int:
+        """Number of ticks, or a bound of it, until what it holds has been played; 0 at rest."""
+
+    @property
+    @abstractmethod
+    def position(self) -> IntArray:
+        """Way commanded since the beginning of the run, in the units of its commands."""
+
+    @abstractmethod
+    def _drop(self) -> None:
+        """Drop what it holds; the drives are off."""
+
+    @abstractmethod
+    def _start_anew(self) -> str:
+        """Set the clock to 0 at the present position; return why that cannot be, or nothing."""
+
+    @abstractmethod
+    def _take_refill(self, message: Message) -> str:
+        """Take up a refill; return why it does not fit, or nothing."""
+
+    @abstractmethod
+    def _tell_end(self, ended: Ended, text: str) -> None:
+        """Note how the run ended."""
+
+    @abstractmethod
+    def _simulate(self, ticks: int) -> list[RecordingBlock]:
+        """Go on for a number of ticks."""
+
+    def _told_besides(self) -> dict[str, Any]:
+        """Return what a report says besides what every kind says."""
+        return {}
+
+    # --- what every kind does --------------------------------------------------------------
 
     @property
     def silenced(self) -> str:
@@ -78,19 +115,9 @@ class SimMachine:
         return fault.kind if fault is not None and fault.silences(self.tick) else ""
 
     @property
-    def position(self) -> IntArray:
-        """(axes,) counts commanded since the beginning of the run."""
-        return self._position
-
-    @property
-    def wanted(self) -> int:
-        """Number of rows that it holds, without the braking tail."""
-        return max(0, self._wanted_until - self.tick)
-
-    @property
     def standing(self) -> bool:
-        """Whether it holds no more rows, so that the commands stand still."""
-        return not self._rows
+        """Whether it holds nothing more, so that the commands stand still."""
+        return not self.held
 
     @property
     def begun(self) -> bool:
@@ -99,7 +126,7 @@ class SimMachine:
 
     def greet(self) -> None:
         """Send the greeting."""
-        self._say("hello", **greeting(self._machine, self._session.channels))
+        self._say("hello", **greeting(self._machine, self.channels))
 
     def take(self, message: Message) -> None:
         """Act on a message of the executor, or refuse it."""
@@ -108,84 +135,6 @@ class SimMachine:
             self._say("refused", what=message.kind, why="it is unknown here")
         else:
             answer(message)
-
-    def _say(self, kind: str, **head: Any) -> None:
-        self._tell(Message(kind, head))
-
-    # --- what it is told -------------------------------------------------------------------
-
-    def _enable(self, _message: Message) -> None:
-        self._enabled = True
-        self._say("enabled")
-
-    def _disable(self, _message: Message) -> None:
-        self._rows.clear()
-        self._events.clear()
-        self._enabled = self._homed = self._begun = False
-
-    def _home(self, _message: Message) -> None:
-        # It is switched on at its home: there is nothing to look for.
-        if self._enabled:
-            self._homed, self.starved = True, False
-            self._say("homed", position=(self._start + self._position).tolist())
-        else:
-            self._say("refused", what="home", why="the drives are off")
-
-    def _begin(self, _message: Message) -> None:
-        """Begin a run: the clock starts at 0, at the present position."""
-        if not (self._enabled and self._homed and self.standing) or self.starved:
-            self._say("refused", what="begin", why="it is not enabled, homed and at rest")
-            return
-        if self._session.tick:
-            self._start = self._start + self._position
-            self._position = np.zeros_like(self._position)
-            self._session = session_of(self._machine, self._start)
-        self._wanted_until, self._last, self._begun = 0, False, True
-        self._number += 1
-
-    def _refill(self, message: Message) -> None:
-        """Replace the rows from a tick on; refuse rows that do not continue those before them."""
-        first, wanted = int(message.head["first"]), int(message.head["wanted"])
-        counts, operation = message.arrays["counts"], message.arrays["operation"]
-        if why := self._unfit(first, message.arrays["at"]):
-            self._say("refused", what="refill", why=why, tick=self.tick, first=first)
-            return
-        kept = first - self.tick
-        while len(self._rows) > kept:
-            self._rows.pop()
-        while len(self._rows) < kept:
-            self._rows.append((np.zeros_like(self._position), 0))
-        rows = np.asarray(counts, dtype=np.int64)
-        self._rows.extend(zip(rows, (int(value) for value in operation), strict=True))
-        self._events = deque(event for event in self._events if event.tick < first)
-        self._events.extend(event_of(told) for told in message.head["events"])
-        self._wanted_until = first + wanted
-        self._last = bool(message.head["last"])
-
-    def _unfit(self, first: int, at: FloatArray | IntArray) -> str:
-        if not self._begun:
-            return "the run has not begun"
-        if self.starved:
-            return "it has braked since the last refill came too late"
-        if first < self.tick:
-            return "that tick is past"
-        held = list(self._rows)[: first - self.tick]
-        stands = self._position + sum((row for row, _ in held), np.zeros_like(self._position))
-        if not np.array_equal(stands, at):
-            return "its rows do not go on from where those before them end"
-        return ""
-
-    def _finish(self, message: Message) -> None:
-        self._session.resume()
-        self._session.finish(Ended(message.head["ended"]), str(message.head["text"]))
-
-    def _leave(self, _message: Message) -> None:
-        self.left = True
-
-    def _go(self, _message: Message) -> None:
-        """Do nothing: the message only lets time go on (see ``sim_process``)."""
-
-    # --- what it does ----------------------------------------------------------------------
 
     def play(self, ticks: int, late_by: float = 0.0) -> None:
         """Simulate a number of ticks, and report them.
@@ -198,43 +147,52 @@ class SimMachine:
             Lateness of the report, as a multiple of the time of all these ticks.
         """
         first = self.tick
-        parts: list[RecordingBlock] = []
-        while self.tick < first + ticks and not self._session.failed:
-            room = first + ticks - self.tick
-            parts.append(self._row_block(room) if self._rows else self._stand(room))
-        if self._session.failed:  # nothing is known of it any more
-            self._rows.clear()
+        parts = self._simulate(ticks)
         self._report(first, parts, late_by)
 
-    def _row_block(self, room: int) -> RecordingBlock:
-        """Play at most ``room`` of the rows that are held."""
-        n = min(room, len(self._rows))
-        taken = [self._rows.popleft() for _ in range(n)]
-        counts = np.array([row for row, _ in taken], dtype=np.int64)
-        session = self._session
-        session.resume()
-        due = []
-        while self._events and self._events[0].tick <= self.tick + n:
-            event = self._events.popleft()
-            due.append(replace(event, tick=session.row + event.tick - self.tick))
-        rows = TickBlock(
-            first_tick=session.row,
-            counts=counts,
-            operation=np.array([operation for _, operation in taken]),
-            events=tuple(due),
-        )
-        self._position = self._position + counts.sum(axis=0)
-        if self.tick + n > self._wanted_until:
-            self.starved = True
-        return session.advance(rows)
+    def _say(self, kind: str, **head: Any) -> None:
+        self._tell(Message(kind, head))
 
-    def _stand(self, room: int) -> RecordingBlock:
-        session = self._session
-        if self._last:
-            session.finish()
-        elif session.row and session.ended is None and not self.starved:
-            session.hold()
-        return session.advance(ticks=room)
+    def _enable(self, _message: Message) -> None:
+        self._enabled = True
+        self._say("enabled")
+
+    def _disable(self, _message: Message) -> None:
+        self._drop()
+        self._enabled = self._homed = self._begun = False
+
+    def _home(self, _message: Message) -> None:
+        # It is switched on at its home: there is nothing to look for.
+        if self._enabled:
+            self._homed, self.starved = True, False
+            self._say("homed", position=(self._start + self.position).tolist())
+        else:
+            self._say("refused", what="home", why="the drives are off")
+
+    def _begin(self, _message: Message) -> None:
+        """Begin a run: the clock starts at 0, at the present position."""
+        why = "it is not enabled, homed and at rest"
+        if self._enabled and self._homed and self.standing and not self.starved:
+            why = self._start_anew()
+        if why:
+            self._say("refused", what="begin", why=why)
+            return
+        self._begun = True
+        self._number += 1
+
+    def _refill(self, message: Message) -> None:
+        """Take up a refill; refuse one that does not continue what came before it."""
+        why = "the run has not begun"
+        if self._begun:
+            why = "it has stopped since the last refill came too late" if self.starved else ""
+        if why := why or self._take_refill(message):
+            self._say("refused", what="refill", why=why, tick=self.tick)
+
+    def _finish(self, message: Message) -> None:
+        self._tell_end(Ended(message.head["ended"]), str(message.head["text"]))
+
+    def _leave(self, _message: Message) -> None:
+        self.left = True
 
     def _report(self, first: int, parts: list[RecordingBlock], late_by: float) -> None:
         names = parts[0].samples if parts else ()
@@ -242,17 +200,21 @@ class SimMachine:
             name: np.concatenate([part.samples[name] for part in parts]).astype(np.float64)
             for name in names
         }
+        clock = self.channels[0].clock
+        per_tick = samples_per_tick(self._machine, self.channels)
+        sample = parts[0].first_tick[clock.name] if parts else ceil(first * per_tick)
         if self._fault is not None:
-            self._fault.told(first, arrays, self._machine, self._stuck)
+            at = max(ceil(self._fault.tick * per_tick) - sample, 0)
+            self._fault.told(at, arrays, self._machine, self._stuck)
             late_by = max(late_by, self._fault.late(first))
         late = self.tick - first if late_by > LATE else 0
         events = [event_told(event) for part in parts for event in part.events]
         if late:
-            told = Event(tick=first, kind="late", operation=-1, value=float(late))
+            told = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
             events.append(event_told(told))
         head = {
-            "run": self._number, "tick": first, "now": self.tick, "held": len(self._rows),
-            "starved": self.starved, "late": late, "late_by": late_by, "events": events,
-            "position": self._position.tolist(),
+            "run": self._number, "tick": first, "sample": sample, "now": self.tick,
+            "held": self.held, "starved": self.starved, "late": late, "late_by": late_by,
+            "events": events, "position": self.position.tolist(), **self._told_besides(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))

@@ -21,6 +21,7 @@ from math import ceil
 from threadline.arrays import IntArray
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import LATE, SimMachine
+from threadline.live.ways import way_of
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
@@ -39,13 +40,13 @@ process of ``multiprocessing`` would run the main program of the caller again.""
 
 def group_ticks(machine: Machine, speed: float) -> int:
     """Return the number of ticks in a report of the simulated machine."""
-    period_s = float(machine.tick_clock.period_s)
+    period_s = float(machine.command_clock.period_s)
     return max(1, ceil((_WAKE_S if speed == REAL_TIME else 5 * _WAKE_S) / period_s - 1e-9))
 
 
 @contextmanager
 def sim_link(
-    machine: Machine, start_counts: IntArray, speed: float, fault: SimFault | None = None
+    machine: Machine, start: IntArray, speed: float, fault: SimFault | None = None
 ) -> Iterator[Connection]:
     """Start a simulated machine in a process of its own, and yield the link to it.
 
@@ -53,8 +54,8 @@ def sim_link(
     ----------
     machine
         The machine that is simulated.
-    start_counts
-        (axes,) position when it is switched on, in counts.
+    start
+        Position when it is switched on, in the units of its commands.
     speed
         Seconds of its time in a second: 1 is real time, 0 is as fast as possible.
     fault
@@ -71,7 +72,7 @@ def sim_link(
     theirs.close()
     assert process.stdin is not None
     with suppress(BrokenPipeError), process.stdin as told:  # it may have died: nobody greets then
-        pickle.dump((machine, start_counts, speed, fault), told)
+        pickle.dump((machine, start, speed, fault), told)
     ours.settimeout(_SEND_S)
     connection = Connection(ours)
     try:
@@ -94,7 +95,7 @@ def be_machine() -> None:
 def serve(
     end: socket.socket,
     machine: Machine,
-    start_counts: IntArray,
+    start: IntArray,
     speed: float,
     fault: SimFault | None = None,
 ) -> None:
@@ -103,9 +104,9 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     connection = Connection(end)
-    simulated = SimMachine(machine, start_counts, connection.send, fault)
+    simulated = way_of(machine).simulated(machine, start, connection.send, fault)
     simulated.greet()
-    period_s = float(machine.tick_clock.period_s)
+    period_s = float(machine.command_clock.period_s)
     group = group_ticks(machine, speed)
     with suppress(KeyboardInterrupt):
         if speed == REAL_TIME:

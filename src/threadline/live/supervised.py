@@ -7,23 +7,21 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from threadline.errors import OptionError, Place, PlanError, ProofError
-from threadline.kinds import kind_of
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Sink
 from threadline.live.states import State
+from threadline.live.ways import way_of
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.proof_file import ProofFile, check_proof, read_proof
-from threadline.signals import Ended, TickTable, tick_table
+from threadline.signals import Commands, Ended
 from threadline.verdict import Spec
 
 
-def check_runnable(
-    proof_file: Path, plan: Plan, spec: Spec, override: str | None
-) -> tuple[TickTable, ProofFile]:
-    """Return the table of a plan and its proof, if the proof allows the plan to be run.
+def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | None) -> ProofFile:
+    """Return the proof of a plan, if it allows the plan to be run.
 
     Parameters
     ----------
@@ -41,7 +39,6 @@ def check_runnable(
     OptionError
         If there is an override for a plan in specification, or no link can run the machine.
     """
-    table = tick_table(plan.commands)
     check_machine_runs(plan.machine)
     proof = read_proof(proof_file)
     place = Place(str(proof_file))
@@ -63,7 +60,7 @@ def check_runnable(
         raise OptionError(
             "there is nothing to override: the job is in specification", remedy="Leave it out."
         )
-    return table, proof
+    return proof
 
 
 def check_machine_runs(machine: Machine) -> None:
@@ -74,11 +71,7 @@ def check_machine_runs(machine: Machine) -> None:
     OptionError
         If its work is not in ticks.
     """
-    if kind_of(machine).commands is not TickTable:
-        raise OptionError(
-            f"{machine.name} cannot be run yet: the executor sends counts per tick to axes",
-            remedy="threadline prove simulates it.",
-        )
+    way_of(machine)
 
 
 def check_halts(plan: Plan, *, answered: bool) -> None:
@@ -94,23 +87,21 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
     PlanError
         With the line of a wait for an input that the machine lacks, or of a stop without answer.
     """
-    table = tick_table(plan.commands)
-    rows = table.tick_count()
-    for block in table:
-        for event in block.events:
-            lacking = event.kind == "wait" and event.name not in plan.machine.inputs
-            if not lacking and (event.kind != "stop" or answered or event.tick >= rows):
-                continue
-            line = plan.intent.lines_of(plan.job, [event.operation]).get(event.operation, 0)
-            raise PlanError(
-                f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
-                if lacking
-                else "the program stops after this, and nobody is at the keys to let it go on",
-                place=Place(plan.job.file, line),
-                remedy="Take the wait out, or run it where there is such an input."
-                if lacking
-                else "Run it from a terminal, or with --pass-stops.",
-            )
+    known = {*plan.machine.inputs, *plan.machine.contacts}
+    for event in way_of(plan.machine).halts(plan.commands):
+        lacking = event.kind == "wait" and event.name not in known
+        if not lacking and (event.kind != "stop" or answered):
+            continue
+        line = plan.intent.lines_of(plan.job, [event.operation]).get(event.operation, 0)
+        raise PlanError(
+            f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
+            if lacking
+            else "the program stops after this, and nobody is at the keys to let it go on",
+            place=Place(plan.job.file, line),
+            remedy="Take the wait out, or run it where there is such an input."
+            if lacking
+            else "Run it from a terminal, or with --pass-stops.",
+        )
 
 
 def check_override(override: str | None) -> None:
@@ -127,8 +118,8 @@ def check_override(override: str | None) -> None:
         )
 
 
-def run_table(
-    table: TickTable,
+def run_commands(
+    commands: Commands,
     machine: Machine,
     link: AbstractContextManager[Connection],
     desk: Desk,
@@ -139,12 +130,12 @@ def run_table(
     hold_at_rest: bool = False,
     watch: Callable[[Executor], None] | None = None,
 ) -> tuple[Ended, str, int]:
-    """Run a checked table from enabling the drives to the end of settling.
+    """Run checked commands from enabling the drives to the end of settling.
 
     Parameters
     ----------
-    table
-        Table that ``check_runnable`` returned.
+    commands
+        Those of a plan that ``check_runnable`` has passed.
     machine, link
         The machine, and the link to it.
     desk, sink, speed
@@ -165,7 +156,7 @@ def run_table(
         executor.enable()
         executor.home()
         assert executor.state is State.IDLE
-        executor.start(table, pass_stops=pass_stops, hold_at_rest=hold_at_rest)
+        executor.start(commands, pass_stops=pass_stops, hold_at_rest=hold_at_rest)
         while not executor.over:
             executor.step()
             if watch is not None:

@@ -325,6 +325,11 @@ class Machine:
         return Clock(name, period)
 
     @property
+    def command_clock(self) -> Clock:
+        """The clock on which its commands are given: the scan of a PLC, else ``tick_clock``."""
+        return self.tick_clock if self.plc is None else self.clock(self.plc.clock)
+
+    @property
     def tick_clock(self) -> Clock:
         """The clock on which the axes' references are given: that of the first axis."""
         name = next(iter(self.axes))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -31,6 +31,7 @@ from threadline.twin.switching_run import (
     PHASE,
     RUNNING,
     STALLED,
+    UNBOUNDED,
     WAIT,
     Orders,
     begin,
@@ -121,12 +122,12 @@ def simulate_switchings(
     if used.after_s < 0.0:
         raise OptionError(f"after_s must not be negative, got {used.after_s!r}")
     values = Values.of(machine, variants)
-    channels = tuple(_channels(commands, machine))
+    channels = tuple(switching_channels(commands.outputs, machine))
     for first in range(0, values.count, _AT_ONCE):
         part = values.slice(first, first + _AT_ONCE)
         cylinders = cylinders_of(machine, tuple(machine.cylinders), part, float(SAMPLE_S))
         for k in range(part.count):
-            orders = _orders(commands, machine, used, part.slice(k, k + 1))
+            orders = orders_of(commands, machine, used, part.slice(k, k + 1))
             yield Recording(
                 channels=channels,
                 blocks=Stream(_read, commands, channels, orders, cylinders, k, used),
@@ -136,7 +137,8 @@ def simulate_switchings(
             )
 
 
-def _channels(commands: SwitchSchedule, machine: Machine) -> Iterator[Channel]:
+def switching_channels(outputs: Sequence[str], machine: Machine) -> Iterator[Channel]:
+    """Yield the channels of a recording, in the order of its columns."""
     clock = Clock("twin", SAMPLE_S)
     for axis in machine.cylinders:
         for name, kind, unit in (
@@ -148,12 +150,12 @@ def _channels(commands: SwitchSchedule, machine: Machine) -> Iterator[Channel]:
             yield Channel(name=f"{axis}.{name}", kind=kind, unit=unit, clock=clock, axis=axis)
     for contact in machine.contacts:
         yield Channel(name=contact, kind=ChannelKind.INPUT, unit="", clock=clock)
-    for output in commands.outputs:
+    for output in outputs:
         yield Channel(name=output, kind=ChannelKind.OUTPUT, unit="", clock=clock)
     yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
 
 
-def _orders(
+def orders_of(
     commands: SwitchSchedule, machine: Machine, options: SwitchOptions, values: Values
 ) -> Orders:
     """Return what the PLC does, and the numbers of one variant, as arrays for the compiled code."""
@@ -232,34 +234,68 @@ def _read(
     columns = PER_CYLINDER * len(orders.share) + len(orders.contact_cylinder)
     out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
     over = np.empty((len(waits), 2), dtype=np.int64)
-    # Before the first row everything is off, and the operation is the first one.
-    states = np.vstack((np.zeros((1, len(commands.outputs))), commands.levels))
-    operation = np.concatenate(([0], commands.operation)).astype(np.float64)
     first = 0
     while progress.plc[PHASE] in {RUNNING, CALMING}:
-        count, ended = run(orders, progress, bank, motion, out, rows, over)
+        count, ended = run(orders, progress, bank, motion, out, rows, over, UNBOUNDED)
         _refuse_stall(commands, progress.plc)
-        measured = dict(zip((c.name for c in channels), out[:count].T.copy(), strict=False))
-        on = states[rows[:count, 0] + 1].T.copy()
-        yield RecordingBlock(
-            first_tick={channels[0].clock.name: first},
-            samples={
-                **measured,
-                **dict(zip(commands.outputs, on, strict=True)),
-                "operation": operation[rows[:count, 1] + 1],
-            },
-            events=tuple(
-                Event(
-                    tick=int(tick),
-                    kind="wait",
-                    operation=waits[index].operation,
-                    name=waits[index].name,
-                    value=waits[index].value,
-                )
-                for index, tick in over[:ended]
-            ),
+        yield told_block(
+            channels,
+            (out[:count], rows[:count], over[:ended]),
+            (commands.outputs, commands.levels, commands.operation, waits),
+            first,
         )
         first += count
+
+
+def told_block(
+    channels: Sequence[Channel],
+    ran: tuple[FloatArray, IntArray, IntArray],
+    told: tuple[Sequence[str], IntArray, IntArray, Sequence[Event]],
+    first: int,
+) -> RecordingBlock:
+    """Return what ``run`` has written as a block.
+
+    Parameters
+    ----------
+    ran
+        Its ``out``, ``rows`` and ``over``, as far as they are written.
+    told
+        Outputs, their (R, outputs) levels, (R,) operations, and the waits.
+    first
+        Number of the first sample.
+    """
+    (out, rows, over), (outputs, levels, operations, waits) = ran, told
+    # Before the first row everything is off, and the operation is the first one.
+    states = np.vstack((np.zeros((1, len(outputs))), levels))
+    operation = np.concatenate(([0], operations)).astype(np.float64)
+    measured = dict(zip((c.name for c in channels), out.T.copy(), strict=False))
+    on = states[rows[:, 0] + 1].T.copy()
+    return RecordingBlock(
+        first_tick={channels[0].clock.name: first},
+        samples={
+            **measured,
+            **dict(zip(outputs, on, strict=True)),
+            "operation": operation[rows[:, 1] + 1],
+        },
+        events=tuple(
+            Event(
+                tick=int(tick),
+                kind="wait",
+                operation=waits[index].operation,
+                name=waits[index].name,
+                value=waits[index].value,
+            )
+            for index, tick in over
+        ),
+    )
+
+
+def stall_of(wait: Event) -> str:
+    """Return why a schedule was broken off at a wait."""
+    return (
+        f"the input {wait.name!r} did not become {'on' if wait.value else 'off'} within "
+        f"{_MAX_STALL_S:g} s"
+    )
 
 
 def _refuse_stall(commands: SwitchSchedule, plc: IntArray) -> None:
@@ -267,9 +303,7 @@ def _refuse_stall(commands: SwitchSchedule, plc: IntArray) -> None:
         return
     wait = [event for event in commands.events if event.kind == "wait"][plc[WAIT]]
     raise RecordingError(
-        f"the input {wait.name!r} did not become {'on' if wait.value else 'off'} within "
-        f"{_MAX_STALL_S:g} s",
-        remedy="Let an end switch close before the very end of the stroke.",
+        stall_of(wait), remedy="Let an end switch close before the very end of the stroke."
     )
 
 

@@ -40,6 +40,8 @@ TICK, SCAN, STALL, ROW, WAIT, PHASE, LEFT, SAMPLE, LATER, PLC_STATE = 0, 1, 2, 3
 PER_CYLINDER = 4
 """Columns of a sample for each cylinder: stroke, stroke that the valves ask for, level, frame."""
 _MOST_UNIT = 1 << 50
+UNBOUNDED = 1 << 62
+"""A scan that no run reaches."""
 _SHUT = 1e-12
 """A level below it is what rounding leaves of flows that add up to nothing."""
 NEVER = 1e300
@@ -330,7 +332,7 @@ def _sample(
 
 def _run(
     orders: Orders, progress: Progress, bank: Bank, motion: Motion, out: FloatArray,
-    rows: IntArray, over: IntArray,
+    rows: IntArray, over: IntArray, until: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Go on scan by scan until ``out`` may be full, or the end; return samples and ended waits.
 
@@ -343,11 +345,13 @@ def _run(
         that was reached, -1 before the first.
     over
         (waits, 2) index of each wait that ended, and the sample at which it did.
+    until
+        Scan before which it returns in any case.
     """
     plc = progress.plc
     most = orders.scan // orders.sample + 2
     filled, ended_waits = 0 * most, 0
-    while plc[PHASE] <= CALMING and filled + most <= len(out):
+    while plc[PHASE] <= CALMING and filled + most <= len(out) and plc[SCAN] < until:
         if plc[PHASE] == RUNNING and plc[TICK] >= orders.duration:
             plc[PHASE] = CALMING
         done = switch(orders, progress, bank, motion)

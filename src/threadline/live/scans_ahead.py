@@ -1,0 +1,205 @@
+"""The part of a schedule that was sent ahead to the controller of a machine with cylinders.
+
+The controller waits for its contacts itself, scan by scan. What it holds ends at a place of the
+schedule that it does not pass, and at a scan from which on it switches everything off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import CommandError, LimitError
+from threadline.live.wire import Message, event_told
+from threadline.machine import Machine
+from threadline.signals import Commands, Event, switch_schedule
+
+_AT_REST = frozenset(("soft-start", "vacuum"))
+"""Kinds of outputs that may be on while nothing moves: air, and the grip on what is held."""
+_SETTLE_S = 1.0
+"""Time in s for which it is recorded after the end, as in a simulation."""
+
+
+class ScansAhead:
+    """The part of a schedule that was sent, and the scan at which the machine switches off.
+
+    Parameters
+    ----------
+    commands
+        Schedule that is run.
+    machine
+        Machine with its outputs.
+    pass_stops
+        Of no meaning here: a move list has no stops for the operator.
+
+    Attributes
+    ----------
+    end
+        Scan up to which the machine goes on without another refill.
+    start
+        (0,): nothing is counted.
+    to_rest
+        Whether the schedule is to stand at its next rest.
+
+    Raises
+    ------
+    CommandError
+        If the schedule is for other outputs.
+    """
+
+    keeps_home = False  # a schedule that was broken off leaves cylinders anywhere
+
+    def __init__(
+        self,
+        commands: Commands,
+        machine: Machine,
+        *,
+        pass_stops: bool = False,  # noqa: ARG002
+    ) -> None:
+        schedule = switch_schedule(commands)
+        if schedule.outputs != tuple(machine.outputs):
+            raise CommandError(
+                f"the schedule is for other outputs than {machine.name} has",
+                remedy="Prove the job again.",
+            )
+        self._schedule, self._machine = schedule, machine
+        self._waits = waits_of_schedule(schedule)
+        self._rests = _rests(machine, schedule.ticks, schedule.levels, schedule.operation)
+        self.start: IntArray = np.zeros(0, dtype=np.int64)
+        period_s = float(schedule.clock.period_s)
+        self.settle_ticks = max(1, round(_SETTLE_S / period_s))
+        self.end = 0
+        self.to_rest = False
+        self._rows = self._told_waits = self._reach = 0
+        self._place = self._now = 0  # as reported
+        self._off: int | None = None
+        self._ending = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether the machine has played the whole schedule."""
+        return self._off is not None and self._ending
+
+    @property
+    def halt(self) -> Event | None:
+        """None: the controller waits for its contacts itself."""
+        return None
+
+    @property
+    def rests(self) -> bool:
+        """False: what stands at a rest is told so again and again, or it switches off."""
+        return False
+
+    def met(self, now: Mapping[str, float]) -> bool:  # noqa: ARG002
+        """Return False: there is no halt."""
+        return False
+
+    def pass_halt(self) -> None:
+        """Do nothing: there is no halt."""
+
+    def refuse_elsewhere(self, stands: IntArray) -> None:
+        """Do nothing: that cylinders are at their starts, the schedule waits for by itself."""
+
+    def hear(self, head: Mapping[str, Any]) -> str:
+        """Learn from a report where the schedule is; return the fault that the machine tells."""
+        self._place, self._now = int(head["place"]), int(head["now"])
+        self._off = None if head["off"] is None else int(head["off"])
+        if self._off is not None:
+            self.end = self._off
+        return str(head["failure"])
+
+    def forget(self, tick: int) -> None:
+        """Do nothing: little is kept."""
+
+    def rest_until(self, tick: int) -> None:
+        """Do nothing: a schedule that stands needs no rows."""
+
+    def start_again(self) -> None:
+        """Do nothing: the next refill lets it go on."""
+
+    def undo(self) -> bool:
+        """Return False: a stop is never refused."""
+        return False
+
+    def extend(self, until: int) -> Message:
+        """Return the refill that lets the schedule go on for as long as until scan ``until``."""
+        schedule = self._schedule
+        goal = min(self._place + until - self._now, schedule.duration_ticks)
+        if self.to_rest:
+            at = np.searchsorted(self._rests, self._reach)
+            if at < len(self._rests):
+                goal = min(goal, int(self._rests[at]))
+        self._reach = max(goal, self._reach)
+        self._ending = self._reach >= schedule.duration_ticks
+        rows = int(np.searchsorted(schedule.ticks, self._reach, side="right"))
+        waits = sum(event.tick <= self._reach for event in self._waits)
+        sent = slice(self._rows, rows)
+        head = {
+            "after": self._rows,
+            "reach": self._reach,
+            "duration": schedule.duration_ticks if self._ending else None,
+            "off": until,
+            "last": self._ending,
+            "events": [event_told(event) for event in self._waits[self._told_waits : waits]],
+        }
+        levels = schedule.levels[sent]
+        self._check(levels)
+        arrays = {
+            "ticks": schedule.ticks[sent], "levels": levels, "operation": schedule.operation[sent],
+        }  # fmt: skip
+        self._rows, self._told_waits, self.end = rows, waits, until
+        return Message("refill", head, arrays)
+
+    def cut(self, tick: int) -> Message:
+        """Return the message that switches everything off at the next scan."""
+        self.end = tick
+        return Message("refill", {"off": tick, "last": True})
+
+    def _check(self, levels: IntArray) -> None:
+        """Refuse rows that switch a cylinder to both sides.
+
+        Raises
+        ------
+        LimitError
+            With the cylinder; the rows are then not sent.
+        """
+        names = list(self._machine.outputs)
+        for name, cylinder in self._machine.cylinders.items():
+            both = [names.index(way.valve) for way in (cylinder.forward, cylinder.back)]
+            if both[0] != both[1] and levels[:, both].all(axis=1).any():
+                raise LimitError(
+                    f"cylinder {name}: a row switches both of its valves on",
+                    axis=name,
+                    quantity="valves",
+                    value_si=2.0,
+                    limit_si=1.0,
+                    remedy="Prove the job again; a schedule of ours never does.",
+                )
+
+
+def _rests(machine: Machine, ticks: IntArray, levels: IntArray, operation: IntArray) -> IntArray:
+    """Return the places at which a schedule may stand: nothing moves, and no tool works.
+
+    A shaped move switches off and on again within its operation, and does not rest there.
+    """
+    working = [
+        k for k, output in enumerate(machine.outputs.values()) if output.kind not in _AT_REST
+    ]
+    works = levels[:, working].max(axis=1, initial=0).tolist()
+    last = {int(op): k for k, op in enumerate(operation) if works[k]}
+    return np.array(
+        [
+            tick
+            for k, tick in enumerate(ticks)
+            if not works[k] and last.get(int(operation[k]), -1) < k
+        ],
+        dtype=np.int64,
+    )
+
+
+def waits_of_schedule(commands: Commands) -> tuple[Event, ...]:
+    """Return the waits of a schedule."""
+    return tuple(event for event in switch_schedule(commands).events if event.kind == "wait")

@@ -1,0 +1,145 @@
+"""A simulated machine with axes: it holds rows that end in a braking tail, one for each tick."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.live.sim_faults import SimFault
+from threadline.live.sim_machine import SimMachine
+from threadline.live.wire import Message, event_of
+from threadline.machine import Machine
+from threadline.signals import Channel, Ended, Event, RecordingBlock, TickBlock
+from threadline.twin import session_of
+
+
+class SimRows(SimMachine):
+    """A machine that plays a row of counts at each tick; see ``SimMachine``."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        start: IntArray,
+        tell: Callable[[Message], None],
+        fault: SimFault | None = None,
+    ) -> None:
+        super().__init__(machine, start, tell, fault)
+        self._session = session_of(machine, start)
+        self._rows: deque[tuple[IntArray, int]] = deque()  # held, one for each tick from now on
+        self._events: deque[Event] = deque()
+        self._wanted_until = 0  # tick from which on what is held is the spare tail
+        self._position = np.zeros(len(machine.axes), dtype=np.int64)
+        self._last = False  # what is held ends with the last row of the run
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels that it reports."""
+        return self._session.channels
+
+    @property
+    def tick(self) -> int:
+        """Ticks since the beginning of the run."""
+        return self._session.tick
+
+    @property
+    def held(self) -> int:
+        """Number of rows that it holds."""
+        return len(self._rows)
+
+    @property
+    def position(self) -> IntArray:
+        """(axes,) counts commanded since the beginning of the run."""
+        return self._position
+
+    @property
+    def wanted(self) -> int:
+        """Number of rows that it holds, without the braking tail."""
+        return max(0, self._wanted_until - self.tick)
+
+    def _drop(self) -> None:
+        self._rows.clear()
+        self._events.clear()
+
+    def _start_anew(self) -> str:
+        if self._session.tick:
+            self._start = self._start + self._position
+            self._position = np.zeros_like(self._position)
+            self._session = session_of(self._machine, self._start)
+        self._wanted_until, self._last = 0, False
+        return ""
+
+    def _take_refill(self, message: Message) -> str:
+        """Replace the rows from a tick on; refuse rows that do not continue those before them."""
+        first, wanted = int(message.head["first"]), int(message.head["wanted"])
+        counts, operation = message.arrays["counts"], message.arrays["operation"]
+        if why := self._unfit(first, message.arrays["at"]):
+            return why
+        kept = first - self.tick
+        while len(self._rows) > kept:
+            self._rows.pop()
+        while len(self._rows) < kept:
+            self._rows.append((np.zeros_like(self._position), 0))
+        rows = np.asarray(counts, dtype=np.int64)
+        self._rows.extend(zip(rows, (int(value) for value in operation), strict=True))
+        self._events = deque(event for event in self._events if event.tick < first)
+        self._events.extend(event_of(told) for told in message.head["events"])
+        self._wanted_until = first + wanted
+        self._last = bool(message.head["last"])
+        return ""
+
+    def _unfit(self, first: int, at: FloatArray | IntArray) -> str:
+        if first < self.tick:
+            return "that tick is past"
+        held = list(self._rows)[: first - self.tick]
+        stands = self._position + sum((row for row, _ in held), np.zeros_like(self._position))
+        if not np.array_equal(stands, at):
+            return "its rows do not go on from where those before them end"
+        return ""
+
+    def _tell_end(self, ended: Ended, text: str) -> None:
+        self._session.resume()
+        self._session.finish(ended, text)
+
+    def _simulate(self, ticks: int) -> list[RecordingBlock]:
+        until = self.tick + ticks
+        parts: list[RecordingBlock] = []
+        while self.tick < until and not self._session.failed:
+            room = until - self.tick
+            parts.append(self._row_block(room) if self._rows else self._stand(room))
+        if self._session.failed:  # nothing is known of it any more
+            self._rows.clear()
+        return parts
+
+    def _row_block(self, room: int) -> RecordingBlock:
+        """Play at most ``room`` of the rows that are held."""
+        n = min(room, len(self._rows))
+        taken = [self._rows.popleft() for _ in range(n)]
+        counts = np.array([row for row, _ in taken], dtype=np.int64)
+        session = self._session
+        session.resume()
+        due = []
+        while self._events and self._events[0].tick <= self.tick + n:
+            event = self._events.popleft()
+            due.append(replace(event, tick=session.row + event.tick - self.tick))
+        rows = TickBlock(
+            first_tick=session.row,
+            counts=counts,
+            operation=np.array([operation for _, operation in taken]),
+            events=tuple(due),
+        )
+        self._position = self._position + counts.sum(axis=0)
+        if self.tick + n > self._wanted_until:
+            self.starved = True
+        return session.advance(rows)
+
+    def _stand(self, room: int) -> RecordingBlock:
+        session = self._session
+        if self._last:
+            session.finish()
+        elif session.row and session.ended is None and not self.starved:
+            session.hold()
+        return session.advance(ticks=room)

@@ -1,0 +1,172 @@
+"""How each kind of work is run: one row for each, and no question after the kind elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+from threadline.kinds import kind_of
+from threadline.live.ahead import Ahead, halts_of_rows
+from threadline.live.guards import Guards
+from threadline.live.hold_deviation import hold_deviation_m
+from threadline.live.scan_guards import ScanGuards
+from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
+from threadline.live.sim_machine import SimMachine
+from threadline.live.sim_rows import SimRows
+from threadline.live.sim_scans import SimScans
+from threadline.live.wire import Message
+from threadline.machine import Machine
+from threadline.plan import Plan
+from threadline.signals import Commands, Event, SwitchSchedule, TickTable, tick_table
+
+
+class RunAhead(Protocol):
+    """The part of a run that was sent to the machine, which always ends at rest."""
+
+    keeps_home: bool
+    """Whether positions are known after a stop."""
+    to_rest: bool
+    """Whether a hold waits for the next rest of the program."""
+
+    @property
+    def start(self) -> IntArray:
+        """Position at which it begins, in the units of its commands."""
+
+    @property
+    def settle_ticks(self) -> int:
+        """How long it is recorded after the end."""
+
+    @property
+    def end(self) -> int:
+        """Tick up to which what was sent lasts."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the end has been sent."""
+
+    @property
+    def halt(self) -> Event | None:
+        """Stop or wait at which what was sent ends."""
+
+    @property
+    def rests(self) -> bool:
+        """Whether what was sent ends at the rest that ``to_rest`` asks for."""
+
+    def refuse_elsewhere(self, stands: IntArray) -> None:
+        """Refuse to begin anywhere but at ``start``."""
+
+    def hear(self, head: Mapping[str, Any]) -> str:
+        """Learn from the head of a report; return the fault that it tells of, or nothing."""
+
+    def met(self, now: Mapping[str, float]) -> bool:
+        """Return whether it stands at a wait whose input has the value waited for."""
+
+    def pass_halt(self) -> None:
+        """Go on after the halt."""
+
+    def forget(self, tick: int) -> None:
+        """Delete what lies before a tick."""
+
+    def extend(self, until: int) -> Message:
+        """Return the refill up to a tick, with what brings it to rest behind that."""
+
+    def cut(self, tick: int) -> Message:
+        """Return the refill that stops from a tick on."""
+
+    def undo(self) -> bool:
+        """Undo the last cut, which the machine refused; return whether there was one."""
+
+    def rest_until(self, tick: int) -> None:
+        """Extend a rest to a tick."""
+
+    def start_again(self) -> None:
+        """Start from rest."""
+
+
+class Watch(Protocol):
+    """Guards of one run."""
+
+    def trip(
+        self, tick: int, samples: Mapping[str, FloatArray], late: bool, late_periods: float
+    ) -> str:
+        """Return the text of the fault in a report; empty where there is none."""
+
+
+class MakeAhead(Protocol):
+    """Makes what a run sends ahead."""
+
+    def __call__(
+        self, commands: Commands, machine: Machine, *, pass_stops: bool = False
+    ) -> RunAhead:
+        """Return it for the beginning of a run."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """How one kind of work is run.
+
+    Parameters
+    ----------
+    start
+        Returns the position at which commands begin, in their units.
+    ahead
+        Makes what is sent ahead to the machine.
+    simulated
+        The simulated machine at the far end of the link.
+    guards
+        Makes the guards of a run.
+    halts
+        Returns the events at which the operator or an input is waited for.
+    hold_deviation_m
+        Returns how far beside its path a hold would stand, in m; infinite where work is held at
+        its rests alone.
+    """
+
+    start: Callable[[Commands], IntArray]
+    ahead: MakeAhead
+    simulated: type[SimMachine]
+    guards: Callable[[Machine], Watch]
+    halts: Callable[[Commands], Iterable[Event]]
+    hold_deviation_m: Callable[[Plan], float]
+
+
+_WAYS: dict[type[Commands], Way] = {
+    TickTable: Way(
+        start=lambda commands: tick_table(commands).start_counts,
+        ahead=Ahead,
+        simulated=SimRows,
+        guards=Guards,
+        halts=halts_of_rows,
+        hold_deviation_m=hold_deviation_m,
+    ),
+    SwitchSchedule: Way(
+        start=lambda _: np.zeros(0, dtype=np.int64),
+        ahead=ScansAhead,
+        simulated=SimScans,
+        guards=ScanGuards,
+        halts=waits_of_schedule,
+        hold_deviation_m=lambda _: float("inf"),
+    ),
+}
+
+
+def way_of(machine: Machine) -> Way:
+    """Return how the work of a machine is run.
+
+    Raises
+    ------
+    OptionError
+        If it cannot be run yet.
+    """
+    found = _WAYS.get(kind_of(machine).commands)
+    if found is None:
+        raise OptionError(
+            f"{machine.name} cannot be run yet: no link plays its commands",
+            remedy="threadline prove simulates it.",
+        )
+    return found

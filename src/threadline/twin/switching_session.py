@@ -1,0 +1,270 @@
+"""A simulated machine with cylinders, which takes its schedule piece by piece.
+
+The controller of such a machine plays a schedule by its own scan: it switches, and waits for its
+contacts. What it has been sent of the schedule ends at a place beyond which it does not go, and at
+a scan from which on it switches everything off, unless it is told more before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.plant.values import Values
+from threadline.signals import Ended, Event, RecordingBlock, SwitchSchedule
+from threadline.twin.switching import (
+    SAMPLE_S,
+    SwitchOptions,
+    orders_of,
+    stall_of,
+    switching_channels,
+    told_block,
+)
+from threadline.twin.switching_cylinder import cylinders_of
+from threadline.twin.switching_run import (
+    CALMING,
+    LATER,
+    LEFT,
+    PHASE,
+    ROW,
+    RUNNING,
+    SAMPLE,
+    SCAN,
+    STALL,
+    STALLED,
+    TICK,
+    WAIT,
+    Orders,
+    Progress,
+    begin,
+    run,
+)
+
+_ENDLESS = 1 << 60
+"""A number of scans that never pass."""
+
+
+class SwitchingSession:
+    """One machine with cylinders under a schedule that arrives piece by piece.
+
+    The same rows in pieces of any length give the same samples as ``simulate_switching``, to the
+    bit, as long as each piece comes before the place that the one before it allows is reached.
+
+    Parameters
+    ----------
+    machine
+        What is switched; its cylinders stand at the start of their strokes, and all outputs are
+        off.
+    break_s
+        Instant in s at which a beam of the light grid is broken; None for never.
+
+    Attributes
+    ----------
+    channels
+        The channels of the blocks that are returned.
+    tick
+        Scans so far.
+    taken
+        Number of rows taken so far.
+    failure
+        Why the schedule was broken off by the machine itself; empty while it was not.
+    ran_dry
+        Whether it has switched everything off at the scan that it was told to.
+
+    Raises
+    ------
+    MachineError
+        If a cylinder has no equations, or an instant no exact count.
+    """
+
+    def __init__(self, machine: Machine, *, break_s: float | None = None) -> None:
+        self._machine, self._options = machine, SwitchOptions(break_s=break_s)
+        self._values = Values.of(machine)
+        names = tuple(machine.cylinders)
+        cylinders = cylinders_of(machine, names, self._values, float(SAMPLE_S))
+        self._bank, self._motion = cylinders.bank(0), cylinders.at_rest(0)
+        self._outputs = tuple(machine.outputs)
+        self.channels = tuple(switching_channels(self._outputs, machine))
+        self._ticks = np.zeros(0, dtype=np.int64)
+        self._levels = np.zeros((0, len(self._outputs)), dtype=np.int64)
+        self._operation = np.zeros(0, dtype=np.int64)
+        self._waits: list[Event] = []
+        self._reach, self._duration, self._off_at = 0, _ENDLESS, _ENDLESS
+        self.tick = self.taken = 0
+        self.failure, self.ran_dry = "", False
+        self._told: list[Event] = []
+        self._under_way = 0  # operation of the last sample
+        self._orders = self._made()
+        self._progress = begin(self._orders)
+        self._progress.free[-1] = 0  # the gate at the place that is not passed
+
+    @property
+    def place(self) -> int:
+        """Scans of the schedule that have been played; waits do not count."""
+        return int(self._progress.plc[TICK])
+
+    @property
+    def sample(self) -> int:
+        """Samples so far."""
+        return int(self._progress.plc[SAMPLE])
+
+    @property
+    def switched_off_at(self) -> int | None:
+        """Scan from which on everything is off; None while the schedule goes on."""
+        plc = self._progress.plc
+        if plc[PHASE] == RUNNING:
+            return None
+        return int(plc[SCAN] - (self._orders.after - plc[LEFT]))
+
+    def take(
+        self,
+        ticks: IntArray,
+        levels: IntArray,
+        operation: IntArray,
+        waits: Sequence[Event],
+        *,
+        reach: int,
+        duration: int | None,
+    ) -> None:
+        """Take up the next rows.
+
+        Parameters
+        ----------
+        ticks, levels, operation
+            (n,), (n, outputs) and (n,), as in ``SwitchSchedule``.
+        waits
+            Waits up to ``reach``.
+        reach
+            Place at which the schedule stands until it is told a later one.
+        duration
+            Length of the whole schedule once all of it is known, else None.
+
+        Raises
+        ------
+        OptionError
+            If the rows do not follow those before, or are none of this machine.
+        """
+        last = int(self._ticks[-1]) if len(self._ticks) else -1
+        follow = np.diff(ticks, prepend=last)
+        if levels.shape != (len(ticks), len(self._outputs)) or (follow <= 0).any():
+            raise OptionError(f"rows of shape {levels.shape} do not follow scan {last}")
+        plc = self._progress.plc
+        gone = max(int(plc[ROW]), 0)  # rows before the one that is on
+        self._ticks = np.concatenate((self._ticks[gone:], ticks))
+        self._levels = np.concatenate((self._levels[gone:], levels))
+        self._operation = np.concatenate((self._operation[gone:], operation))
+        self._waits = [*self._waits[int(plc[WAIT]) :], *waits]
+        plc[WAIT] = 0
+        if gone:
+            plc[ROW] -= gone
+            plc[LATER] -= gone
+        self._reach, self.taken = reach, self.taken + len(ticks)
+        self._duration = _ENDLESS if duration is None else duration
+        self._orders = self._made()
+        self._progress = _carried(self._progress, self._orders)
+
+    def switch_off_at(self, tick: int) -> None:
+        """Switch everything off at a scan, unless it is told a later one before."""
+        self._off_at = tick
+
+    def finish(self, ended: Ended, text: str) -> None:
+        """Tell how the run ended."""
+        self._told.append(
+            Event(tick=self.sample, kind=ended.value, operation=self._under_way, name=text)
+        )
+
+    def advance(self, scans: int) -> RecordingBlock:
+        """Go on for a number of scans, and return what happened.
+
+        There are no samples any more from a second after everything was switched off.
+        """
+        until, first = self.tick + scans, self.sample
+        parts = []
+        while self.tick < until and self._progress.plc[PHASE] <= CALMING:
+            plc = self._progress.plc
+            if plc[PHASE] == RUNNING and self.tick >= self._off_at:
+                plc[PHASE], self.ran_dry = CALMING, True
+            bound = min(until, self._off_at) if plc[PHASE] == RUNNING else until
+            if plc[WAIT] == len(self._waits):
+                plc[STALL] = 0  # a hold lasts as long as it likes
+            parts.append(self._run(bound))
+            self.tick = int(plc[SCAN])
+            if plc[PHASE] == STALLED:
+                self.failure = stall_of(self._waits[int(plc[WAIT])])
+                plc[PHASE] = CALMING
+        self.tick = until
+        events, self._told = tuple(self._told), []
+        events += tuple(event for part in parts for event in part.events)
+        if not parts:
+            samples = {channel.name: np.empty(0) for channel in self.channels}
+        else:
+            samples = {
+                name: np.concatenate([part.samples[name] for part in parts])
+                for name in parts[0].samples
+            }
+        if len(samples["operation"]):
+            self._under_way = int(samples["operation"][-1])
+        return RecordingBlock(
+            first_tick={self.channels[0].clock.name: first}, samples=samples, events=events
+        )
+
+    def _run(self, until: int) -> RecordingBlock:
+        orders, progress = self._orders, self._progress
+        most = orders.scan // orders.sample + 2
+        room = most * (until - int(progress.plc[SCAN]) + 1)
+        columns = 4 * len(orders.share) + len(orders.contact_cylinder)
+        out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
+        over = np.empty((len(self._waits) + 1, 2), dtype=np.int64)
+        first = self.sample
+        count, ended = run(orders, progress, self._bank, self._motion, out, rows, over, until)
+        return told_block(
+            self.channels,
+            (out[:count, :-1], rows[:count], over[:ended]),
+            (self._outputs, self._levels, self._operation, self._waits),
+            first,
+        )
+
+    def _made(self) -> Orders:
+        """Return what the controller knows, with a gate at the place that is not passed."""
+        clock = self._machine.command_clock
+        known = SwitchSchedule(
+            clock=clock,
+            outputs=self._outputs,
+            ticks=self._ticks,
+            levels=self._levels,
+            operation=self._operation,
+            duration_ticks=self._duration,
+            job_sha256="",
+            machine_sha256=self._machine.sha256,
+            events=tuple(self._waits),
+        )
+        orders = orders_of(known, self._machine, self._options, self._values)
+        return orders._replace(
+            wait_tick=np.append(orders.wait_tick, self._reach),
+            wait_contact=np.append(orders.wait_contact, len(self._machine.contacts)),
+            wait_value=np.append(orders.wait_value, 1),
+            wait_given=np.append(orders.wait_given, 1),
+            contact_cylinder=np.append(orders.contact_cylinder, -1),
+            contact_at=np.append(orders.contact_at, 0.0),
+            contact_above=np.append(orders.contact_above, 1),
+        )
+
+
+def _carried(before: Progress, orders: Orders) -> Progress:
+    """Return the progress of a run whose schedule has been told further."""
+    fresh = begin(orders)
+    pending = before.queue[:, 0] - before.queue[:, 1]
+    room = fresh.arrival.shape[1] + int(pending.max(initial=0))
+    arrival = np.zeros((len(pending), room), dtype=np.int64)
+    coming = np.zeros((len(pending), room))
+    queue = np.zeros_like(before.queue)
+    for c, count in enumerate(pending):
+        sent, came = before.queue[c]
+        arrival[c, :count] = before.arrival[c, came:sent]
+        coming[c, :count] = before.coming[c, came:sent]
+        queue[c, 0] = count
+    return before._replace(arrival=arrival, coming=coming, queue=queue)

@@ -1,0 +1,220 @@
+"""A schedule of valves runs as it is simulated; it stops, holds at its rests, and switches off."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.bench import Bench
+from threadline.cli.main import main
+from threadline.errors import CommandError, LimitError
+from threadline.live.sim_faults import SimFault, parse_fault
+from threadline.live.states import Cause, State
+from threadline.machine import Machine, load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
+from threadline.plan import Plan
+from threadline.signals import Ended, Recording, switch_schedule
+from threadline.signals.files import read_recording
+from threadline.twin.switching import simulate_switching
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ACROSS = 370  # scan in which X moves across, with the letter held
+LEFT_ALONE_SCANS = 10 + 3  # what is held, and a report
+
+
+@cache
+def placer() -> Machine:
+    return load_machine("letter-placer")
+
+
+@cache
+def planned() -> Plan:
+    job = open_job(EXAMPLES / "letter-cycle.toml", placer(), Options())
+    return plan_job(job, placer(), Options())
+
+
+@cache
+def simulated() -> Recording:
+    recording = simulate_switching(switch_schedule(planned().commands), placer())
+    return replace(recording, blocks=type(recording.blocks).of(list(recording)))
+
+
+def bench(fault: SimFault | None = None) -> Bench:
+    made = Bench(other=placer(), same=True, start=np.zeros(0, np.int64), fault=fault).ready()
+    made.executor.start(planned().commands, hold_at_rest=True)
+    return made
+
+
+def outputs(made: Bench) -> np.ndarray:
+    """(samples, outputs) what was on, every millisecond."""
+    return np.stack([made.channel(name) for name in placer().outputs], axis=1)
+
+
+def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
+    made = bench()
+    made.go_on()
+    assert made.executor.ended == (Ended.COMPLETED, "")
+    for channel in simulated().channels:
+        assert np.array_equal(made.channel(channel.name), simulated().samples(channel.name)[1])
+    told = [event for block in made.kept.blocks for event in block.events]
+    assert told == [event for block in simulated() for event in block.events]
+
+
+@pytest.mark.parametrize("scan", [3, 160, 250, ACROSS, 500, 700])
+def test_a_stop_switches_everything_off_at_the_next_scan(scan: int) -> None:
+    made = bench()
+    made.go_on(scan)
+    at = made.executor.tick
+    for cause in (Cause.HOLD, Cause.RESUME, Cause.STOP, Cause.RESUME):
+        made.desk.ask(cause)
+    made.go_on()
+    assert made.executor.ended == (Ended.STOPPED, "stopped by the operator")
+    on = outputs(made).any(axis=1)
+    assert on[10 * at - 1]
+    assert not on[10 * at :].any()
+    # Cylinders may stand anywhere: it must be homed before anything else.
+    assert made.executor.state is State.ENABLED
+    with pytest.raises(CommandError, match="'start' is not possible"):
+        made.executor.start(planned().commands)
+
+
+@pytest.mark.parametrize("scan", [160, 250, ACROSS, 480, 570])
+def test_a_hold_stands_at_the_next_rest_with_the_letter_held(scan: int) -> None:
+    made = bench()
+    made.go_on(scan)
+    made.desk.ask(Cause.HOLD)
+    made.go_on(scan + 400)
+    held = outputs(made)[-1000:]
+    assert made.executor.state is State.HOLDING
+    assert (held == held[0]).all()
+    kinds = [output.kind for output in placer().outputs.values()]
+    on = {kind for kind, level in zip(kinds, held[0], strict=True) if level}
+    assert on <= {"soft-start", "vacuum"}
+    assert (on == {"soft-start", "vacuum"}) == (238 < scan < 557)
+    made.desk.ask(Cause.RESUME)
+    made.go_on()
+    assert made.executor.ended == (Ended.COMPLETED, "")
+    # Every switching of the schedule comes once and in its order: it was only later.
+    switched = outputs(made)
+    whole = np.stack([simulated().samples(name)[1] for name in placer().outputs], axis=1)
+    for rows in (switched, whole):
+        assert rows.any()
+    changes = [rows[1:][np.diff(rows, axis=0).any(axis=1)].tolist() for rows in (switched, whole)]
+    assert changes[0] == changes[1]
+    assert 3000 < len(switched) - len(whole) < 4100  # ms
+
+
+def test_a_hold_lasts_longer_than_a_wait_may() -> None:
+    """A minute without its contact is a fault of a wait, and none of a hold."""
+    made = bench()
+    made.go_on(ACROSS)
+    made.desk.ask(Cause.HOLD)
+    made.go_on(ACROSS + 6500)
+    assert made.executor.state is State.HOLDING
+    made.desk.ask(Cause.STOP)
+    made.go_on()
+    assert made.executor.ended == (Ended.STOPPED, "stopped by the operator")
+
+
+@pytest.mark.parametrize("scan", [20, 160, ACROSS, 600])
+def test_where_refills_stop_it_switches_off_by_itself(scan: int) -> None:
+    made = bench()
+    made.go_on(scan)
+    made.wire.mute = True
+    machine = made.wire.machine
+    for _ in range(50):
+        machine.play(3)
+        message = made.wire.receive()
+        assert message is not None
+        made.kept.block(made.executor.far_end.reported(message, None))
+    assert machine.standing
+    on = outputs(made).any(axis=1)
+    assert not on[10 * (scan + LEFT_ALONE_SCANS) :].any()
+
+
+def test_a_wait_that_is_not_met_while_nobody_refills_switches_off_too() -> None:
+    """The time is that of the machine, not of the schedule, which stands at a wait."""
+    made = bench()
+    made.go_on(355)  # waits for z_is_up from scan 355 on
+    made.wire.mute = True
+    machine = made.wire.machine
+    machine.play(40)
+    assert machine.standing
+
+
+def test_a_wait_without_its_contact_is_a_fault() -> None:
+    contact = placer().contacts["x_is_right"]
+    assert contact.at is not None
+    far = replace(contact, at=replace(contact.at, si=0.25))  # beyond the stroke
+    machine = replace(placer(), contacts={**placer().contacts, "x_is_right": far})
+    made = Bench(other=machine, same=True, start=np.zeros(0, np.int64)).ready()
+    made.executor.start(planned().commands, hold_at_rest=True)
+    made.go_on()
+    ended, text = made.executor.ended or (None, "")
+    assert (made.executor.state, ended) == (State.FAULT, Ended.FAULT)
+    assert "the input 'x_is_right' did not become on within 60 s" in text
+    assert not outputs(made)[-500:].any()
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        ("light-grid@3.7 s", "light_grid is off: a broken beam"),
+        ("stuck-contact:z_is_up@0.5 s", "z_is_up and z_is_down are on together"),
+        ("stuck-contact:z_is_down@0.5 s", "knife is on, and z_is_down, which it needs, is not"),
+        ("late-ticks@1 s", "3 ticks in a row came late"),
+        ("one-late-tick@1 s", "a tick came 6 periods late"),
+        ("lost-link@1 s", "the link is gone"),
+        ("power-loss@1 s", "the link is gone"),
+    ],
+)
+def test_a_fault_switches_everything_off(told: str, said: str) -> None:
+    fault = parse_fault(told, placer())
+    made = bench(fault)
+    made.go_on()
+    ended, text = made.executor.ended or (None, "")
+    assert (made.executor.state, ended) == (State.FAULT, Ended.FAULT)
+    assert said in text
+    tripped = next(tick for tick, state, _, _ in made.kept.log if state is State.FAULT)
+    assert not outputs(made)[10 * tripped :].any()
+    if not told.startswith("stuck"):
+        assert tripped <= fault.tick + 15  # three reports of five scans
+
+
+def test_a_row_for_both_sides_of_a_cylinder_is_never_sent() -> None:
+    schedule = switch_schedule(planned().commands)
+    levels = schedule.levels.copy()
+    levels[1, [schedule.outputs.index(name) for name in ("z_down", "z_up")]] = 1
+    made = Bench(other=placer(), same=True, start=np.zeros(0, np.int64)).ready()
+    made.executor.start(replace(schedule, levels=levels))
+    with pytest.raises(LimitError, match="cylinder Z: a row switches both of its valves on"):
+        made.executor._ahead.extend(400)  # type: ignore[union-attr]
+    made.go_on()
+    assert made.executor.state is State.FAULT
+    assert not outputs(made)[:, schedule.outputs.index("z_down")].any()
+
+
+def test_the_command_records_what_it_proves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The machine in its own process, and the same judge."""
+    how = (str(EXAMPLES / "letter-cycle.toml"), "-m", "letter-placer", "--nominal", "--json")
+    how = (*how, "--shaper", "um-zv")
+    verdicts, recordings = [], []
+    for words in (("prove",), ("run", "--speed", "0", "--store", str(tmp_path / "runs"))):
+        file = tmp_path / f"{words[0]}.npz"
+        with pytest.raises(SystemExit) as ended:
+            main([words[0], *how, *words[1:], "--recording", str(file)])
+        assert ended.value.code in (None, 0)
+        verdicts.append(json.loads(capsys.readouterr().out)["criteria"])
+        recordings.append(read_recording(file))
+    assert verdicts[0] == verdicts[1]
+    first, second = recordings
+    for channel in first.channels:
+        assert np.array_equal(first.samples(channel.name), second.samples(channel.name))
