@@ -126,11 +126,30 @@ def test_a_proof_begins_without_what_few_commands_need() -> None:
         "import sys\n"
         "import threadline.cli.prove\n"
         "heavy = {'scipy.special', 'scipy.ndimage', 'scipy.stats', 'scipy.optimize'}\n"
-        "heavy |= {'scipy.signal', 'scipy.interpolate', 'matplotlib', 'sqlalchemy'}\n"
+        "heavy |= {'scipy.signal', 'scipy.interpolate', 'matplotlib', 'sqlalchemy', 'mcap'}\n"
+        "heavy |= {'jinja2', 'threadline.search', 'threadline.store', 'threadline.live'}\n"
         "heavy &= set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_no_garbage_is_looked_for_among_what_is_imported() -> None:
+    """Neither while a command is imported nor afterwards; what it makes itself is collected."""
+    done = run(
+        "import gc\n"
+        "passes = []\n"
+        "gc.callbacks.append(lambda phase, info: passes.append(info['generation']))\n"
+        "from threadline.cli import lazy\n"
+        "from threadline.cli.main import app\n"
+        "from typer.main import get_command\n"
+        "passes.clear()\n"
+        "real = lazy.import_module\n"
+        "lazy.import_module = lambda name: (real(name), print(passes))[0]\n"
+        "get_command(app).get_command(None, 'prove')\n"
+        "print(gc.isenabled(), gc.get_freeze_count() > 50_000)\n"
+    )
+    assert (done.stdout, done.stderr) == ("[]\nTrue True\n", "")
 
 
 @pytest.mark.parametrize(("told", "counted"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])

@@ -16,11 +16,12 @@ from threadline.report.overlay import Case, overlays, turns_s
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.traces import Traces, collect
-from threadline.search import Comparison
 from threadline.verdict import closing_of_all
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from threadline.search import Comparison
 
 
 def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from threadline.pipeline import Proof
 from threadline.plan import Motion, Scheduled, Stitched
@@ -21,7 +22,9 @@ from threadline.report.switching import (
     write_switching,
     write_switching_comparison,
 )
-from threadline.search import Comparison
+
+if TYPE_CHECKING:
+    from threadline.search import Comparison
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

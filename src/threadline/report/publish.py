@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 from threadline.report.document import Document
-from threadline.report.html_page import html_page, svg_text
 from threadline.writing import remove_with, staging_folder, together
 
 _PNG_DPI = 160
@@ -23,7 +22,9 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
     OptionError, OSError
         If the folder cannot be written.
     """
-    from threadline.report.pdf import write_pdf  # imported late: its libraries are heavy
+    # Imported late: their libraries are heavy.
+    from threadline.report.html_page import html_page, svg_text
+    from threadline.report.pdf import write_pdf
 
     document = document.shown()
     with together():

@@ -29,13 +29,14 @@ from threadline.report.stitched_figures import (
     speeds_figure,
 )
 from threadline.report.style import figure_style
-from threadline.search import Comparison
 from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
 from threadline.writing import staged_file, together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from threadline.search import Comparison
 
 _CAPTIONS = {
     "design": "The design as it is sewn. The more of the limit a stitch uses, the thicker and the "

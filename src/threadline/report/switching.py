@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from threadline.doubts import doubts, doubts_of_all
 from threadline.foreign_messages import grouped
@@ -28,9 +29,11 @@ from threadline.report.switching_figures import (
     residual_figure,
     residuals_figure,
 )
-from threadline.search import Comparison
 from threadline.targets.schedule_moves import shaping_words
 from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
+
+if TYPE_CHECKING:
+    from threadline.search import Comparison
 
 _DRAWN = ("residual_vibration",)
 _CAPTIONS = {

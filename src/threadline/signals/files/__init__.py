@@ -12,7 +12,6 @@ from threadline.signals.files.array import read_array, write_array
 from threadline.signals.files.common import Written, clear_errors
 from threadline.signals.files.plt import read_plt, write_plt
 from threadline.signals.files.recording_csv import read_recording_csv, write_recording_csv
-from threadline.signals.files.recording_mcap import read_recording_mcap, write_recording_mcap
 from threadline.signals.files.recording_npz import read_recording_npz, write_recording_npz
 from threadline.signals.files.table import read_table_npz, write_table_csv, write_table_npz
 from threadline.signals.files.table_text import read_table_csv
@@ -38,6 +37,21 @@ __all__ = [
     "write_table_csv",
     "write_table_npz",
 ]
+
+
+def read_recording_mcap(path: Path) -> Recording:
+    """Read an MCAP recording; its library is not imported before it is used."""
+    from threadline.signals.files import recording_mcap
+
+    return recording_mcap.read_recording_mcap(path)
+
+
+def write_recording_mcap(recording: Recording, path: Path) -> Written:
+    """Write an MCAP recording; its library is not imported before it is used."""
+    from threadline.signals.files import recording_mcap
+
+    return recording_mcap.write_recording_mcap(recording, path)
+
 
 _RECORDING_READERS: dict[str, Callable[[Path], Recording]] = {
     ".npz": read_recording_npz,
