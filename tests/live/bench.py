@@ -30,6 +30,7 @@ class Wire:
     ) -> None:
         self._answers: deque[Message] = deque()
         self.lost = False
+        self.group = GROUP
         self.mute = False  # nothing that is sent arrives any more
         self.sent: list[Message] = []
         self.before_play: Callable[[], None] = lambda: None
@@ -54,7 +55,7 @@ class Wire:
         self.machine.take(decoded(message.encoded()[4:]))
         if message.kind == "go":
             self.before_play()
-            self.machine.play(GROUP)
+            self.machine.play(self.group)
             self.lost = bool(self.machine.silenced)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:

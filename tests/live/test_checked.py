@@ -220,7 +220,6 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("rosette.dst", "-m", "schiffli-frame"), "schiffli-frame cannot be run yet"),
         (("x-180.prg", "-m", "lathe-winder", "--link", "hal"), "unknown link 'hal'"),
         (("x-180.prg", "-m", "lathe-winder", "--speed", "-1"), "speed"),
         (("x-180.prg", "-m", "lathe-winder", "--speed", "1e-300"), "slower than the link can wait"),

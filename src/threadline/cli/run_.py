@@ -55,7 +55,6 @@ from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME, sim_link
 from threadline.live.supervised import (
     check_halts,
-    check_machine_runs,
     check_override,
     check_runnable,
     run_commands,
@@ -155,7 +154,6 @@ def run(
     check_override(override)
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
-    check_machine_runs(chosen)
     fault = None if inject is None else parse_fault(inject, chosen)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)
     check_outputs(file=recording)

@@ -37,9 +37,8 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
     ProofError
         If the proof is of another plan, or is out of specification and ``override`` is None.
     OptionError
-        If there is an override for a plan in specification, or no link can run the machine.
+        If there is an override for a plan in specification.
     """
-    check_machine_runs(plan.machine)
     proof = read_proof(proof_file)
     place = Place(str(proof_file))
     differences = check_proof(proof, plan, spec)
@@ -61,17 +60,6 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
             "there is nothing to override: the job is in specification", remedy="Leave it out."
         )
     return proof
-
-
-def check_machine_runs(machine: Machine) -> None:
-    """Refuse a machine that no link can run yet, before anything is planned.
-
-    Raises
-    ------
-    OptionError
-        If its work is not in ticks.
-    """
-    way_of(machine)
 
 
 def check_halts(plan: Plan, *, answered: bool) -> None:

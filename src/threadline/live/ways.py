@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.live.ahead import Ahead, halts_of_rows
 from threadline.live.guards import Guards
@@ -19,10 +18,21 @@ from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_rows import SimRows
 from threadline.live.sim_scans import SimScans
+from threadline.live.sim_turns import SimTurns
+from threadline.live.turn_guards import TurnGuards
+from threadline.live.turns_ahead import TurnsAhead
 from threadline.live.wire import Message
 from threadline.machine import Machine
 from threadline.plan import Plan
-from threadline.signals import Commands, Event, SwitchSchedule, TickTable, tick_table
+from threadline.signals import (
+    Commands,
+    Event,
+    StepPlay,
+    SwitchSchedule,
+    TickTable,
+    played,
+    tick_table,
+)
 
 
 class RunAhead(Protocol):
@@ -152,21 +162,17 @@ _WAYS: dict[type[Commands], Way] = {
         halts=waits_of_schedule,
         hold_deviation_m=lambda _: float("inf"),
     ),
+    StepPlay: Way(
+        start=lambda commands: played(commands).start_steps,
+        ahead=TurnsAhead,
+        simulated=SimTurns,
+        guards=lambda _: TurnGuards(),
+        halts=lambda _: (),
+        hold_deviation_m=lambda _: 0.0,
+    ),
 }
 
 
 def way_of(machine: Machine) -> Way:
-    """Return how the work of a machine is run.
-
-    Raises
-    ------
-    OptionError
-        If it cannot be run yet.
-    """
-    found = _WAYS.get(kind_of(machine).commands)
-    if found is None:
-        raise OptionError(
-            f"{machine.name} cannot be run yet: no link plays its commands",
-            remedy="threadline prove simulates it.",
-        )
-    return found
+    """Return how the work of a machine is run."""
+    return _WAYS[kind_of(machine).commands]

@@ -25,6 +25,7 @@ from threadline.signals import (
     StitchBlock,
     Stream,
 )
+from threadline.twin.prescribed import in_order
 from threadline.twin.stitching_machine import Driven, driven_of
 from threadline.twin.stitching_run import Library, Played, play
 from threadline.twin.stitching_shaft import Needles
@@ -53,7 +54,7 @@ def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
         )
     driven = driven_of(machine)
     return Recording(
-        channels=tuple(_channels(machine)),
+        channels=tuple(stitching_channels(machine)),
         blocks=Stream(_read, commands, machine, driven),
         simulated=True,
         machine_sha256=machine.sha256,
@@ -61,7 +62,8 @@ def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
     )
 
 
-def _channels(machine: Machine) -> Iterator[Channel]:
+def stitching_channels(machine: Machine) -> Iterator[Channel]:
+    """Yield the channels of a recording."""
     clock = machine.tick_clock
     for name, axis in machine.axes.items():
         unit = "m" if axis.kind == "linear" else "rad"
@@ -75,7 +77,14 @@ def _channels(machine: Machine) -> Iterator[Channel]:
     yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
 
 
-def _ticks_of_sample(commands: StepPlay, machine: Machine) -> int:
+def ticks_of_sample(commands: StepPlay, machine: Machine) -> int:
+    """Return how many periods of the timer a sample is.
+
+    Raises
+    ------
+    MachineError
+        If it is no whole number.
+    """
     ratio = machine.tick_clock.period_s / commands.clock.period_s
     if ratio.denominator != 1:
         raise MachineError(
@@ -89,9 +98,8 @@ def _ticks_of_sample(commands: StepPlay, machine: Machine) -> int:
 
 def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[RecordingBlock]:
     """Yield the blocks of one run: the samples of some turns each, and at last those of rest."""
-    every = _ticks_of_sample(commands, machine)
+    every = ticks_of_sample(commands, machine)
     library = Library.of(commands)
-    start = commands.start_steps / commands.steps_per_unit
     played = Played.at_rest(driven.step.shape[0], len(commands.axes))
     needles = Needles(machine, commands)
     first, operation = 0, 0
@@ -101,16 +109,11 @@ def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[Reco
         rest = ceil(_REST_S / machine.tick_clock.period_s) if after is None else 0
         until = -(-end // every) + rest
         count = until - first
+        played.turn[:], played.at[:] = 0, 0
         states, steps = play(driven, library, played, block, commands, (first, count, every))
         ticks = every * np.arange(first, until, dtype=np.int64)
         turn = np.searchsorted(block.begin, ticks, side="right") - 1
-        samples: dict[str, FloatArray] = {}
-        for k, name in enumerate(commands.axes):
-            given = steps[:, k] * driven.scale[k]
-            force = states @ driven.forces[k] + driven.told[k] * given
-            samples[f"{name}.commanded"] = start[k] + steps[:, k] / commands.steps_per_unit[k]
-            samples[f"{name}.load"] = start[k] + states @ driven.loads[k]
-            samples[f"{name}.torque_share"] = np.abs(force) / driven.limit[k]
+        samples = frame_samples(commands, driven, states, steps)
         samples["needle"] = needles.down(block, after, ticks)
         under_way = np.where(turn >= 0, block.operation[np.maximum(turn, 0)], operation)
         samples["operation"] = under_way.astype(np.float64)
@@ -121,6 +124,24 @@ def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[Reco
             events=tuple(_at_samples(block, commands, every)),
         )
         first = until
+
+
+def frame_samples(
+    commands: StepPlay, driven: Driven, states: FloatArray, steps: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the samples of the axes from (n, m) states and (n, A) steps given.
+
+    Sums run in the order of the states, so that they do not depend on the number of samples.
+    """
+    start = commands.start_steps / commands.steps_per_unit
+    forces, loads = in_order(states, driven.forces), in_order(states, driven.loads)
+    samples: dict[str, FloatArray] = {}
+    for k, name in enumerate(commands.axes):
+        force = forces[:, k] + driven.told[k] * (steps[:, k] * driven.scale[k])
+        samples[f"{name}.commanded"] = start[k] + steps[:, k] / commands.steps_per_unit[k]
+        samples[f"{name}.load"] = start[k] + loads[:, k]
+        samples[f"{name}.torque_share"] = np.abs(force) / driven.limit[k]
+    return samples
 
 
 def _with_next(commands: StepPlay) -> Iterator[tuple[StitchBlock, StitchBlock | None]]:

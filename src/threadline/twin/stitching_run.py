@@ -39,15 +39,28 @@ class Library:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Played:
-    """State (m,) of a run and steps (A,) given so far; ``play`` changes both in place."""
+    """Where a run is; ``play`` changes all of it in place.
+
+    Parameters
+    ----------
+    state
+        (m,) state of the frame.
+    steps
+        (A,) steps given so far.
+    turn, at
+        (A,) turn of the block whose table each axis plays, and number of its next step.
+    """
 
     state: FloatArray
     steps: FloatArray
+    turn: IntArray
+    at: IntArray
 
     @classmethod
     def at_rest(cls, states: int, axes: int) -> Played:
         """Return the state of a run before its first step."""
-        return cls(state=np.zeros(states), steps=np.zeros(axes))
+        begin = np.zeros((2, axes), dtype=np.int64)
+        return cls(state=np.zeros(states), steps=np.zeros(axes), turn=begin[0], at=begin[1])
 
 
 def play(
@@ -79,7 +92,8 @@ def play(
         np.ascontiguousarray((driven.series * driven.scale).transpose(0, 2, 1)),
         driven.parts,
         library.times, library.begins, block.begin, scale, block.table, block.sign,
-        float(first * every), float(every), played.state, played.steps, states, steps,
+        float(first * every), float(every), played.state, played.steps, played.turn, played.at,
+        states, steps,
     )  # fmt: skip
     return states, steps
 
@@ -89,12 +103,10 @@ def _forward(
     times: IntArray, begins: IntArray, begin: IntArray, scale: FloatArray,
     table: IntArray, sign: IntArray,
     from_tick: float, every: float, state: FloatArray, given: FloatArray,
-    states: FloatArray, steps: FloatArray,
+    turn: IntArray, at: IntArray, states: FloatArray, steps: FloatArray,
 ) -> None:  # fmt: skip
     """Go through the samples; each axis is at step ``at`` of the table of its ``turn``."""
     terms, axes, size = series.shape
-    turn = np.zeros(axes, dtype=np.int64)
-    at = np.zeros(axes, dtype=np.int64)
     sums = np.zeros((axes, terms))
     fresh = np.zeros(size)
     interval = every / parts

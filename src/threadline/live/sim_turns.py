@@ -1,0 +1,139 @@
+"""A simulated embroidery frame: it holds turns of the shaft, each of which ends at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import OptionError
+from threadline.live.sim_faults import SimFault
+from threadline.live.sim_machine import SimMachine
+from threadline.live.wire import Message, event_of
+from threadline.machine import Machine
+from threadline.signals import (
+    Channel,
+    Ended,
+    RecordingBlock,
+    StepPlay,
+    StepTable,
+    StitchBlock,
+    Stream,
+)
+from threadline.twin.stitching import stitching_channels
+from threadline.twin.stitching_session import COLUMNS, StitchingSession
+
+
+class SimTurns(SimMachine):
+    """A machine that plays a table of steps for each turn and axis; see ``SimMachine``."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        start: IntArray,
+        tell: Callable[[Message], None],
+        fault: SimFault | None = None,
+    ) -> None:
+        super().__init__(machine, start, tell, fault)
+        self._session: StitchingSession | None = None  # until it has its tables
+        self._idle = 0  # samples without tables
+        self._last = False
+        self._until = 0  # sample up to which it was told whether turns begin
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels that it reports."""
+        return tuple(stitching_channels(self._machine))
+
+    @property
+    def tick(self) -> int:
+        """Samples since the beginning of the run."""
+        return self._idle if self._session is None else self._session.tick
+
+    @property
+    def held(self) -> int:
+        """Samples until the frame rests."""
+        return 0 if self._session is None else max(self._session.rests_at - self.tick, 0)
+
+    @property
+    def position(self) -> IntArray:
+        """(A,) steps commanded since the beginning of the run."""
+        if self._session is None:
+            return np.zeros(len(self._machine.axes), dtype=np.int64)
+        return np.rint(self._session.steps).astype(np.int64)
+
+    def _drop(self) -> None:
+        if self._session is not None:
+            self._session.drop_from(self.tick)
+
+    def _start_anew(self) -> str:
+        self._start = self._start + self.position
+        self._session, self._idle, self._last, self._until = None, 0, False, 0
+        return ""
+
+    def _take_refill(self, message: Message) -> str:
+        head, arrays = message.head, message.arrays
+        if "drop" in head:
+            if self._session is None or int(head["drop"]) < self.tick:
+                return "that tick is past"
+            self._session.drop_from(int(head["drop"]))
+            self._last, self._until = True, int(head["drop"])
+            return ""
+        if "lengths" in arrays:
+            self._session = StitchingSession(self._machine, self._with_tables(message))
+        session = self._session
+        if session is None or int(head["after"]) != session.taken:
+            return f"it is told the turns after {head['after']}, and has others"
+        columns = {name: np.asarray(arrays[name], dtype=np.int64) for name in COLUMNS}
+        events = tuple(event_of(told) for told in head["events"])
+        turns = StitchBlock(first_stitch=session.taken, events=events, **columns)
+        following = head["following"]
+        try:
+            session.take(turns, None if following is None else (following[0], following[1]))
+        except OptionError as error:
+            return error.message
+        self._last, self._until = bool(head["last"]), int(head["until"])
+        return ""
+
+    def _with_tables(self, message: Message) -> StepPlay:
+        """Return commands without turns that have the tables of a first refill."""
+        head, arrays = message.head, message.arrays
+        ends = np.cumsum(arrays["lengths"])
+        library = tuple(
+            StepTable(units=int(units), intervals=np.asarray(part, dtype=np.int64))
+            for units, part in zip(
+                arrays["units"], np.split(arrays["intervals"], ends[:-1]), strict=True
+            )
+        )
+        return StepPlay(
+            clock=self._machine.clock(str(head["clock"])),
+            counted_by=head["counted_by"],
+            steps_per_turn=int(head["steps_per_turn"]),
+            window_angle=int(head["window_angle"]),
+            axes=self._machine.axis_names,
+            steps_per_unit=np.asarray(arrays["steps_per_unit"], dtype=np.float64),
+            start_steps=self._start,
+            library=library,
+            blocks=Stream.of(()),
+            duration_ticks=0,
+            job_sha256="",
+            machine_sha256=self._machine.sha256,
+        )
+
+    def _tell_end(self, ended: Ended, text: str) -> None:
+        if self._session is not None:
+            self._session.finish(ended, text)
+
+    def _simulate(self, ticks: int) -> list[RecordingBlock]:
+        if self._session is None:
+            self._idle += ticks
+            return []
+        block = self._session.advance(ticks)
+        if self.tick > self._until and not self._last:
+            self.starved = True
+        return [block]
+
+    def _told_besides(self) -> dict[str, Any]:
+        return {"rests_at": 0 if self._session is None else self._session.rests_at}
