@@ -187,8 +187,8 @@ def test_a_corner_that_is_not_stopped_in_is_left_where_it_is_slowest() -> None:
     assert found.measured == pytest.approx(0.0375 / PERIOD_S, abs=TICK_S / PERIOD_S)
 
 
-def test_a_stitch_that_the_plan_gives_no_time_fails_in_numbers() -> None:
-    """Two moves of the job and one piece of motion, as where pieces are longer than stitches."""
+def test_stitches_that_share_a_piece_of_the_motion_have_times_of_their_own() -> None:
+    """Two moves of the job under one label, as where pieces are longer than stitches."""
     plan = seam()
 
     def merged(block):
@@ -199,6 +199,17 @@ def test_a_stitch_that_the_plan_gives_no_time_fails_in_numbers() -> None:
     given = replace(
         plan, intent=replace(motion, trajectory=replace(motion.trajectory, blocks=blocks))
     )
+    verdict = sewn(SPEED_M_S * TIME_S, plan=given, names=("stitch_speed_error", *NAMES))
+    for name in ("stitch_speed_error", *NAMES):
+        assert verdict.result(name).measured == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_stitch_that_the_motion_leaves_out_fails_in_numbers() -> None:
+    """Its point lies beside that of the one before, where the head does not go: it has no time."""
+    plan = seam()
+    moves = list(plan.job)
+    moves[5] = replace(moves[5], target=(5 * LENGTH_M, 1e-4))
+    given = replace(plan, job=replace(plan.job, operations=Stream.of(moves)))
     verdict = sewn(SPEED_M_S * TIME_S, plan=given, names=("stitch_speed_error", *NAMES))
     speed = verdict.result("stitch_speed_error")
     assert speed.status is Status.FAILED
