@@ -9,8 +9,9 @@ import pytest
 
 from threadline.cli.main import main
 
-# Half a circle between straight lines: `auto` adds points where the curve begins.
-TABLE = "x [mm],y [mm],bulge\n0,0,0\n40,0,1\n40,25,0\n0,25,0\n"
+# Half a circle of a stitch and a half between straight lines: within a wide tolerance `auto` cuts
+# it, and adds points where it begins.
+TABLE = "x [mm],y [mm],bulge\n0,0,0\n40,0,1\n40,4,0\n0,4,0\n"
 
 
 def prove(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str, *options: str):
@@ -21,7 +22,7 @@ def prove(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str, *option
         f'needle_speed = "40 stitch/s"\nmotion = "discrete"\n{more}'
     )
     with pytest.raises(SystemExit):
-        main(["prove", str(seam), "-m", "stitcher", "--json", *options])
+        main(["prove", str(seam), "-m", "stitcher", "--tolerance", "1 mm", "--json", *options])
     out, err = capsys.readouterr()
     found = {c["name"]: c["measured"] for c in json.loads(out)["criteria"]}
     return found["needle_time_error"], err

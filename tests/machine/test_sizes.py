@@ -15,6 +15,7 @@ from threadline.plant.analysis import analyse_axis
 from threadline.plant.loop import axis_loop
 from threadline.plant.suspicions import suspicions
 from threadline.plant.values import Values
+from threadline.twin.prescribed import advances_of
 from threadline.twin.switching import SAMPLE_S
 from threadline.twin.switching_cylinder import cylinders_of
 
@@ -149,3 +150,16 @@ def test_a_cylinder_whose_motion_grows_beyond_numbers_is_refused(tmp_path: Path)
             continue
         with pytest.raises(MachineError, match="its motion grows beyond all numbers within"):
             cylinders_of(*every)
+
+
+def test_a_stepper_that_carries_too_much_to_swing_is_refused(tmp_path: Path) -> None:
+    """Its acceleration is averaged over half a swing, whose ticks are kept: 12 GB of them."""
+    for inertia, fits in (("1 kg m^2", True), ("1e12 kg m^2", False)):
+        machine = load_machine(
+            overlaid(tmp_path, "stepper-winder", "bodies.a_motor.inertia", inertia)
+        )
+        if fits:
+            assert max(int(a.averaged.max()) for a in advances_of(machine)) < 1_000_000
+            continue
+        with pytest.raises(MachineError, match="its acceleration is averaged over 1000000 at most"):
+            advances_of(machine)

@@ -15,6 +15,8 @@ from threadline.arrays import FloatArray
 from threadline.jobs.operations import Feed, FeedMode, Move, Source, ToolEvent
 from threadline.signals import ChannelKind, Stream
 from threadline.verdict import Criterion, Status, judge
+from threadline.verdict.blocks import setting_of
+from threadline.verdict.stitches import StitchFollower
 
 from .builders import TICK_S, plan_through, record, spec_of
 
@@ -214,3 +216,21 @@ def test_a_stitch_that_the_motion_leaves_out_fails_in_numbers() -> None:
     speed = verdict.result("stitch_speed_error")
     assert speed.status is Status.FAILED
     assert speed.measured == pytest.approx(1.0)  # at no speed, and the next at twice its own
+
+
+def test_stitches_of_a_million_ticks_are_followed_in_bounded_memory() -> None:
+    """Samples every 20 ns, a million in a stitch: what is kept says the same to 1e-9."""
+    plan, every_s, count = seam(), 2e-8, 50_000
+    still = np.zeros((2, 2))
+    recording = record(("X", "Y"), {ChannelKind.LOAD: still}, np.zeros(2))
+    follower = StitchFollower(setting_of(plan, recording), 0.0)
+    most, errors = 0, []
+    for block in range(45):
+        time_s = every_s * (block * count + np.arange(count))
+        actual = np.stack([SPEED_M_S * time_s, 0.0 * time_s], axis=1)[:, None, :]
+        for sewn_now in follower.feed(time_s, actual):
+            errors += [sewn_now.length_error, sewn_now.speed_error]
+        most = max(most, len(follower._time_s))
+    assert len(np.concatenate(errors)) == 4  # two stitches of 20 ms in 45 ms
+    assert np.abs(np.concatenate(errors)).max() < 1e-9
+    assert most < 10_000

@@ -19,6 +19,9 @@ from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
 from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
 
+_MOST_AVERAGED = 1_000_000
+"""Ticks of which the speeds are kept: of the slowest swing of a stepper."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Advance:
@@ -55,7 +58,7 @@ def advances_of(machine: Machine) -> tuple[Advance, ...]:
     Raises
     ------
     MachineError
-        If an axis has a loop, or a part is not linear.
+        If an axis has a loop, a part is not linear, or a stepper swings too slowly to be averaged.
     """
     if machine.without_dynamics:
         return ()
@@ -93,7 +96,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
             told[:n, k], speeds[:n, k] = piece.rates[:, n + k], piece.rates[:, n + count + k]
             swing_hz = resonance_hz(source, float(piece.inertia[k]))
             assert swing_hz is not None
-            averaged[k] = max(1, round(0.5 / (swing_hz * tick_s)))
+            averaged[k] = _half_period(machine, piece.drives[k], swing_hz, tick_s)
     # x' = rates x + told (p + p' t) + speeds p', with p' constant over the tick.
     whole = np.zeros((size + 2 * count, size + 2 * count))
     whole[:size, :size] = rates
@@ -110,6 +113,20 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
         averaged=averaged,
         tick_s=tick_s,
     )
+
+
+def _half_period(machine: Machine, drive: str, swing_hz: float, tick_s: float) -> int:
+    """Return half a period of a stepper's resonance in ticks."""
+    ticks = 0.5 / (swing_hz * tick_s)
+    if ticks > _MOST_AVERAGED:
+        raise MachineError(
+            f"drives.{drive}: its rotor swings at {swing_hz:.3g} Hz with what it carries; half a "
+            f"period is {ticks:.3g} ticks, and its acceleration is averaged over "
+            f"{_MOST_AVERAGED} at most",
+            place=machine.place,
+            remedy="Correct the inertia that it carries, or its holding torque.",
+        )
+    return max(1, round(ticks))
 
 
 class Moving:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 
 import numpy as np
@@ -59,6 +59,10 @@ class Stitches:
 
     def __len__(self) -> int:
         return len(self.operation)
+
+    def rows(self, rows: slice) -> Stitches:
+        """Return some of the stitches."""
+        return Stitches(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 def has_stitches(job: Job) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
@@ -24,6 +24,7 @@ _NONE = "the job has no stitches"
 _WORDS = {False: ("too long", "too short"), True: ("too fast", "too slow")}
 SHORT = "the recording ends before this stitch"
 _BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
+_PARTS = 256  # of the time over which a speed is taken: finer samples say nothing more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,7 +65,8 @@ class StitchFollower:
     """Takes the tool's position and gives back the stitches that were sewn meanwhile.
 
     The position is taken as straight between samples: at an acceleration a it is off by at most
-    a T^2 / 8 in a sample interval T.
+    a T^2 / 8 in a sample interval T. Stitches are given back as soon as they are complete, so that
+    no more samples are kept than those of a stitch and of a block.
 
     Parameters
     ----------
@@ -91,26 +93,44 @@ class StitchFollower:
 
     @property
     def unsewn(self) -> Stitches | None:
-        """The run with the first stitch that no sample came to, if there is one."""
+        """What begins with the first stitch that no sample came to, if there is one."""
         self._pull(1)
         return self._pending[0] if self._pending else None
 
     def feed(self, time_s: FloatArray, actual: FloatArray) -> list[SewnStitches]:
-        """Return the runs of stitches that are complete with these (n, runs, axes) samples."""
-        points = lanes(actual)[:, self._columns] * self._radius_m[self._columns, None]
-        self._time_s = np.concatenate([self._time_s, time_s])
+        """Return the stitches, in runs, that are complete with these (n, runs, axes) samples."""
+        kept = self._kept(time_s)
+        points = lanes(actual[kept])[:, self._columns] * self._radius_m[self._columns, None]
+        self._time_s = np.concatenate([self._time_s, time_s[kept]])
         self._points = np.concatenate([self._points, points])
         sewn = []
         while True:
-            self._pull(2)  # one run more: the seam ahead of the last stitch
-            if not self._pending or self._pending[0].down_s[-1] + self._delay_s > time_s[-1]:
+            self._pull(1 + _AHEAD)  # the seam ahead of the last stitch
+            if not self._pending:
                 break
-            sewn.append(self._finish(self._pending.pop(0)))
+            run = self._pending[0]
+            down_s = run.down_s + self._delay_s
+            due = int(np.searchsorted(down_s, time_s[-1], side="right"))
+            if not due:
+                break
+            self._pending[:1] = [run.rows(slice(due, None))] if due < len(run) else []
+            sewn.append(self._finish(run.rows(slice(due))))
         keep_s = self._pending[0].from_s[0] + self._delay_s if self._pending else time_s[-1]
         keep_s -= self._over_s
         first = max(int(np.searchsorted(self._time_s, keep_s, side="right")) - 2, 0)
         self._time_s, self._points = self._time_s[first:], self._points[first:]
         return sewn
+
+    def _kept(self, time_s: FloatArray) -> IntArray:
+        """Return the rows of a block that are looked at: all of them, but where ticks are tiny.
+
+        A stitch may last a million ticks of a nanosecond: a fine part of what the speed is taken
+        over tells as much.
+        """
+        rows = np.arange(len(time_s))
+        lasts_s = float(time_s[-1] - time_s[0])
+        every = int(self._over_s / _PARTS * (len(rows) - 1) / lasts_s) if lasts_s > 0.0 else 1
+        return rows if every < 2 else np.unique(np.append(rows[::every], rows[-1]))
 
     def _pull(self, runs: int) -> None:
         while len(self._pending) < runs and not self._ended:
@@ -137,7 +157,8 @@ class StitchFollower:
         begun = self._at(run.from_s + self._delay_s)
         moved = np.sqrt(((actual - begun) ** 2).sum(axis=1))
         behind = run.from_point[:1] if self._seam is None else self._seam
-        ahead = self._pending[0].point[:_AHEAD] if self._pending else run.point[-1:]
+        coming = [pending.point for pending in self._pending[:_AHEAD]] or [run.point[-1:]]
+        ahead = np.concatenate(coming)[:_AHEAD]
         seam = np.concatenate([behind, run.point, ahead])
         placement = _to_seam(actual, seam, len(behind))
         self._seam = seam[: len(behind) + len(run)][-_BEHIND:]
