@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,12 @@ from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import plan_job, write
 from threadline.search.move_list import move_list
+from threadline.targets.homing import home_stage
 from threadline.targets.plc_home import home_order, home_places
 from threadline.twin.switching import simulate_switching
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
+LIBRARY = Path(__file__).parents[2] / "src" / "threadline" / "machine" / "library"
 FREE = """
 [[operation]]
 valve = "main_air"
@@ -247,3 +250,54 @@ def test_shared_addresses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     err = capsys.readouterr().err
     assert (ended.value.code, err.count("\n")) == (2, 1)
     assert "contacts.z_is_down.address: %IX0.5 is that of z_is_up already" in err
+
+
+def test_times_of_the_way_home_hold_over_the_tolerances(tmp_path: Path) -> None:
+    """A soft start of 3.2 s +- 30 % lasts 4.16 s, and X at its slowest 1.86 s.
+
+    By hand: 200 mm at 0.9 * 0.37 of 0.75 * 0.43 m/s, then 1.5 * 0.2 s and four times 1.5 * 0.12 s.
+    """
+    file = tmp_path / "slow.toml"
+    text = (LIBRARY / "letter-placer.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ('ramp = "1.15 s +- 30 %', 'ramp = "3.2 s +- 30 %'),
+        ('speed = "0.43 m/s +- 3 %', 'speed = "0.43 m/s +- 25 %'),
+        ('x_left_a2 = "0.37 +- 1 %, assumed: as forward', 'x_left_a2 = "0.37 +- 10 %, assumed'),
+        ('delay = "0.2 s +- 20 %', 'delay = "0.2 s +- 50 %'),
+        ('lag = "0.12 s +- 20 %', 'lag = "0.12 s +- 50 %'),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    file.write_text(text, encoding="utf-8")
+    machine = load_machine(file)
+    out = tmp_path / "cycle.st"
+    write(plan_job(read_job(CYCLE, machine), machine, Options()), "st", out)
+    written = out.read_text(encoding="ascii")
+    ms = {n: int(t) for n, t in re.findall(r"(\w+) : TIME := T#(\d+)ms", written)}
+    assert [ms[name] for name in ("t_start_1", "t_homing_1", "t_hand_air")] == [4160] * 3
+    stroke_s = 0.2 / (0.9 * 0.37 * 0.75 * 0.43)
+    rest_s = 1.5 * 0.2 + 4 * 1.5 * 0.12
+    pressed = home_stage(machine, "X")
+    assert stroke_s == pytest.approx(1.862, abs=1e-3)
+    assert pressed.pressed_s >= stroke_s + rest_s
+    assert pressed.late_s >= stroke_s + rest_s
+
+
+def test_a_switch_at_the_edge_of_its_tolerance_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """z_is_down switches at 94 +- 2 mm: with Z at 95 mm it may stay off, with Z at 97 mm not."""
+    file = tmp_path / "edge.toml"
+    steps = '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { Z = "95 mm" }\n'
+    for place, told in ((95, True), (97, False)):
+        text = steps.replace("95", str(place)) + '[[operation]]\nwait = "z_is_down"\n'
+        file.write_text(text, encoding="utf-8")
+        main_or_exit(["prove", str(file), "-m", "letter-placer", "--nominal"])
+        err = capsys.readouterr().err
+        assert ("may never come: Z stands at 95 mm then" in err) is told
+        assert ("edge.toml:5" in err) is told
+
+
+def main_or_exit(words: list[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(words)

@@ -27,6 +27,7 @@ from threadline.report.petri_net import petri_figures
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
 from threadline.shaping import FlexibleMode
+from threadline.targets.plc_home import home_places
 from threadline.targets.schedule import Scheduled, ScheduledMove, compile_schedule
 from threadline.targets.schedule_options import shaping_of
 from threadline.verdict import load_spec
@@ -108,7 +109,8 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
 
     The net's own times count on from the last input: on the way down 10 ms behind the wait, then
     the impulses of the shaper, 0.172 s or 180 ms on the scan, so that the first level lasts 170 ms.
-    Every page has place 0, and the way back to it beside each of its rows.
+    Every page has place 0, and the way back to it beside each of its rows. Behind the 49 places of
+    the cycle come the five of the way home: air, then each cylinder on its way and pressed there.
     """
     machine = load_machine(TRIMMED)
     scheduled = compile_schedule(
@@ -124,7 +126,7 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
         assert min(t.get_fontsize() for t in figure.axes[0].texts) >= 7.0
     texts = [t.get_text() for panel in panels for t in panel.texts]
     numbers = [int(t) for t in texts if t.isdigit()]
-    assert sorted(numbers) == [0, 0, 0, *range(1, 50)]
+    assert sorted(numbers) == [0, 0, 0, *range(1, 55)]
     events = [e for e in scheduled.commands.events if e.kind == "wait"]
     waits = {
         f"{e.name}\n(at most {late:g} s)"
@@ -132,14 +134,19 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
     }
     assert sum(t in waits for t in texts) == len(events) == 9
     solid = [n for panel in panels for n in panel.lines if n.get_linestyle() == "-"]
-    assert sum(line.get_marker() != "o" for line in solid) == 49
+    assert sum(line.get_marker() != "o" for line in solid) == 54
     dashed = [n for panel in panels for n in panel.lines if n.get_linestyle() == "--"]
     assert len(dashed) >= 14
-    assert sum("main_air" in t.split("\n") for t in texts) == 49  # it opens first and stays open
+    assert sum("main_air" in t.split("\n") for t in texts) == 54  # it opens first and stays open
+    home = home_places(scheduled, 49, 10)
+    assert [place.number for place in home] == [50, 51, 52, 53, 54]
+    home_ms = sum(place.due_ms for place in home if place.wait is None)
     own_ms = sum(int(t.removesuffix(" ms")) for t in texts if t.endswith(" ms"))
     scans = scheduled.commands.duration_ticks - len(events)
-    assert own_ms == pytest.approx(10 * scans, abs=10 * len(events))
+    assert own_ms - home_ms == pytest.approx(10 * scans, abs=10 * len(events))
     assert "170 ms" in texts
+    assert "every output off; home leads to 50, and then start to 1" in texts
+    assert sum(t.startswith("back to 0") for t in texts) == 2
 
 
 def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) -> None:
@@ -159,7 +166,7 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
         for p in (proof, unshaped)
     ]
     assert shown == pytest.approx(measured)
-    assert len(frame.lines) == 2
+    assert sum(not str(line.get_label()).startswith("_") for line in frame.lines) == 2
     lanes = [t.get_text() for t in cycle.axes[-1].get_yticklabels()]
     assert lanes == list(machine.outputs)
     scheduled = replace(proof.plan.scheduled, warnings=("X is told 50.1 mm instead",))

@@ -69,3 +69,29 @@ def test_by_hand_the_lift_comes_up_where_the_list_never_raises_it(tmp_path: Path
             for _ in range(200):
                 bench.scan(manual=True, jog=jog)
             assert bench.cell.contacts()[contact], (x, contact)
+
+
+def test_a_letter_that_is_lost_on_the_way_is_found_where_the_list_asks_again(
+    tmp_path: Path,
+) -> None:
+    """A second wait while the same venturi is on: held, it passes; lost across, it is a fault."""
+    again = '[[operation]]\nwait = "letter_held"\ntimeout = "100 ms"\n\n'
+    let_go = '[[operation]]\nvacuum = "venturi"\non = false'
+    text = CYCLE.read_text(encoding="utf-8")
+    assert text.count(let_go) == 1
+    listed, out = tmp_path / "again.toml", tmp_path / "again.st"
+    listed.write_text(text.replace(let_go, again + let_go), encoding="utf-8")
+    machine = load_machine("letter-placer")
+    write(plan_job(read_job(listed, machine), machine, Options()), "st", out)
+    units = read_in_parts(out.read_text(encoding="ascii"))
+    for lost in (False, True):
+        bench = homed(Plc(units))
+        bench.press("start_button")
+        while bench.block["busy"]:
+            if lost and bench.block["step_text"] == "across":
+                bench.cell.stuck["letter_held"] = False
+            bench.scan()
+        assert bench.block["finished"] is not lost
+        told = [bench.block[name] for name in ("fault_text", "fault_step", "contact_text")]
+        missing = ["an input did not come in time", "leave", "letter_held"]
+        assert told == (missing if lost else ["none", "", ""]), told

@@ -42,6 +42,11 @@ class Output:
     ramp: PositiveTime | None = None
     needs: tuple[str, ...] = ()
 
+    @property
+    def ramp_s(self) -> float:
+        """Longest time until the circuit is under pressure, its tolerance included; 0 without."""
+        return 0.0 if self.ramp is None else self.ramp.most
+
     @model_validator(mode="after")
     def _of_its_kind(self) -> Output:
         if (self.kind == "soft-start") != (self.ramp is not None):
@@ -179,6 +184,12 @@ class Cylinder:
     def rest_s(self, forward: bool) -> float:
         """Return how long after its last switching it has come to rest."""
         return self.way(forward).closes_s + self.delay.si + REST_LAGS * self.lag.si
+
+    def longest_rest_s(self, forward: bool) -> float:
+        """Return the same for a cylinder that is as slow as its tolerances let it be."""
+        closes = self.way(forward).closes
+        shut_s = 0.0 if closes is None else closes.most
+        return shut_s + self.delay.most + REST_LAGS * self.lag.most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -75,6 +75,16 @@ class Quantity:
     note: str = ""
     exact_s: Fraction | None = None
 
+    @property
+    def least(self) -> float:
+        """Lower end of its tolerance."""
+        return self.si - self.tolerance_si
+
+    @property
+    def most(self) -> float:
+        """Upper end of its tolerance."""
+        return self.si + self.tolerance_si
+
 
 def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
     """Return the quantity written in ``text``; its unit must be of the kind of one of ``units``.

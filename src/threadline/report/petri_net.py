@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from threadline.errors import PlanError
+from threadline.targets.plc_home import home_places
 from threadline.targets.plc_net import NetPlace, petri_net
 from threadline.targets.schedule import Scheduled
 
@@ -13,37 +15,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PLACES_IN_ROW, _ROWS_ON_PAGE = 4, 7  # room of a page of paper at a readable size
+_PLACES_IN_ROW, _ROWS_ON_PAGE = 4, 6  # room of a page of paper at a readable size
 _SMALL, _PLAIN = 7.0, 8.0  # points
 _BREAK = "#B00000"
 
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A place, and the condition of the transition after it."""
+    """A place, and the condition of the transition after it; ``then`` where that leads back."""
 
     place: NetPlace
     label: str
+    then: str = ""
 
 
 def petri_figures(scheduled: Scheduled) -> list[Figure]:
     """Draw the net: place 0, then rows of places for each step, bars for transitions.
 
+    Behind the cycle come the places of the way home, where the machine has one.
     A bar is labelled with the time of the place before it, or with the input that is waited for and
     its timeout. The dashed line beside the rows is the transition from every place back to place 0.
     A figure is as high as a page of a report; a long schedule has several.
     """
     net = petri_net(scheduled)
-    bars, passed_ms = [], 0
-    for place in net.places:
-        if place.wait is None:
-            bars.append(_Bar(place, f"{place.due_ms - passed_ms} ms"))
-            passed_ms = place.due_ms
-        else:
-            name, value = place.wait
-            late_s = (place.due_ms - passed_ms) / 1000.0
-            bars.append(_Bar(place, f"{name if value else f'not {name}'}\n(at most {late_s:g} s)"))
-            passed_ms = 0
+    home = _home(scheduled, len(net.places), net.scan_ms)
+    bars = _bars(net.places, "back to 0, or to 1\nif continuous") + _bars(home, "back to 0")
+    begins = f"home leads to {home[0].number}, and then start to 1" if home else "start leads to 1"
     rows: list[tuple[str, list[_Bar]]] = []
     for step in dict.fromkeys(bar.place.step for bar in bars):
         own = [bar for bar in bars if bar.place.step == step]
@@ -51,17 +48,40 @@ def petri_figures(scheduled: Scheduled) -> list[Figure]:
             named = not first or len(rows) % _ROWS_ON_PAGE == 0
             rows.append((step if named else "", own[first : first + _PLACES_IN_ROW]))
     pages = range(0, len(rows), _ROWS_ON_PAGE)
-    return [_page(rows[n : n + _ROWS_ON_PAGE], n + _ROWS_ON_PAGE >= len(rows)) for n in pages]
+    return [_page(rows[n : n + _ROWS_ON_PAGE], begins) for n in pages]
 
 
-def _page(rows: Sequence[tuple[str, Sequence[_Bar]]], last: bool) -> Figure:
+def _home(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlace, ...]:
+    """Return the places of the way home; none where a cylinder has no switch at its start."""
+    try:
+        return home_places(scheduled, after, scan_ms)
+    except PlanError:
+        return ()  # ``compile`` refuses such a machine, and says why
+
+
+def _bars(places: Sequence[NetPlace], then: str) -> list[_Bar]:
+    bars, passed_ms = list[_Bar](), 0
+    for place in places:
+        if place.wait is None:
+            bars.append(_Bar(place, f"{place.due_ms - passed_ms} ms"))
+            passed_ms = place.due_ms
+        else:
+            name, value = place.wait
+            late_s = (place.due_ms - passed_ms) / 1000.0
+            bars.append(
+                _Bar(place, f"{name if value else f'not {name}'}\n(at most {late_s:.3g} s)")
+            )
+            passed_ms = 0
+    return [*bars[:-1], *(replace(last, then=then) for last in bars[-1:])]
+
+
+def _page(rows: Sequence[tuple[str, Sequence[_Bar]]], begins: str) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 1.15 * (len(rows) + 1)))
+    figure = Figure(figsize=(7.2, 1.3 * (len(rows) + 1)))
     panel = figure.subplots()
     _place(panel, 0, 0, "0", "white")
-    told = "every output off; home first, then start leads to the first place"
-    panel.text(0.25, 0.0, told, va="center", fontsize=_PLAIN)
+    panel.text(0.25, 0.0, f"every output off; {begins}", va="center", fontsize=_PLAIN)
     for number, (step, bars) in enumerate(rows, start=1):
         panel.text(-0.75, -number, step, ha="right", va="center", weight="bold", fontsize=_PLAIN)
         for column, bar in enumerate(bars):
@@ -73,16 +93,15 @@ def _page(rows: Sequence[tuple[str, Sequence[_Bar]]], last: bool) -> Figure:
                            arrowprops={"arrowstyle": "->", "linewidth": 0.9})  # fmt: skip
             panel.text(column + 0.5, -number + 0.18, bar.label, ha="center", va="bottom",
                        fontsize=_SMALL)  # fmt: skip
+            if bar.then:
+                panel.text(column + 0.85, -number, bar.then, va="center", fontsize=_SMALL)
             panel.text(column, -number - 0.2, "\n".join(place.on), ha="center", va="top",
                        fontsize=_SMALL)  # fmt: skip
         _arc(panel, [(-0.16, -number), (-0.55, -number), (-0.55, 0.0)])
     _arc(panel, [(-0.55, 0.0), (-0.17, 0.0)], arrow=True)
     panel.text(-0.62, 0.0, "any fault\nat any place", ha="right", va="center", fontsize=_SMALL,
                color=_BREAK)  # fmt: skip
-    if last:
-        end = len(rows[-1][1]) - 0.15
-        panel.text(end, -len(rows), "back to 0", va="center", fontsize=_PLAIN)
-    panel.set_xlim(-1.75, _PLACES_IN_ROW - 0.05)
+    panel.set_xlim(-1.75, _PLACES_IN_ROW + 0.55)
     panel.set_ylim(-len(rows) - 0.75, 0.4)
     panel.set_axis_off()
     return figure

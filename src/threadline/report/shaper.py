@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _SPAN = (0.4, 1.6)
 _POINTS = 601
+_NAME_WIDE = 0.12  # of the figure: so much the name of a mode takes
+_READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
 
 
 def write_shaper(
@@ -77,16 +79,21 @@ def _sensitivity(
         axes.plot(f, residual_vibration(shaper, f, damping), label=label, **curve)
     for tolerance in dict.fromkeys(tolerances):
         axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
-    for m in modes:
+    # Names of modes that lie close stand one below the other.
+    row, before = 0, -high
+    for m in sorted(modes, key=lambda one: one.frequency_hz):
+        row = row + 1 if m.frequency_hz - before < _NAME_WIDE * (high - low) else 0
+        before = m.frequency_hz
         axes.axvline(m.frequency_hz, **{**PLANNED, "linewidth": 0.9})
         axes.annotate(
             f" {m.frequency_hz:g} Hz",
-            (m.frequency_hz, 0.96),
+            (m.frequency_hz, 0.96 - 0.05 * (row % 6)),
             xycoords=axes.get_xaxis_transform(),
+            bbox=_READABLE,
         )
     axes.set(xlabel="undamped frequency, Hz", ylabel="residual vibration V", xlim=(low, high))
     axes.set_ylim(0.0, None)
-    axes.legend(loc="upper right")
+    figure.legend(loc="outside lower center", ncols=3)
     axes.set_title("Sensitivity")
     return figure
 
@@ -102,6 +109,6 @@ def _step(shaper: Shaper) -> Figure:
     axes.plot(shaper.times_s, shaper.amplitudes, label="impulses", **PROGRAMMED)
     axes.vlines(shaper.times_s, 0.0, shaper.amplitudes, colors="black", linewidth=0.8)
     axes.set(xlabel="time, s", ylabel="amplitude, level")
-    axes.legend(loc="best")
+    figure.legend(loc="outside lower center", ncols=2)
     axes.set_title("Impulses and shaped step")
     return figure

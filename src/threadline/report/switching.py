@@ -39,7 +39,7 @@ _DRAWN = ("residual_vibration",)
 _CAPTIONS = {
     "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
     "planned and without a shaper; dotted: the limit.",
-    "cycle": "Pistons, and what was switched on, over the cycle; grey marks the steps.",
+    "cycle": "Pistons, and what was switched on, over the cycle; dotted lines part the steps.",
     "frame": "The frame over the cycle, as planned and without a shaper.",
     "broken-beam": "A beam of the light grid is broken at each instant of the longest move and all "
     "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
@@ -48,7 +48,8 @@ _CAPTIONS = {
     "petri-net": "The sequence that the PLC program runs, a Petri net with one token: places "
     "numbered as in its text, below them the outputs that are on. A bar lets the token pass after "
     "the time of its own place, or when its input comes; grey places wait for an input, and one "
-    "that does not come in time is a fault. The program's own times count on from the last input "
+    "that does not come in time is a fault. The places of homing bring every cylinder back from "
+    "wherever it stands. The program's own times count on from the last input "
     "that was waited for, and add these up. The dashed line is what every place has: a broken "
     "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "
     "place 0, everything off.",

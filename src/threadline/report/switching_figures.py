@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,15 +21,17 @@ if TYPE_CHECKING:
 
 MICRO = 1e6
 _MOST_SAMPLES = 20_000
+_PARTS: Any = {"color": "0.45", "linewidth": 0.6, "linestyle": (0, (1, 2)), "zorder": 0}
+_READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+"""Behind a number that a limit would strike out."""
 _LEAST_UM = 1.0
 """Lower end of the logarithmic scale of residual vibration, micrometres."""
 
 
 def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
-    """Shade every other step, and name them above the panel."""
-    for index, step in enumerate(run.steps):
-        if index % 2:
-            panel.axvspan(step.begin_s, step.end_s, color="0.93", zorder=0)
+    """Part the steps by thin lines, and name them above the panel."""
+    for step in run.steps:
+        panel.axvline(step.begin_s, **_PARTS)
         if names:
             panel.annotate(
                 step.name,
@@ -103,8 +105,8 @@ def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> 
                 panel.plot(time_s, values * MICRO, label=label, **look)
         panel.set_ylabel(f"frame along {axis}, um")
         _mark_steps(panel, run, names=axis == axes[0])
-    panels[0].legend(loc="upper left")
     panels[-1].set_xlabel("s")
+    _legend_below(figure, panels[0])
     return figure
 
 
@@ -130,7 +132,8 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
             sizes = [(r.measured or 0.0) * MICRO for r in rows]
             at = np.arange(len(rows)) + 0.4 * (index - 0.5 * (len(cases) - 1))
             bars = panel.bar(at, sizes, 0.38, color=colour, hatch=hatch, label=label)
-            panel.bar_label(bars, [f"{s:.0f}" for s in sizes], fontsize=6)
+            told = ["?" if r.measured is None else f"{r.measured * MICRO:.0f}" for r in rows]
+            panel.bar_label(bars, told, fontsize=6, padding=1, bbox=_READABLE, zorder=5)
             limits = [r.limit for r in rows]
             for place, limit in zip(range(len(rows)), limits, strict=True):
                 if limit is not None and index == 0:
@@ -138,8 +141,14 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
         panel.set_yscale("symlog", linthresh=_LEAST_UM)
         panel.set_ylabel(f"frame along {axis}, um")
         panel.set_xticks(range(len(names)), names)
-    panels[0].legend(loc="upper left")
+    _legend_below(figure, panels[0])
     return figure
+
+
+def _legend_below(figure: Figure, panel: Axes) -> None:
+    """Put the legend of a panel below the figure, where it covers no curve and no bar."""
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
 def residuals_figure(proofs: Sequence[Proof]) -> Figure:
@@ -166,5 +175,5 @@ def residuals_figure(proofs: Sequence[Proof]) -> Figure:
         panel.set_yscale("symlog", linthresh=_LEAST_UM)
         panel.set_ylabel(f"frame along {axis}, um")
         panel.set_xticks(range(len(rows)), [r.step for r in rows])
-    panels[0].legend(loc="upper left", ncols=3, fontsize=7)
+    _legend_below(figure, panels[0])
     return figure

@@ -50,16 +50,26 @@ class Homing:
 
 
 def home_stage(machine: Machine, axis: str, place: Place | None = None) -> HomeStage:
-    """Return how a cylinder is brought home.
+    """Return how a cylinder is brought home; its times hold all over its tolerances.
 
     Raises
     ------
     PlanError
-        If no contact tells that it is there.
+        If no contact tells that it is there, or it may not move at all.
     """
     cylinder = machine.cylinders[axis]
     level, flows = slowest(cylinder.back)
-    speed, rest_s = level * cylinder.speed.si, cylinder.rest_s(forward=False)
+    # As slow as its tolerances let it be.
+    off = sum(cylinder.back.flows[flow].tolerance_si for flow in flows)
+    speed = (level - off) * cylinder.speed.least
+    if speed <= 0.0:
+        raise PlanError(
+            f"{axis} may stand still on its way home: its speed and flow controls have tolerances "
+            "as large as they are",
+            place=place,
+            remedy="Measure its speed.",
+        )
+    rest_s = cylinder.longest_rest_s(forward=False)
     return HomeStage(
         on=(cylinder.back.valve, *flows),
         switch=home_switch(machine, axis, place),

@@ -46,8 +46,7 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
 
 def air_ms(machine: Machine, scan_ms: int) -> int:
     """Return how long the soft start takes to bring the air up, ms, whole scans."""
-    ramps = [o.ramp.si for o in machine.outputs.values() if o.ramp is not None]
-    return _scans_ms(max(ramps, default=0.0), scan_ms)
+    return _scans_ms(max(output.ramp_s for output in machine.outputs.values()), scan_ms)
 
 
 def home_watches(places: tuple[NetPlace, ...], machine: Machine) -> list[dict[str, Watch]]:

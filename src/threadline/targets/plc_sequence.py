@@ -77,6 +77,8 @@ class Sequence:
     before_vacuum
         For every input that is waited for while a vacuum is on: the places just before the vacuum
         is switched on, in which the input must be off.
+    still_held
+        Names of places that wait for what the same vacuum has brought before: it may simply be on.
     interlocks
         For every contact that the machine file needs: names of the places in which it must be on.
     idle
@@ -92,6 +94,7 @@ class Sequence:
     jogs: tuple[Jog, ...]
     contacts: Mapping[str, str]
     before_vacuum: Mapping[tuple[str, bool], tuple[str, ...]]
+    still_held: frozenset[str]
     interlocks: Mapping[str, tuple[str, ...]]
     idle: str
     air: tuple[str, ...]
@@ -159,6 +162,7 @@ def sequence_of(scheduled: Scheduled, names: Names) -> Sequence:
         contacts={
             c: names.give(f"c_{c}") for c, k in machine.contacts.items() if k.kind == "contact"
         },
+        still_held=frozenset(_still_held(machine, cycle)),
         before_vacuum=_before_vacuum(machine, cycle),
         interlocks=interlocked(machine, (*cycle, *homing)),
         idle=idle,
@@ -227,10 +231,24 @@ def _what(place: NetPlace, scheduled: Scheduled) -> str:
         if move.last_tick <= tick < move.last_tick + math.ceil(rest_s / scan_s - 1e-9):
             return f"{move.axis} comes to rest"
     for name in place.on:
-        ramp = machine.outputs[name].ramp
-        if ramp is not None and abs(stays_s - ramp.si) < scan_s:
+        ramp_s = machine.outputs[name].ramp_s
+        if ramp_s and abs(stays_s - ramp_s) < scan_s:
             return f"{name} is under pressure"
     return "one scan" if stays_s < 1.5 * scan_s else f"{stays_s * 1e3:g} ms more"
+
+
+def _still_held(machine: Machine, cycle: tuple[NamedPlace, ...]) -> Iterator[str]:
+    """Yield each place that waits for an input that came already since its vacuum was drawn."""
+    vacuums = {name for name, output in machine.outputs.items() if output.kind == "vacuum"}
+    brought: set[tuple[str, bool]] = set()
+    for named in cycle:
+        place = named.place
+        if not vacuums & set(place.on):
+            brought.clear()
+        elif place.wait is not None and place.wait[1]:
+            if place.wait in brought:
+                yield named.name
+            brought.add(place.wait)
 
 
 def _before_vacuum(

@@ -213,12 +213,11 @@ class _Builder:
                 self.state[name] = int(value)
                 self._check_interlocks([], self.position, source)
                 self._set(self.tick, {name: int(value)}, index)
-                ramp = self.machine.outputs[name].ramp
-                self.tick += self._ticks(ramp.si) if ramp is not None and value else 1
+                self.tick += self._ticks(self.machine.outputs[name].ramp_s) if value else 1
             case Dwell(duration_s=duration):
                 self.tick += self._ticks(duration)
             case WaitInput(name=name, value=value, timeout_s=timeout, source=source):
-                check_wait(self.machine, self.position, name, bool(value), source)
+                self.warnings += check_wait(self.machine, self.position, name, bool(value), source)
                 if self.machine.contacts[name].cylinder is not None:
                     self.on_its_way.discard(str(self.machine.contacts[name].cylinder))
                 self.events.append(

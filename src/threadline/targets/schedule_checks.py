@@ -37,11 +37,11 @@ def check_air(machine: Machine, state: Mapping[str, int], source: Source) -> Non
 
 def check_wait(
     machine: Machine, position: Mapping[str, float], name: str, value: bool, source: Source
-) -> None:
-    """Refuse a wait for an end switch whose piston stands elsewhere."""
+) -> list[str]:
+    """Refuse a wait for an end switch whose piston stands elsewhere; warn of one at its edge."""
     contact = machine.contacts[name]
     if contact.cylinder is None or contact.at is None:
-        return
+        return []
     place_m = position[contact.cylinder]
     if reads_on(contact, place_m) != value:
         raise PlanError(
@@ -51,6 +51,13 @@ def check_wait(
             place=source.place,
             remedy="Wait for another input, or move there first.",
         )
+    if abs(place_m - contact.at.si) > contact.at.tolerance_si:
+        return []
+    return [
+        f"{source.place}: the input {name!r} may never {'come' if value else 'go'}: "
+        f"{contact.cylinder} stands at {place_m * 1e3:g} mm then, and {name} switches at "
+        f"{contact.at.si * 1e3:g} mm +- {contact.at.tolerance_si * 1e3:g} mm; move beyond it"
+    ]
 
 
 def check_interlocks(

@@ -209,7 +209,7 @@ def _transition(
         yield "END_IF;"
         return
     word = words.inputs[place.wait[0]]
-    fresh = words.fresh.get(place.wait)
+    fresh = "" if named.name in sequence.still_held else words.fresh.get(place.wait)
     awaited = word if place.wait[1] else f"NOT {word}"
     yield f"IF place = {named.name} THEN"
     yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''} THEN"
