@@ -12,7 +12,7 @@ from types import FrameType
 
 from threadline.cli.told import note
 from threadline.live.desk import Desk
-from threadline.live.executor import Executor
+from threadline.live.links import Running
 from threadline.live.states import Cause, State
 from threadline.pipeline import Progress
 
@@ -23,7 +23,7 @@ _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 @contextmanager
 def at_the_keys(
     desk: Desk, duration_s: float, progress: Progress | None
-) -> Iterator[Callable[[Executor], None]]:
+) -> Iterator[Callable[[Running], None]]:
     """Pass keys and signals to ``desk``; yield the function to call after each step of a run.
 
     Parameters
@@ -52,7 +52,7 @@ class _Watched:
         self._duration_s = max(duration_s, 1e-9)
         self._state = State.RUNNING
 
-    def step(self, executor: Executor) -> None:
+    def step(self, executor: Running) -> None:
         """Pass the keys to the desk; tell the progress of the run, and that it holds."""
         if self._terminal is not None and select.select([self._terminal], [], [], 0.0)[0]:
             for key in os.read(self._terminal, 16).decode("utf-8", "replace"):

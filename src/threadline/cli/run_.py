@@ -51,13 +51,13 @@ from threadline.errors import LinkFaultError, OptionError
 from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
 from threadline.live.hold_deviation import hold_limit_m
+from threadline.live.links import link_of
 from threadline.live.sim_faults import parse_fault
-from threadline.live.sim_process import LEAST_SPEED, REAL_TIME, sim_link
+from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.live.supervised import (
     check_halts,
     check_override,
     check_runnable,
-    run_commands,
 )
 from threadline.live.ways import way_of
 from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
@@ -68,7 +68,6 @@ from threadline.signals.files import read_recording, write_recording
 from threadline.store.run_store import RunStore
 from threadline.verdict import Verdict, closing, judge, load_spec, verdict_json, verdict_rows
 
-LINKS = ("sim",)
 _MOST_SPEED = 1e6
 
 
@@ -86,7 +85,11 @@ def run(
     machine: MachineOption,
     spec: SpecOption = None,
     link: Annotated[
-        str, typer.Option(help="Link to the machine: sim is a simulated one, in its own process.")
+        str,
+        typer.Option(
+            help="Link to the machine: sim is a simulated one, in its own process; "
+            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl."
+        ),
     ] = "sim",
     speed: Annotated[
         float,
@@ -149,12 +152,11 @@ def run(
 
     Example: threadline run examples/x-180.prg -m lathe-winder --link sim --speed 0
     """
-    if link not in LINKS:
-        raise OptionError(f"unknown link {link[:40]!r}", remedy=f"Use {' or '.join(LINKS)}.")
     check_override(override)
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
     fault = None if inject is None else parse_fault(inject, chosen)
+    over = link_of(link, chosen, speed, fault)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)
     check_outputs(file=recording)
     options = options_of(
@@ -184,8 +186,9 @@ def run(
             tell(doubts(proof))
             write_proof(proof, proof_file)
         known = check_runnable(proof_file, plan, asked, override)
-        way = way_of(chosen)
-        leaves_m = way.hold_deviation_m(plan)
+        for line in over.prepare(plan):
+            note(line)
+        leaves_m = way_of(chosen).hold_deviation_m(plan)
         at_rest = _hold_at_rest(leaves_m, hold_limit_m(asked))
         told = {"link": link, **({"override": override} if override else {})}
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
@@ -195,16 +198,8 @@ def run(
             at_the_keys(desk, plan.duration_s, progress) as watch,
             kept,
         ):
-            ended, text, _ = run_commands(
-                plan.commands,
-                chosen,
-                sim_link(chosen, way.start(plan.commands), speed, fault),
-                desk,
-                kept,
-                speed=speed,
-                pass_stops=pass_stops,
-                hold_at_rest=at_rest,
-                watch=watch,
+            ended, text = over.run(
+                plan, desk, kept, pass_stops=pass_stops, hold_at_rest=at_rest, watch=watch
             )
     happened = read_recording(kept.trace)
     verdict = judge([happened], plan, asked)

@@ -1,0 +1,206 @@
+"""A controller with grbl before a run: what it is, how it is set up, and where it stands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import CommandError, LinkFaultError
+from threadline.live.grbl_port import Port
+from threadline.live.grbl_words import RESET, STATUS, Status, settings_of, status_of
+from threadline.machine import Machine
+
+_ANSWER_S = 3.0
+_HOMING_S = 120.0
+_SAME = 1e-3  # relative, of a setting and the number in the machine file
+_TRAVEL_M = 1e-3  # by which a report may lie beyond the travel
+
+
+class Controller:
+    """A controller with grbl that drives a machine.
+
+    Parameters
+    ----------
+    port
+        Its port.
+    machine
+        Machine that must be there.
+
+    Attributes
+    ----------
+    blocks
+        Blocks that its planner holds.
+    """
+
+    def __init__(self, port: Port, machine: Machine) -> None:
+        self._port, self._machine = port, machine
+        self.blocks = 15
+        self._letters: tuple[str, ...] = ()
+        self._homes = False
+
+    def meet(self) -> None:
+        """Meet the controller, which must stand, and compare its settings with the machine.
+
+        Nothing that moves is sent: what it was doing before is not gone on with.
+
+        Raises
+        ------
+        LinkFaultError
+            If it does not answer, or moves.
+        CommandError
+            If it is set up for another machine.
+        """
+        found = self.ask_status()
+        if found.state not in {"Idle", "Alarm"}:
+            raise LinkFaultError(
+                f"the controller is not at rest: it tells {found.state}",
+                remedy="Stop it by its own means; nothing was sent that moves.",
+            )
+        self._port.send(RESET)  # at rest: it forgets the modes and lines of whoever was there
+        self._quiet()
+        self._letters = self._ask_letters()
+        settings = settings_of(self.ask(b"$$\n", _ANSWER_S))
+        self._compare(settings)
+        self._homes = bool(settings.get(22, 0.0))
+
+    def home(self) -> FloatArray:
+        """Home it where it has switches; return the (axes,) place where it stands, m or rad.
+
+        Raises
+        ------
+        LinkFaultError
+            If homing fails, it is in alarm, or its coordinates are shifted.
+        """
+        if self._homes:
+            self.ask(b"$H\n", _HOMING_S)
+        for line in self.ask(b"$#\n", _ANSWER_S):
+            name, _, values = line.strip("[]").partition(":")
+            if name in {"G54", "G92"} and any(float(value) for value in values.split(",")):
+                raise LinkFaultError(
+                    f"the controller shifts its coordinates: {line}",
+                    remedy="Clear it (G10 L2 P1 X0 Y0 Z0, G92.1), then home again.",
+                )
+        found = self.ask_status()
+        if found.state != "Idle":
+            raise LinkFaultError(
+                f"the controller is not ready: it tells {found.state}",
+                remedy="Clear its alarm by its own means, and home it.",
+            )
+        return self.position(found)
+
+    def ask(self, line: bytes, timeout_s: float) -> list[str]:
+        """Send a line, and return what comes before its answer.
+
+        Raises
+        ------
+        LinkFaultError
+            If it is refused, or not answered in time.
+        """
+        self._port.send(line)
+        until, found = time.monotonic() + timeout_s, list[str]()
+        while (left_s := until - time.monotonic()) > 0.0 and not self._port.lost:
+            heard = self._port.receive(left_s)
+            if heard == "ok":
+                return found
+            if heard is not None and heard.startswith(("error", "ALARM")):
+                raise LinkFaultError(f"the controller refused {line.strip().decode()!r}: {heard}")
+            if heard is not None:
+                found.append(heard)
+        raise LinkFaultError(
+            f"the controller did not answer {line.strip().decode()!r}",
+            remedy="Look whether it is switched on, speaks grbl, and nobody else is connected.",
+        )
+
+    def ask_status(self) -> Status:
+        """Ask for a status report, and return it; a LinkFaultError if none comes."""
+        until = time.monotonic() + _ANSWER_S
+        while (left_s := until - time.monotonic()) > 0.0 and not self._port.lost:
+            self._port.send(STATUS)
+            while (heard := self._port.receive(min(left_s, 0.5))) is not None:
+                found = status_of(heard)
+                if found is not None:
+                    return found
+        raise LinkFaultError(
+            "the controller did not answer",
+            remedy="Look whether it is switched on, speaks grbl, and nobody else is connected.",
+        )
+
+    def _quiet(self) -> None:
+        """Read what comes until nothing comes any more."""
+        while self._port.receive(0.5) is not None:
+            pass
+
+    def _ask_letters(self) -> tuple[str, ...]:
+        """Return the letters of its axes, in the order of its reports."""
+        for line in self.ask(b"$I\n", _ANSWER_S):
+            if line.startswith("[AXS:"):
+                return tuple(line.strip("[]").split(":")[2])
+            if line.startswith("[OPT:"):
+                told = line.strip("[]").split(",")
+                self.blocks = int(told[1]) if len(told) > 1 and told[1].isdigit() else self.blocks
+        return ("X", "Y", "Z")
+
+    def _columns(self) -> Sequence[int]:
+        return [self._letters.index(name) for name in self._machine.axis_names]
+
+    def _compare(self, settings: dict[int, float]) -> None:
+        """Refuse a controller whose axes are not those of the machine.
+
+        Raises
+        ------
+        CommandError
+            With the first setting that differs, or lets an axis go beyond its limit.
+        """
+        machine = self._machine
+        missing = [name for name in machine.axis_names if name not in self._letters]
+        if missing:
+            raise CommandError(
+                f"the controller has no axis {missing[0]}: it has {', '.join(self._letters)}",
+                remedy="Build its firmware with that axis, or name the axes of the machine so.",
+            )
+        units = units_of(machine)
+        per_unit = machine.counts_per_unit * units
+        fastest = 60.0 * machine.velocity_limit / units
+        quickest = machine.acceleration_limit / units
+        for k, (name, letter) in enumerate(zip(machine.axis_names, self._columns(), strict=True)):
+            for first, wanted, exact, what in (
+                (100, per_unit[k], True, "steps"),
+                (110, fastest[k], False, "speed"),
+                (120, quickest[k], False, "acceleration"),
+            ):
+                number = first + letter
+                has = settings.get(number, np.nan)
+                high = has <= wanted * (1.0 + _SAME)
+                if not high or (exact and has < wanted * (1.0 - _SAME)):
+                    raise CommandError(
+                        f"${number}={has:g} of the controller: the {what} of {name} in "
+                        f"{machine.name} is {wanted:.6g}",
+                        remedy=f"Set ${number}={wanted:.6g}, or correct the machine file.",
+                    )
+
+    def position(self, found: Status) -> FloatArray:
+        """Return the (axes,) place in a status report, m or rad; a LinkFaultError if it is none."""
+        if len(found.position) < len(self._letters or self._machine.axes):
+            raise LinkFaultError(f"the controller reports {len(found.position)} axes")
+        if found.offset is not None and np.any(found.offset):
+            raise LinkFaultError(f"its coordinates are shifted: {found.offset.tolist()}")
+        return np.asarray(found.position[self._columns()] * units_of(self._machine))
+
+    def beyond(self, place: FloatArray) -> str:
+        """Return the axis that is beyond its travel; empty where none is."""
+        for value, (name, axis) in zip(place.tolist(), self._machine.axes.items(), strict=True):
+            if axis.travel is not None and not (
+                axis.travel[0].si - _TRAVEL_M <= value <= axis.travel[1].si + _TRAVEL_M
+            ):
+                return name
+        return ""
+
+
+def units_of(machine: Machine) -> FloatArray:
+    """Return the (axes,) m or rad of a unit of grbl: a millimetre, or a degree."""
+    return np.array(
+        [1e-3 if axis.kind == "linear" else np.pi / 180.0 for axis in machine.axes.values()]
+    )

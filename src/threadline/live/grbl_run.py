@@ -1,0 +1,308 @@
+"""A run on a controller with grbl: its lines are counted into its buffer, its reports recorded.
+
+The controller plans its own ramps and holds lines that it runs out by itself when the link is lost.
+What moves is told by its position reports: its answers say that a line was taken, not that it was
+done.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.errors import CommandError, LinkFaultError
+from threadline.live.desk import Desk
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_port import Port
+from threadline.live.grbl_trace import ReportTrace
+from threadline.live.grbl_words import (
+    HOLD,
+    RESET,
+    RESUME,
+    STATUS,
+    CharacterCount,
+    Program,
+    Status,
+    status_of,
+)
+from threadline.live.kept import Sink
+from threadline.live.states import MOVING, Cause, State, next_state
+from threadline.machine import Machine
+from threadline.signals import Ended
+
+POLL_S = 0.1
+"""Time in s from one question for the position to the next."""
+SILENCE_S = 1.0
+"""Time in s without a report after which the link counts as lost."""
+_SETTLE_S = 0.5
+_RESUMES_S = 1.0  # after which a controller that was told to go on and still holds does not go on
+_OFF_PATH_M = 1e-3
+
+
+class GrblRun:
+    """One run of a program on a controller with grbl.
+
+    Parameters
+    ----------
+    port
+        The port of the controller.
+    machine
+        Machine that must be there.
+    desk, sink
+        Queue of the operator's commands; receiver of samples, events and changes of state.
+
+    Attributes
+    ----------
+    state
+        State of the run, as of an executor.
+    executed
+        Number of lines whose ends the position reports have passed.
+    ended
+        How it ended, and why; None before.
+    """
+
+    late_ticks = 0
+
+    def __init__(self, port: Port, machine: Machine, desk: Desk, sink: Sink) -> None:
+        self._port, self._machine, self._desk, self._sink = port, machine, desk, sink
+        self.state = State.DISABLED
+        self.ended: tuple[Ended, str] | None = None
+        self.over = False
+        self.executed = self.acknowledged = 0
+        self._controller, self._trace = Controller(port, machine), ReportTrace(machine, sink)
+        self._count = CharacterCount()
+        self._program = Program((), np.zeros((0, len(machine.axes))), np.zeros(0))
+        self._at: FloatArray = np.zeros(len(machine.axes))
+        self._sent_from = self._at
+        self._begun_s = self._asked_s = self._heard_s = 0.0
+        self._settled_s: float | None = None
+        self._braking = False
+        self._resumed_s = -np.inf
+
+    @property
+    def time_s(self) -> float:
+        """Time since the beginning of the run, s."""
+        return time.monotonic() - self._begun_s if self._begun_s else 0.0
+
+    @property
+    def _all_answered(self) -> bool:
+        return self.acknowledged == len(self._program.lines)
+
+    # --- before a run ----------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Meet the controller; see ``Controller.meet``."""
+        self._controller.meet()
+
+    def enable(self) -> None:
+        """Note that the drives are on: grbl switches them by itself."""
+        self._go(Cause.ENABLE)
+
+    def home(self) -> None:
+        """Home it; see ``Controller.home``."""
+        self._go(Cause.HOME)
+        self._at = self._controller.home()
+        self._trace.begin(self._at)
+        self._go(Cause.HOMED)
+
+    def start(self, program: Program, starts: FloatArray) -> None:
+        """Begin a run.
+
+        Parameters
+        ----------
+        program
+            Its lines.
+        starts
+            (axes,) where it begins, m or rad.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle, or stands elsewhere.
+        LinkFaultError
+            If an end of a line is beyond the travel.
+        """
+        next_state(self.state, Cause.START)
+        away = np.abs(self._at - starts) * self._machine.radius_m
+        if away.max() > _OFF_PATH_M:
+            k = int(away.argmax())
+            raise CommandError(
+                f"axis {self._machine.axis_names[k]} stands at {self._at[k]:.5g}, the run begins "
+                f"at {starts[k]:.5g}",
+                remedy="Home the machine, or move it there.",
+            )
+        for end in program.ends:
+            if name := self._controller.beyond(end):
+                raise CommandError(
+                    f"axis {name}: the program leaves its travel", remedy="Move the job."
+                )
+        self._program = program
+        self._go(Cause.START)
+        self._sent_from = starts
+        self._begun_s = self._heard_s = time.monotonic()
+        self._feed()
+
+    # --- a run -----------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Wait for a line or a command and act on it; to be called until ``over`` is True."""
+        now = time.monotonic()
+        if now - self._asked_s >= POLL_S:
+            self._asked_s = now
+            self._port.send(STATUS)
+        if not self._port.waiting and not self._port.lost:
+            wait_s = max(self._asked_s + POLL_S - time.monotonic(), 0.0)
+            ready, _, _ = select.select([self._desk.fileno(), self._port.fileno()], [], [], wait_s)
+            if self._desk.fileno() in ready:
+                self._desk.woken()
+        while (cause := self._desk.take()) is not None:
+            try:
+                self._command(cause)
+            except CommandError as error:
+                self._sink.state(self._trace.tick, self.state, cause, error.message)
+        try:
+            while not self.over and (line := self._port.receive(0.0)) is not None:
+                self._hear(line)
+        except LinkFaultError as error:
+            self._fault(error.message)
+        if self._port.lost and not self.over:
+            self._lost("the link is gone")
+        elif time.monotonic() - self._heard_s > SILENCE_S and not self.over:
+            self._lost(f"the controller was silent for {SILENCE_S:g} s")
+
+    def _command(self, cause: Cause) -> None:
+        moving = self.state in MOVING
+        self._go(cause)
+        if cause is Cause.STOP and moving:
+            self.ended = (Ended.STOPPED, "stopped by the operator")
+            self._brake()
+        elif cause is Cause.HOLD:
+            self._port.send(HOLD)
+        elif cause is Cause.RESUME:
+            self._port.send(RESUME)
+            self._resumed_s = time.monotonic()
+
+    def _brake(self) -> None:
+        """Hold the feed; when it stands, a reset drops what the controller still has."""
+        self._braking = True
+        self._port.send(HOLD)
+
+    def _feed(self) -> None:
+        """Send as many lines as the controller has room for."""
+        sent = self.acknowledged + self._count.open
+        while self.state is State.RUNNING and sent < len(self._program.lines):
+            line = self._program.lines[sent]
+            if not self._count.fits(line):
+                return
+            self._port.send(line)
+            self._count.sent(line)
+            sent += 1
+
+    def _hear(self, line: str) -> None:
+        found = status_of(line)
+        if found is not None:
+            self._report(found)
+        elif line == "ok":
+            self._count.answered()
+            self.acknowledged += 1
+            self._feed()
+        elif line.startswith("error"):
+            at = self.acknowledged
+            text = self._program.lines[at] if at < len(self._program.lines) else b""
+            self._count.answered()
+            self.acknowledged += 1
+            self._fault(f"the controller refused {text.decode('latin-1').strip()!r}: {line}")
+        elif line.startswith("ALARM"):
+            self._fault(f"the controller is in alarm: {line}")
+        elif line.lower().startswith("grbl") and not (self._braking and self._settled_s):
+            self._fault("the controller was reset")
+
+    def _report(self, found: Status) -> None:
+        self._heard_s = time.monotonic()
+        self._at = self._controller.position(found)
+        self._trace.record(self._heard_s - self._begun_s, self._at)
+        if self._settled_s is not None:
+            self.over = self._heard_s >= self._settled_s
+            if self.over:
+                self._leave()
+            return
+        if name := self._controller.beyond(self._at):
+            self._fault(f"axis {name} is beyond its travel")
+        self._pass_lines()
+        if found.state == "Alarm" and not self._braking:
+            self._fault("the controller is in alarm")
+        elif self._braking and found.state in {"Hold", "Idle", "Alarm"} and found.detail <= 0:
+            self._port.send(RESET)
+            self._end()
+        elif found.state in {"Hold", "Door"} and self.state is State.RUNNING:
+            # Of its own accord (M0, its own button), unless the report is older than our resume.
+            if self._heard_s - self._resumed_s > _RESUMES_S:
+                self._go(Cause.HOLD, f"the controller tells {found.state}")
+        elif self.state is State.RUNNING and found.state == "Idle" and self._all_answered:
+            self.executed = self.acknowledged
+            self.ended = (Ended.COMPLETED, "")
+            self._end()
+
+    def _pass_lines(self) -> None:
+        """Move on along the lines that were answered to where the reports say that it is."""
+        if self._braking or not len(self._program.lines):
+            return
+        radius = self._machine.radius_m
+        ends, at = self._program.ends * radius, self._at * radius
+        last = min(self.acknowledged + 1, len(ends))
+        nearest = np.inf
+        for k in range(self.executed, last):
+            begin = ends[k - 1] if k else self._sent_from * radius
+            way = ends[k] - begin
+            long = float(way @ way)
+            share = 0.0 if long == 0.0 else float(np.clip((at - begin) @ way / long, 0.0, 1.0))
+            off = float(np.linalg.norm(begin + share * way - at))
+            nearest = min(nearest, off)
+            if off <= 0.1 * _OFF_PATH_M and long:
+                self.executed = k + (share == 1.0)
+                return
+        if nearest > _OFF_PATH_M and np.isfinite(nearest):
+            self._fault(f"the controller is {1e3 * nearest:.3g} mm beside the lines it was sent")
+
+    # --- ends ------------------------------------------------------------------------------
+
+    def _end(self) -> None:
+        assert self.ended is not None
+        ended, text = self.ended
+        self._trace.end(ended, text)
+        self._settled_s = time.monotonic() + _SETTLE_S
+
+    def _leave(self) -> None:
+        if self.state is State.STOPPING:
+            self._go(Cause.AT_REST)
+        elif self.state is State.RUNNING:
+            self._go(Cause.COMPLETED)
+
+    def _fault(self, text: str) -> None:
+        if self.ended is not None and self.ended[0] is Ended.FAULT:
+            return
+        self.ended = (Ended.FAULT, text)
+        self._go(Cause.FAULT, text)
+        self._brake()
+
+    def _lost(self, text: str) -> None:
+        """Note that nothing can be sent any more: the controller runs out what it holds."""
+        left = int(self._count.open)
+        self.ended = (
+            Ended.FAULT,
+            f"{text}; the controller runs out by itself {left} lines and what its planner holds",
+        )
+        self._trace.end(*self.ended)
+        self._go(Cause.FAULT, text)
+        self.over = True
+
+    def close(self) -> None:
+        """End the connection."""
+        self._port.close()
+
+    def _go(self, cause: Cause, text: str = "") -> None:
+        self.state = next_state(self.state, cause)
+        self._sink.state(self._trace.tick, self.state, cause, text)

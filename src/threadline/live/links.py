@@ -1,0 +1,191 @@
+"""The links that a run can be sent over, by name."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from contextvars import Context
+from pathlib import Path
+from typing import Protocol
+
+from threadline.errors import OptionError
+from threadline.kinds import kind_of
+from threadline.live.desk import Desk
+from threadline.live.grbl_controller import units_of
+from threadline.live.grbl_port import Port
+from threadline.live.grbl_run import GrblRun
+from threadline.live.grbl_words import Program, program_of, runs_out
+from threadline.live.kept import Sink
+from threadline.live.sim_faults import SimFault
+from threadline.live.sim_process import REAL_TIME, sim_link
+from threadline.live.states import State
+from threadline.live.supervised import run_commands
+from threadline.live.ways import way_of
+from threadline.machine import Machine
+from threadline.plan import Plan
+from threadline.signals import Ended
+
+LINKS = ("sim", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
+
+
+class Running(Protocol):
+    """A run under way."""
+
+    state: State
+
+    @property
+    def time_s(self) -> float:
+        """Time since its beginning, s."""
+
+
+class Link(Protocol):
+    """Runs checked plans on the machine at its far end."""
+
+    def prepare(self, plan: Plan) -> Sequence[str]:
+        """Make ready what is sent, and return what the operator has to know before it is."""
+
+    def run(
+        self,
+        plan: Plan,
+        desk: Desk,
+        sink: Sink,
+        *,
+        pass_stops: bool,
+        hold_at_rest: bool,
+        watch: Callable[[Running], None],
+    ) -> tuple[Ended, str]:
+        """Run it; return how it ended, and why."""
+
+
+class SimLink:
+    """The link to the simulated machine.
+
+    Parameters
+    ----------
+    speed
+        Seconds of its time in a second.
+    fault
+        Injected fault, or None.
+    """
+
+    def __init__(self, speed: float, fault: SimFault | None) -> None:
+        self._speed, self._fault = speed, fault
+
+    def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
+        """Return nothing."""
+        return ()
+
+    def run(
+        self,
+        plan: Plan,
+        desk: Desk,
+        sink: Sink,
+        *,
+        pass_stops: bool,
+        hold_at_rest: bool,
+        watch: Callable[[Running], None],
+    ) -> tuple[Ended, str]:
+        """Run it in a process of its own."""
+        start = way_of(plan.machine).start(plan.commands)
+        ended, text, _ = run_commands(
+            plan.commands,
+            plan.machine,
+            sim_link(plan.machine, start, self._speed, self._fault),
+            desk,
+            sink,
+            speed=self._speed,
+            pass_stops=pass_stops,
+            hold_at_rest=hold_at_rest,
+            watch=watch,
+        )
+        return ended, text
+
+
+class GrblLink:
+    """The link to a controller with grbl.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT``, or the path of a serial device.
+    machine
+        The machine that it drives.
+
+    Raises
+    ------
+    OptionError
+        If no program for grbl can be written for the machine.
+    """
+
+    def __init__(self, address: str, machine: Machine) -> None:
+        if "grbl" not in kind_of(machine).targets:
+            raise OptionError(
+                f"{machine.name} is not driven by part programs", remedy="Use --link sim."
+            )
+        self._address = address
+        self._program: Program | None = None
+
+    def prepare(self, plan: Plan) -> Sequence[str]:
+        """Write the program; say how long the controller goes on when the link is lost."""
+        machine = plan.machine
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "program.nc"
+            # In a context of its own it is there at once, and no output of the command.
+            Context().run(kind_of(machine).targets["grbl"].write, plan, file)
+            text = file.read_bytes()
+        starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
+        self._program = program_of(text, machine.axis_names, units_of(machine), starts)
+        goes_s, _ = runs_out(self._program, 15)
+        return [
+            "grbl plans its own ramps: what is proved is the program's path, not its timing",
+            f"if the link is lost, the controller runs out its own buffer: up to {goes_s:.1f} s "
+            "at these feeds",
+        ]
+
+    def run(
+        self,
+        plan: Plan,
+        desk: Desk,
+        sink: Sink,
+        *,
+        pass_stops: bool,  # noqa: ARG002  # a stop of the program is the controller's
+        hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
+        watch: Callable[[Running], None],
+    ) -> tuple[Ended, str]:
+        """Connect, home, send the program, and record what the controller reports."""
+        assert self._program is not None
+        starts = way_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit
+        port = Port(self._address)
+        try:
+            one = GrblRun(port, plan.machine, desk, sink)
+            one.connect()
+            one.enable()
+            one.home()
+            one.start(self._program, starts)
+            while not one.over:
+                one.step()
+                watch(one)
+        finally:
+            port.close()
+        assert one.ended is not None
+        return one.ended
+
+
+def link_of(text: str, machine: Machine, speed: float, fault: SimFault | None) -> Link:
+    """Return the link of that name.
+
+    Raises
+    ------
+    OptionError
+        If there is none, or an option has no meaning for it.
+    """
+    name, _, address = text.partition(":")
+    if text == "sim":
+        return SimLink(speed, fault)
+    if name != "grbl" or not address:
+        raise OptionError(f"unknown link {text[:40]!r}", remedy=f"Use {', '.join(LINKS)}.")
+    if speed != REAL_TIME or fault is not None:
+        raise OptionError(
+            "--speed and --inject are of the simulated machine", remedy="Leave them out."
+        )
+    return GrblLink(address, machine)

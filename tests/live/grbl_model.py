@@ -1,0 +1,187 @@
+"""A strict model of a controller with grbl, behind a TCP port.
+
+Written from "Grbl v1.1 Interface" of gnea/grbl, and not from the code that is tested: a receive
+buffer of 128 characters whose overflow is a failure, a planner of few blocks, an answer to each
+line when it enters the planner, realtime bytes that act at once, straight moves at their feed.
+Motion has no ramps, and the time is its own: a sleep for each step.
+"""
+
+from __future__ import annotations
+
+import re
+import select
+import socket
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+
+import numpy as np
+
+ROOM, BLOCKS = 128, 15
+STEP_S = 0.01
+WELCOME = "Grbl 1.1h ['$' for help]"
+
+
+class GrblModel(threading.Thread):
+    """One controller with axes X, Y, Z, A.
+
+    Attributes
+    ----------
+    overflowed
+        Whether more was sent than the buffer holds.
+    moved_to
+        Positions at every step, until now.
+    moves_since_lost
+        Time in s that it moved on after the link was lost.
+    """
+
+    def __init__(self, settings: dict[int, float], *, faster: float = 1.0) -> None:
+        super().__init__(daemon=True)
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.port = self.server.getsockname()[1]
+        self.settings, self.faster = settings, faster
+        self.state, self.at = "Idle", np.zeros(4)
+        self.overflowed = self.stuck = False
+        self.alarm_at_s: float | None = None
+        self.moves_since_lost = 0.0
+        self.heard = bytearray()
+        self.moved_to: list[np.ndarray] = []
+        self.rx = bytearray()
+        self.answers: deque[str] = deque()
+        self.blocks: deque[tuple[np.ndarray, float]] = deque()
+        self.target, self.feed = np.zeros(4), 0.0
+        self.client: socket.socket | None = None
+        self.over = False
+
+    @property
+    def address(self) -> str:
+        return f"127.0.0.1:{self.port}"
+
+    def run(self) -> None:
+        self.client, _ = self.server.accept()
+        self.client.setblocking(False)
+        self._say(WELCOME)
+        began = last = time.monotonic()
+        while not self.over:
+            self._listen()
+            self._plan()
+            now = time.monotonic()
+            self._move(self.faster * min(now - last, 0.2))
+            last = now
+            if self.alarm_at_s is not None and now - began > self.alarm_at_s:
+                self.state, self.alarm_at_s = "Alarm", None
+                self._say("ALARM:1")
+            time.sleep(STEP_S)
+
+    def close(self) -> None:
+        self.over = True
+        self.join(5.0)
+        for one in (self.client, self.server):
+            if one is not None:
+                one.close()
+
+    def _say(self, line: str) -> None:
+        if self.client is not None:
+            with suppress(OSError):
+                self.client.sendall(f"{line}\r\n".encode())
+
+    def _listen(self) -> None:
+        if self.client is None or not select.select([self.client], [], [], 0.0)[0]:
+            return
+        try:
+            came = self.client.recv(4096)
+        except OSError:
+            came = b""
+        if not came:  # the link is gone: it goes on with what it has
+            self.client.close()
+            self.client = None
+            return
+        self.heard += came
+        for byte in came:
+            if byte in b"?!~\x18":
+                self._at_once(byte)
+            elif byte != 13:
+                self.rx.append(byte)
+        self.overflowed = self.overflowed or len(self.rx) > ROOM
+
+    def _at_once(self, byte: int) -> None:
+        if byte == ord("?"):
+            state = {"Hold": "Hold:0"}.get(self.state, self.state)
+            place = ",".join(f"{value:.3f}" for value in self.at)
+            if not self.stuck:
+                self._say(f"<{state}|MPos:{place}|Bf:{BLOCKS - len(self.blocks)},{ROOM}|FS:0,0>")
+        elif byte == ord("!") and self.state == "Run":
+            self.state = "Hold"
+        elif byte == ord("~") and self.state == "Hold":
+            self.state = "Run"
+        elif byte == 0x18:
+            if self.state == "Run":
+                self._say("ALARM:3")
+            self.rx.clear()
+            self.blocks.clear()
+            self.state, self.target, self.feed = "Idle", self.at.copy(), 0.0
+            self._say(WELCOME)
+
+    def _plan(self) -> None:
+        """Take lines into the planner while it has room; a line is answered then."""
+        while b"\n" in self.rx and len(self.blocks) < BLOCKS:
+            line, _, rest = bytes(self.rx).partition(b"\n")
+            self.rx = bytearray(rest)
+            self._do(line.decode("ascii"))
+
+    def _do(self, line: str) -> None:
+        if line == "$I":
+            self._say("[VER:1.1h.20190825:]")
+            self._say(f"[OPT:V,{BLOCKS},{ROOM}]")
+            self._say("[AXS:4:XYZA]")
+        elif line == "$$":
+            for number, value in self.settings.items():
+                self._say(f"${number}={value:.5f}")
+        elif line == "$#":
+            self._say("[G54:0.000,0.000,0.000,0.000]")
+            self._say("[G92:0.000,0.000,0.000,0.000]")
+        elif line == "$H":
+            self.at = np.zeros(4)
+        elif self.state == "Alarm":
+            self._say("error:9")
+            return
+        elif line.startswith("T"):
+            self._say("error:20")
+            return
+        else:
+            self._take_move(line)
+        self._say("ok")
+
+    def _take_move(self, line: str) -> None:
+        target = self.target.copy()
+        for letter, value in re.findall(r"([XYZAF])(-?[\d.]+)", line):
+            if letter == "F":
+                self.feed = float(value)
+            else:
+                target["XYZA".index(letter)] = float(value)
+        if not np.array_equal(target, self.target):
+            self.blocks.append((target, self.feed / 60.0))
+            self.target = target
+            if self.state == "Idle":
+                self.state = "Run"
+
+    def _move(self, left_s: float) -> None:
+        if self.state != "Run":
+            return
+        moved = bool(self.blocks)
+        while self.blocks and left_s > 0.0:
+            target, speed = self.blocks[0]
+            way = target - self.at
+            need_s = float(np.linalg.norm(way)) / speed
+            if need_s <= left_s:
+                self.at = target.copy()
+                self.blocks.popleft()
+            else:
+                self.at = self.at + way * (left_s / need_s)
+            left_s -= need_s
+        self.moved_to.append(self.at.copy())
+        if moved and self.client is None:
+            self.moves_since_lost += STEP_S
+        if not self.blocks:
+            self.state = "Idle"
