@@ -40,18 +40,29 @@ KINDS = {"TickTable", "SwitchSchedule", "StepPlay", "Motion", "Scheduled", "Stit
 """Classes of commands and of intents, one of each for each kind of work."""
 PARTS = {"cylinders", "shaft"}
 """Parts of a machine that only one kind has."""
+MACHINE_PARTS = {"plc", "tables"}
+"""The same where other things than machines have parts of these names, too."""
+ROWS = {"TICKS", "SWITCHES", "STEPS"}
+"""Names of the rows of the table of kinds."""
 
 
 def asks(text: str) -> list[int]:
     """Return the lines of a module that ask which kind of work it has.
 
     These are tests of a kind's class, uses of a kind's part of a machine, and comparisons with
-    ``commanded_by`` or with a name that was set from it. Choosing from a table by it is none.
+    ``commanded_by`` or with a name that was set from it, with the class of a kind or its name, or
+    with a row of the table. Choosing from a table by it is none.
     """
     tree = ast.parse(text)
 
     def reads(node: ast.AST) -> bool:
         parts = list(ast.walk(node))
+        if isinstance(node, ast.Compare) and any(
+            (isinstance(n, ast.Name) and n.id in KINDS | ROWS)
+            or (isinstance(n, ast.Constant) and isinstance(n.value, str) and n.value in KINDS)
+            for n in parts
+        ):
+            return True
         return any(isinstance(n, ast.Attribute) and n.attr == "commanded_by" for n in parts) or any(
             isinstance(n, ast.Name) and n.id in told for n in parts
         )
@@ -70,12 +81,16 @@ def asks(text: str) -> list[int]:
                 named = {n.id for n in ast.walk(classes) if isinstance(n, ast.Name)}
                 named |= {n.attr for n in ast.walk(classes) if isinstance(n, ast.Attribute)}
                 asked = bool(named & KINDS)
+            case ast.Attribute(value=ast.Name(id=owner) | ast.Attribute(attr=owner), attr=name) if (
+                name in MACHINE_PARTS
+            ):
+                asked = owner.endswith("machine")
             case ast.Attribute(attr=name):
                 asked = name in PARTS
             case ast.Call(
                 func=ast.Name(id="getattr" | "hasattr"), args=[_, ast.Constant(name), *_]
             ):
-                asked = name in PARTS | {"commanded_by"}
+                asked = name in PARTS | MACHINE_PARTS | {"commanded_by"}
             case ast.Compare():
                 asked = reads(node)
             case ast.Match(subject=subject):
@@ -117,6 +132,12 @@ def test_the_count_sees_every_way_to_ask() -> None:
         "if machine.cylinders: pass",
         "if its.shaft is None: pass",
         "getattr(machine, 'shaft', None)",
+        "if self._machine.plc is None: pass",
+        "hasattr(machine, 'tables')",
+        "if type(plan.intent) is Motion: pass",
+        "if type(plan.intent) in (Motion, Stitched): pass",
+        "if plan.intent.__class__.__name__ == 'Scheduled': pass",
+        "if kind_of(machine) is SWITCHES: pass",
         "if machine.commanded_by == 'ticks': pass",
         "kind = machine.commanded_by\nif kind in ('ticks', 'steps'): pass",
         "match machine.commanded_by:\n    case 'ticks': pass",
@@ -125,3 +146,5 @@ def test_the_count_sees_every_way_to_ask() -> None:
         assert asks(text), text
     assert asks("kind = KINDS[machine.commanded_by]\nif kind.cuts: pass") == []
     assert asks("name = plan.motion.name") == []
+    assert asks("rows = found.tables") == []
+    assert asks("found = REPORTS[type(plan.intent)]") == []

@@ -16,6 +16,7 @@ from threadline.machine import (
     load_machine,
     overlay_names,
 )
+from threadline.machine.clocked import clocked
 
 
 def machines(
@@ -73,12 +74,7 @@ def machine_json(name: str) -> dict[str, Any]:
 
 def controllers_of(machine: Machine) -> list[str]:
     """Return the controllers of a machine by kind, each with the period of its clock."""
-    found = [
-        f"{controller.kind} every {_period(machine, controller.clock)}"
-        for controller in machine.controllers.values()
-    ]
-    if machine.plc is not None:
-        found.append(f"PLC, a scan every {_period(machine, machine.plc.clock)}")
+    found = [f"{what} every {_period(machine, clock)}" for what, clock in clocked(machine)]
     return list(dict.fromkeys(found))
 
 
