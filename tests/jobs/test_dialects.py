@@ -18,7 +18,7 @@ from tests.jobs.made_machines import made_machine
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import Dwell, FeedMode, Job, Move, Stop, ToolEvent, read_job
 from threadline.jobs.gcode.arcs import TOLERANCE_MM
-from threadline.jobs.gcode.plain_blocks import PlainReader
+from threadline.jobs.gcode.plain_reader import PlainReader
 from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
 

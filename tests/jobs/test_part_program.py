@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import Dwell, Feed, FeedMode, Job, Move, Stop, ToolEvent, read_job
-from threadline.jobs.gcode.plain_blocks import PlainReader
+from threadline.jobs.gcode.plain_reader import PlainReader
 from threadline.jobs.operations import MoveRun
 from threadline.machine import Machine, load_machine
 

@@ -182,8 +182,9 @@ class Machine:
                     raise ValueError(f"planner.jump.{name} is in {jump.unit}, the axis in {unit}")
         self._on_off_references()
         self._stitching_references()
-        numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
-        check_named(self.tolerances, [path for of in numbers for path, _ in of])
+        if self.tolerances != Tolerances():  # a variant is made often, and names nothing mostly
+            numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
+            check_named(self.tolerances, [path for of in numbers for path, _ in of])
         return self
 
     def _on_off_references(self) -> None:

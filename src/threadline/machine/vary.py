@@ -208,6 +208,8 @@ def derate(machine: Machine, share: float) -> Machine:
     """
     if not 0.0 < share <= 1.0:
         raise ValueError(f"share must be in (0, 1], got {share!r}")
+    if share == 1.0:
+        return machine
     axes = {
         name: replace(
             axis,

@@ -16,7 +16,7 @@ from threadline.jobs.gcode.curved_blocks import CURVED, Curves
 from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.f_words import FRule
 from threadline.jobs.gcode.frames import Frame, KeptText
-from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
+from threadline.jobs.gcode.plain_reader import PlainReader, plain_reader
 from threadline.jobs.gcode.program_zero import Zeros
 from threadline.jobs.gcode.subprograms import Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile

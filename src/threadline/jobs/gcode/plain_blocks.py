@@ -12,7 +12,6 @@ correctly rounded, like that of the interpreter's exact integers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.jobs.gcode.comments import (
     BLANK,
-    BOOK_SIZE,
     CLOSE,
     CR,
     DECIMALS,
@@ -34,7 +32,6 @@ from threadline.jobs.gcode.comments import (
     LOWER_Z,
     MAX_DIGITS,
     MINUS,
-    NAMES,
     NINE,
     NOT_PLAIN,
     OPEN,
@@ -47,11 +44,7 @@ from threadline.jobs.gcode.comments import (
     WHICH,
     ZERO,
     follow_comment,
-    name_of,
 )
-from threadline.jobs.gcode.dialects import Reading
-from threadline.jobs.gcode.textfile import Lines
-from threadline.jobs.operations import NO_COLUMNS, Column
 
 STEPS = 10**7
 PLACES = 7
@@ -63,8 +56,6 @@ STATE_SIZE = 10
 
 _F, _G, _N = ord("F"), ord("G"), ord("N")
 _MAX_LINE = 4096
-_ROOM = 4096
-_LONGEST_PAUSE = 63
 _RAD = math.pi / 180.0
 
 
@@ -117,7 +108,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         (BOOK_SIZE,) names and values of tags, see ``comments``; updated.
     out_tag, tagged
         (names, room), (names,): tags of the moves, NaN where a move has none, and how many moves
-        have each; updated with FOLLOW not 0.
+        have each; updated with FOLLOW not 0. Rows of tags that no move has are not written.
     """
     # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
     n_axes = exact.shape[0]
@@ -309,6 +300,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             for k in range(book[IN_BLOCK]):
                 which, decimals = book[WHICH + k], book[DECIMALS + k]
                 # Up to 15 digits and powers of ten to 1e15 are exact: this rounds once.
+                if tagged[which] == 0:
+                    out_tag[which] = np.nan
                 number = book[DIGITS + k] / POWERS[decimals if decimals >= 0 else ~decimals]
                 out_tag[which, moves] = number if decimals >= 0 else -number
                 tagged[which] += 1
@@ -328,79 +321,3 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
 
 
 follow_plain = njit(nogil=True)(_follow_plain)
-
-
-class PlainReader:
-    """The compiled reader with its arrays.
-
-    Parameters
-    ----------
-    axis_of
-        Index of the axis by letter.
-    linear
-        (axes,) whether an axis is linear.
-    follow
-        Whether to compute positions, or only to check and note words.
-    """
-
-    def __init__(self, axis_of: Mapping[str, int], linear: tuple[bool, ...], follow: bool) -> None:
-        self._axis_of = np.full(128, -1, np.int8)
-        for letter, index in axis_of.items():
-            self._axis_of[ord(letter)] = index
-        self._linear = np.array(linear, np.bool_)
-        axes = len(linear)
-        self.state = np.zeros(STATE_SIZE, np.int64)
-        self.state[FOLLOW] = follow
-        self.exact = np.zeros(axes, np.int64)
-        self.offset = np.zeros(axes, np.int64)
-        self.position = np.zeros(axes)
-        self.feed = np.full(1, np.nan)
-        self.out_position = np.empty((_ROOM, axes))
-        self.out_feed = np.empty(_ROOM)
-        self.out_line = np.empty(_ROOM, np.int64)
-        self.out_word = np.empty(_ROOM, np.int64)
-        self.used = np.zeros(axes, np.bool_)
-        self._book = np.zeros(BOOK_SIZE, np.int64)
-        self._out_tag = np.full((NAMES, _ROOM), np.nan)
-        self._tagged = np.zeros(NAMES, np.int64)
-        self.usable = True
-        self._pause = self._patience = 0
-
-    def worth_trying(self) -> bool:
-        """Return whether to try the next line, which is rarely after lines that were not plain."""
-        self._pause -= 1
-        return self._pause < 0 and self.usable
-
-    def read(self, lines: Lines) -> int:
-        """Read plain blocks of ``lines``; return the number of moves in the ``out`` arrays."""
-        self.state[AT] = lines.at
-        self.state[LINE] = lines.number
-        moves = follow_plain(
-            lines.data, self._axis_of, self._linear, self.state, self.exact, self.offset,
-            self.position, self.feed, self.out_position, self.out_feed, self.out_line,
-            self.out_word, self.used, self._book, self._out_tag, self._tagged,
-        )  # fmt: skip
-        self._patience = min(2 * self._patience + 1, _LONGEST_PAUSE) if moves == 0 else 0
-        self._pause = self._patience
-        lines.at = int(self.state[AT])
-        lines.number = int(self.state[LINE])
-        return int(moves)
-
-    def columns(self, count: int) -> Mapping[str, Column]:
-        """Return the tags of the ``count`` moves just read, (count,) values each by name."""
-        found: dict[str, Column] = {}
-        for which in np.flatnonzero(self._tagged).tolist():
-            found[name_of(self._book, which)] = self._out_tag[which, :count].copy()
-            self._out_tag[which, :count] = np.nan
-            self._tagged[which] = 0
-        return found or NO_COLUMNS
-
-
-def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:
-    """Return the compiled reader for the dialect of a program."""
-    dialect = reading.dialect
-    plain = PlainReader(reading.axes, linear, follow)
-    plain.state[RAPID_FEED] = dialect.rapid_is_feed
-    plain.state[EACH_G] = dialect.each_g
-    plain.usable = not dialect.points  # it does not look for them
-    return plain

@@ -10,7 +10,8 @@ from threadline.errors import JobError
 from threadline.jobs.gcode.block import Block, parse_block
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.in_force import FeedNotes
-from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_reader
+from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS
+from threadline.jobs.gcode.plain_reader import plain_reader
 from threadline.jobs.gcode.subprograms import Call, Collector, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE

@@ -1,0 +1,99 @@
+"""The compiled reader of plain blocks with its arrays, and when it is worth trying."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from threadline.jobs.gcode.comments import BOOK_SIZE, NAMES, name_of
+from threadline.jobs.gcode.dialects import Reading
+from threadline.jobs.gcode.plain_blocks import (
+    AT,
+    EACH_G,
+    FOLLOW,
+    LINE,
+    RAPID_FEED,
+    STATE_SIZE,
+    follow_plain,
+)
+from threadline.jobs.gcode.textfile import Lines
+from threadline.jobs.operations import NO_COLUMNS, Column
+
+_ROOM = 4096
+_LONGEST_PAUSE = 63
+
+
+class PlainReader:
+    """The compiled reader with its arrays.
+
+    Parameters
+    ----------
+    axis_of
+        Index of the axis by letter.
+    linear
+        (axes,) whether an axis is linear.
+    follow
+        Whether to compute positions, or only to check and note words.
+    """
+
+    def __init__(self, axis_of: Mapping[str, int], linear: tuple[bool, ...], follow: bool) -> None:
+        self._axis_of = np.full(128, -1, np.int8)
+        for letter, index in axis_of.items():
+            self._axis_of[ord(letter)] = index
+        self._linear = np.array(linear, np.bool_)
+        axes = len(linear)
+        self.state = np.zeros(STATE_SIZE, np.int64)
+        self.state[FOLLOW] = follow
+        self.exact = np.zeros(axes, np.int64)
+        self.offset = np.zeros(axes, np.int64)
+        self.position = np.zeros(axes)
+        self.feed = np.full(1, np.nan)
+        self.out_position = np.empty((_ROOM, axes))
+        self.out_feed = np.empty(_ROOM)
+        self.out_line = np.empty(_ROOM, np.int64)
+        self.out_word = np.empty(_ROOM, np.int64)
+        self.used = np.zeros(axes, np.bool_)
+        self._book = np.zeros(BOOK_SIZE, np.int64)
+        self._out_tag = np.empty((NAMES, _ROOM))
+        self._tagged = np.zeros(NAMES, np.int64)
+        self.usable = True
+        self._pause = self._patience = 0
+
+    def worth_trying(self) -> bool:
+        """Return whether to try the next line, which is rarely after lines that were not plain."""
+        self._pause -= 1
+        return self._pause < 0 and self.usable
+
+    def read(self, lines: Lines) -> int:
+        """Read plain blocks of ``lines``; return the number of moves in the ``out`` arrays."""
+        self.state[AT] = lines.at
+        self.state[LINE] = lines.number
+        moves = follow_plain(
+            lines.data, self._axis_of, self._linear, self.state, self.exact, self.offset,
+            self.position, self.feed, self.out_position, self.out_feed, self.out_line,
+            self.out_word, self.used, self._book, self._out_tag, self._tagged,
+        )  # fmt: skip
+        self._patience = min(2 * self._patience + 1, _LONGEST_PAUSE) if moves == 0 else 0
+        self._pause = self._patience
+        lines.at = int(self.state[AT])
+        lines.number = int(self.state[LINE])
+        return int(moves)
+
+    def columns(self, count: int) -> Mapping[str, Column]:
+        """Return the tags of the ``count`` moves just read, (count,) values each by name."""
+        found: dict[str, Column] = {}
+        for which in np.flatnonzero(self._tagged).tolist():
+            found[name_of(self._book, which)] = self._out_tag[which, :count].copy()
+            self._tagged[which] = 0
+        return found or NO_COLUMNS
+
+
+def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:
+    """Return the compiled reader for the dialect of a program."""
+    dialect = reading.dialect
+    plain = PlainReader(reading.axes, linear, follow)
+    plain.state[RAPID_FEED] = dialect.rapid_is_feed
+    plain.state[EACH_G] = dialect.each_g
+    plain.usable = not dialect.points  # it does not look for them
+    return plain
