@@ -10,16 +10,13 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
 from threadline.plan import Plan
-from threadline.search.judge_runs import RunsJudge
-from threadline.signals import Stream
+from threadline.search.judge_runs import RunsJudge, kept_in_memory
 from threadline.verdict import Criterion, EachRun, Spec
 from threadline.verdict.measure import OfRun
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.registry import MEASURES
 
 SETTLE_S = 0.25
-KEPT_S = 300.0
-"""A job that takes no longer is kept in memory while it is judged over and over."""
 HOPELESS = 1e3
 """The ratio of a variant that cannot be planned, simulated or measured; no ratio is larger."""
 
@@ -171,7 +168,7 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
     delays_s
         (D,) needle delays to try; empty for the one of the specification.
     """
-    kept = _kept(replace(plan, machine=machine))
+    kept = kept_in_memory(replace(plan, machine=machine))
     asked = tuple(c for c in spec.criteria if _is_asked(c, kept))
     length = tuple(c for c in asked if c.name == _LENGTH)
     if not has_stitches(kept.job):
@@ -202,17 +199,3 @@ def _is_asked(criterion: Criterion, plan: Plan) -> bool:
         return False
     kind = MEASURES[criterion.name]
     return kind.of_plan(plan) is None and any(isinstance(r, OfRun) for r in kind.reads)
-
-
-def _kept(plan: Plan) -> Plan:
-    """Return a plan whose job and trajectory are in memory, if they are short."""
-    if plan.duration_s > KEPT_S:
-        return plan
-    trajectory = plan.motion.trajectory
-    return replace(
-        plan,
-        job=replace(plan.job, operations=Stream.of(plan.job)),
-        intent=replace(
-            plan.motion, trajectory=replace(trajectory, blocks=Stream.of(trajectory.blocks))
-        ),
-    )

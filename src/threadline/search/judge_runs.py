@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property
 from os import cpu_count
 
@@ -19,13 +20,35 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.plant.values import Values
-from threadline.signals import ChannelKind, tick_table
+from threadline.search.kept_memory import keep_freed_memory
+from threadline.signals import ChannelKind, Stream, tick_table
 from threadline.twin import fastest_rates, simulate_runs
 from threadline.twin.simulate import DEFAULT_SETTLE_S
 from threadline.verdict import EachRun, Judge, Spec, needed_channels
 
 AT_ONCE = 256
 """Variants of a part: they share what is worked out once, and their samples fit a fast memory."""
+
+KEPT_S = 300.0
+"""A job that takes no longer is kept in memory while it is judged over and over."""
+
+
+def kept_in_memory(plan: Plan) -> Plan:
+    """Return a plan whose job, path, trajectory and commands are in memory, if they are short."""
+    if plan.duration_s > KEPT_S:
+        return plan
+    motion, table = plan.motion, tick_table(plan.commands)
+    trajectory, programmed = motion.trajectory, motion.programmed
+    return replace(
+        plan,
+        job=replace(plan.job, operations=Stream.of(plan.job)),
+        intent=replace(
+            motion,
+            programmed=replace(programmed, blocks=Stream.of(programmed.blocks)),
+            trajectory=replace(trajectory, blocks=Stream.of(trajectory.blocks)),
+        ),
+        commands=replace(table, blocks=Stream.of(table)),
+    )
 
 
 class RunsJudge:
@@ -64,6 +87,8 @@ class RunsJudge:
         threads: int | None = None,
         extremes: Mapping[str, FloatArray] | None = None,
     ) -> None:
+        keep_freed_memory()
+        plan = kept_in_memory(plan)
         self.plan = plan
         self._judge = Judge(plan, spec)
         self._table = tick_table(plan.commands)

@@ -117,6 +117,12 @@ def _between(
             for a in range(axes):
                 here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
                 there[a] = points[i, a, r]
+            # One chord that is near both ends is enough: no place of the way is farther from it.
+            c = chord[i, r]
+            first, _ = squared_to_segment(here, vertices[c - 1], vertices[c])
+            second, _ = squared_to_segment(there, vertices[c - 1], vertices[c])
+            if max(first, second) <= worst[r]:
+                continue
             left = 1
             lows[0], highs[0] = 0.0, 1.0
             while left:

@@ -87,12 +87,13 @@ class _Axis:
         assert block.chord is not None
         found = self._scan.scan(path)
         self._open.extend(found)
-        x = np.ascontiguousarray(block.at_tool[:, self._column])
-        self._last, self._last_s = x[-1], float(block.time_s[-1])
+        self._last = block.at_tool[-1, self._column].copy()
+        self._last_s = float(block.time_s[-1])
         if not self._whole[0]:
             self._whole[0] = self._open[0].direction if self._open else self._scan.direction
         if not self._whole[0]:
             return
+        x = np.ascontiguousarray(block.at_tool[:, self._column])
         shape = len(self._open), self._runs
         errors, times_s = np.empty(shape), np.empty(shape)
         closed = _track_fast(

@@ -1,0 +1,62 @@
+"""No figure that a verdict could be made of stands in a document without the level it is of."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LEVEL = re.compile(
+    r"\b(nominal(ly)?|repeated|over (the )?tolerances|20 runs|(one|1) run|as drawn|yield)\b", re.I
+)
+"""Words for how far a figure reaches; a yield is of machines within the tolerances."""
+JUDGED = re.compile(
+    r"\b(in spec|out of spec|verdict|contour|turning point|stitch length|of its limit|fastest"
+    r"|residual vibration|stitches? to speed)\b",
+    re.I,
+)
+"""Words for what a specification sets limits to."""
+FIGURE = re.compile(r"\d+(\.\d+)? (mm(/s)?|stitch(es)?/s|stitches a second|%|s|ms|um)\b")
+DOCUMENTS = [*sorted((ROOT / "docs").glob("results*.md")), ROOT / "docs" / "yield.md"]
+
+
+def tables(text: str) -> Iterator[tuple[int, str, str]]:
+    """Yield the line, the table, and the text of its own between it and what stands before it."""
+    lines = text.splitlines()
+    at, told = 0, 0
+    while at < len(lines):
+        if lines[at].startswith("#"):
+            told = at
+        if not lines[at].startswith("|"):
+            at += 1
+            continue
+        end = at
+        while end < len(lines) and lines[end].startswith("|"):
+            end += 1
+        yield at + 1, "\n".join(lines[at:end]), "\n".join(lines[told:at])
+        at = told = end
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: file.name)
+def test_every_table_of_what_is_judged_says_its_level(document: Path) -> None:
+    """In its columns, or in the words between it and the heading or the table before it."""
+    silent = [
+        f"{document.name}:{line}: {table.splitlines()[0]}"
+        for line, table, before in tables(document.read_text(encoding="utf-8"))
+        if JUDGED.search(table) and not LEVEL.search(table) and not LEVEL.search(before)
+    ]
+    assert not silent, "\n".join(silent)
+
+
+def test_a_reader_of_the_readme_cannot_take_a_nominal_figure_for_a_proven_one() -> None:
+    """A paragraph with a figure of what a machine did says the level of it."""
+    text = re.sub(r"```.*?```", "", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.S)
+    # A picture and the words under it are one.
+    paragraphs = re.split(r"\n\s*\n(?!\*)", text)
+    of_machines = [p for p in paragraphs if FIGURE.search(p)]
+    assert len(of_machines) >= 2
+    for paragraph in of_machines:
+        assert LEVEL.search(paragraph), paragraph
