@@ -184,6 +184,21 @@ QUICK = [
     ),
     Quick(
         DOCUMENT,
+        "threadline prove examples/stitcher-75.seam.toml -m examples/stitcher-75.toml "
+        '--feed-forward --smoothing "24 ms"',
+        [
+            Figures(
+                "(repeated): {} of 2 stitches to the speed, the speed {} % off, stitch length {} "
+                "%, contour {} mm.",
+                [
+                    of("stitches_to_speed", times=1.0), of("stitch_speed_error", times=100.0),
+                    length, contour,
+                ],
+            )
+        ],
+    ),
+    Quick(
+        DOCUMENT,
         "threadline prove examples/stitcher-test-path.seam.toml -m stitcher-rigid",
         [
             Figures("stitch length {}, 12.3 and 11.0 %", [length]),
