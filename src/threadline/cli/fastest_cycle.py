@@ -211,7 +211,7 @@ def _show(found: FastestCycle, title: str) -> None:
         say(f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}")
         print_table("verdict where the search came closest", *verdict_rows(found.proof.verdict))
         return
-    before = "" if found.limited_by == RANGE else f" (the one before it fails {limits})"
+    before = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
     say(
         f"fastest: a cycle of {found.cycle_s:.3f} s; {found.tried} cycles tried on the twin"
         f"{before}; {unshaped}"

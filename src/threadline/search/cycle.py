@@ -117,7 +117,7 @@ def fastest_cycle(
         if progress is not None:
             progress("cycles", round_ / _ROUNDS)
         cycle = forecast.next()
-        if cycle is None:
+        if cycle is None or (best is not None and cycle.scans >= best[2].scans):
             break
         chosen = forecast.job_of(cycle)
         tried += 1
@@ -126,11 +126,12 @@ def fastest_cycle(
         except (PlanError, RecordingError):
             continue  # its valves cannot, or an input that it waits for never comes
         if proof.verdict.passed:
+            # What was learned from it may show a way to a shorter one.
             best = chosen, proof, cycle
-            break
-        limited_by = _failing(proof)
-        if _excess(proof) < closest[0]:
-            closest = _excess(proof), proof, cycle
+        else:
+            limited_by = _failing(proof)
+            if _excess(proof) < closest[0]:
+                closest = _excess(proof), proof, cycle
         forecast.learn(cycle, proof)
     if best is None:
         return FastestCycle(

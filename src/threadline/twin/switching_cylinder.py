@@ -33,7 +33,6 @@ _TERMS, _ROUNDING = 24, 1e-17
 _ADHESION_N = 1.0
 """N. A piston leaves its stop only when a larger force pulls at it; at a smaller one it would
 leave and meet the stop again at every step."""
-_BEYOND_M = 1e-6  # a piston is so far beyond its stop only where it went there within a step
 _TAYLOR = 8
 _FAR = 1e3  # a series of so few terms has no chance to converge beyond
 _EMPTY = 1.0 / (4.0 * 1.4)
@@ -295,10 +294,7 @@ def _ended(c: int, bank: Bank, motion: Motion, x: FloatArray) -> bool:
     rate, place = dot(bank.rows[c, _RATE], x), dot(bank.rows[c, _STROKE], x)
     stroke, sense = bank.numbers[c, _LENGTH], motion.sense[c]
     at_stop = (place >= stroke and rate > 0.0) or (place <= 0.0 and rate < 0.0)
-    # A housing that swings at 1.6 kHz draws back from its piston and comes again within a step.
-    stood = motion.start[c]
-    beyond = place > max(stroke, stood) + _BEYOND_M or place < min(0.0, stood) - _BEYOND_M
-    return at_stop or beyond or (sense != 0.0 and rate * sense < 0.0)
+    return at_stop or (sense != 0.0 and rate * sense < 0.0)
 
 
 def _released(c: int, bank: Bank, motion: Motion) -> float:

@@ -4,8 +4,8 @@ Time is counted in integers: for the machine in a unit of which scan and sample 
 multiples, for each cylinder in a finer one of which its dead time and the times of its valves are
 whole multiples, too.
 
-Compiled code that was kept does not see that what it calls in another file has changed: who changes
-``switching_cylinder`` changes this file, too, or removes what ``__pycache__`` keeps of it.
+Compiled code that is kept does not see that what it calls in another file has changed: who changes
+``switching_cylinder`` changes this file, too, or removes what ``__pycache__`` keeps of both.
 """
 
 from __future__ import annotations
