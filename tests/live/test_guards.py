@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
-from threadline.errors import OptionError
+from threadline.errors import LinkFaultError, OptionError
 from threadline.live.guards import Guards
 from threadline.live.sim_faults import SimFault, parse_fault
 from threadline.live.states import State
@@ -57,6 +57,26 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_tic
     # It is recorded until it has settled, as any other end.
     assert len(counts) - tripped > 100
     assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
+
+
+def test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is() -> None:
+    bench = Bench(fault=parse_fault("e-stop@1 s", winder())).ready()
+    bench.executor.start(TABLE)
+    bench.go_on()
+    executor = bench.executor
+    assert (executor.state, executor.ended) == (
+        State.FAULT, (Ended.FAULT, "the emergency stop is pressed"),
+    )  # fmt: skip
+    assert AT <= executor.tick <= AT + 5
+    events = [event for block in bench.kept.blocks for event in block.events]
+    assert [event.name for event in events if event.kind == "fault"] == [
+        "the emergency stop is pressed"
+    ]
+    assert bench.wire.machine.standing  # it holds nothing that could go on when it is let out
+    executor.reset()
+    with pytest.raises(LinkFaultError, match="refused: the emergency stop is pressed"):
+        executor.enable()
+    assert executor.state is State.DISABLED
 
 
 @pytest.mark.parametrize("kind", ["lost-link", "power-loss"])

@@ -219,7 +219,7 @@ def run(
             _show(verdict, plan, link)
         raise LinkFaultError(
             text,
-            remedy=f"What was recorded is in {kept.path}. The machine has braked; look at it, "
+            remedy=f"What was recorded is in {kept.path}. {over.after_fault} Look at the machine, "
             "then home it.",
         )
     if json:

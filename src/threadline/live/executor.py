@@ -95,8 +95,9 @@ class Executor:
 
     def enable(self) -> None:
         """Switch the drives on."""
-        self._go(Cause.ENABLE)
+        next_state(self.state, Cause.ENABLE)
         self.far_end.enable()
+        self._go(Cause.ENABLE)
 
     def disable(self) -> None:
         """Switch the drives off, at rest only; the machine must be homed before the next run."""

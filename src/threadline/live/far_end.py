@@ -93,7 +93,7 @@ class FarEnd:
 
     def _expect(self, kind: str) -> Message:
         message = self._link.receive(_ANSWER_S)
-        while message is not None and message.kind == "report":  # of the run before
+        while message is not None and _of_before(message):
             message = self._link.receive(_ANSWER_S)
         if message is None:
             raise LinkFaultError(
@@ -104,3 +104,8 @@ class FarEnd:
             why = message.head.get("why", f"it answered {message.kind!r}")
             raise LinkFaultError(f"the machine refused: {why}")
         return message
+
+
+def _of_before(message: Message) -> bool:
+    """Return whether a message is left over from the run before."""
+    return message.kind == "report" or message.head.get("what") == "refill"

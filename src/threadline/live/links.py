@@ -41,6 +41,10 @@ class Running(Protocol):
 class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
 
+    @property
+    def after_fault(self) -> str:
+        """What a machine has done after a fault, for people."""
+
     def prepare(self, plan: Plan) -> Sequence[str]:
         """Make ready what is sent, and return what the operator has to know before it is."""
 
@@ -70,6 +74,14 @@ class SimLink:
 
     def __init__(self, speed: float, fault: SimFault | None) -> None:
         self._speed, self._fault = speed, fault
+
+    @property
+    def after_fault(self) -> str:
+        """What the simulated machine has done after a fault."""
+        braked = "The machine has come to rest by itself."
+        if self._speed == REAL_TIME:
+            braked += " If the computer was too busy for real time, --speed 0 simulates without it."
+        return braked
 
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
         """Return nothing."""
@@ -123,6 +135,9 @@ class GrblLink:
                 f"{machine.name} is not driven by part programs", remedy="Use --link sim."
             )
         self._address = address
+        self.after_fault = (
+            "The controller was told to hold; without its link it runs out its buffer."
+        )
         self._program: Program | None = None
 
     def prepare(self, plan: Plan) -> Sequence[str]:

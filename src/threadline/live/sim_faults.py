@@ -15,7 +15,7 @@ from threadline.options import parse_number
 
 OF_AXES = ("stuck-encoder", "encoder-jump", "unheeded-reversal")
 OF_GRIDS = ("light-grid",)
-OF_ALL = ("late-ticks", "one-late-tick", "lost-link", "power-loss")
+OF_ALL = ("e-stop", "late-ticks", "one-late-tick", "lost-link", "power-loss")
 KINDS = (*OF_AXES, "switch-hit", "stuck-contact", *OF_GRIDS, *OF_ALL)
 _JUMP_COUNTS = 20_000.0
 _LATEST_S = 1e9
@@ -78,6 +78,10 @@ class SimFault:
     def silences(self, tick: int) -> bool:
         """Return whether the machine sends no more messages from ``tick`` on."""
         return self.kind in {"lost-link", "power-loss"} and tick >= self.tick
+
+    def stops(self, tick: int) -> bool:
+        """Return whether the emergency stop is pressed at ``tick``; it stays so."""
+        return self.kind == "e-stop" and tick >= self.tick
 
     def late(self, tick: int) -> float:
         """Return the lateness of the report that begins at ``tick``, in periods of a report."""

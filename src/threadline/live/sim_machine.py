@@ -49,7 +49,7 @@ class SimMachine(ABC):
     ) -> None:
         self._machine, self._start, self._tell, self._fault = machine, start, tell, fault
         self._stuck = dict[str, float]()
-        self._enabled = self._homed = self._begun = False
+        self._enabled = self._homed = self._begun = self._pressed = False
         self._number = 0  # of runs and jogs since it was switched on
         self.starved = False
         self.left = False  # the executor has said that it is done
@@ -153,7 +153,18 @@ class SimMachine(ABC):
     def _say(self, kind: str, **head: Any) -> None:
         self._tell(Message(kind, head))
 
+    @property
+    def pressed(self) -> bool:
+        """Whether its emergency stop is pressed, which has cut the supply of its drives."""
+        self._pressed = self._pressed or (
+            self._begun and self._fault is not None and self._fault.stops(self.tick)
+        )
+        return self._pressed
+
     def _enable(self, _message: Message) -> None:
+        if self.pressed:
+            self._say("refused", what="enable", why="the emergency stop is pressed")
+            return
         self._enabled = True
         self._say("enabled")
 
@@ -182,8 +193,8 @@ class SimMachine(ABC):
 
     def _refill(self, message: Message) -> None:
         """Take up a refill; refuse one that does not continue what came before it."""
-        why = "the run has not begun"
-        if self._begun:
+        why = "the drives are off, or the run has not begun"
+        if self._begun and self._enabled:
             why = "it has stopped since the last refill came too late" if self.starved else ""
         if why := why or self._take_refill(message):
             self._say("refused", what="refill", why=why, tick=self.tick)
@@ -209,6 +220,12 @@ class SimMachine(ABC):
             late_by = max(late_by, self._fault.late(first))
         late = self.tick - first if late_by > LATE else 0
         events = [event_told(event) for part in parts for event in part.events]
+        if self.pressed and self._enabled:
+            # Its supply is cut: what it does then is not simulated.
+            why = "the emergency stop is pressed"
+            events.append(event_told(Event(tick=sample, kind="fault", operation=-1, name=why)))
+            self._drop()
+            self._enabled = self._homed = False
         if late:
             told = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
             events.append(event_told(told))

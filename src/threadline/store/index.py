@@ -12,6 +12,7 @@ from pathlib import Path
 from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table, create_engine
 from sqlalchemy.engine import URL, Engine, RowMapping
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.schema import CreateTable
 
 from threadline.errors import StoreError
 
@@ -99,7 +100,8 @@ class RunIndex:
             # As text a path would be read as a URL: what follows its first "?" is no name there.
             url = URL.create("sqlite", database=str(where)) if isinstance(where, Path) else where
             self._engine: Engine = create_engine(url)
-            _RUNS.metadata.create_all(self._engine)
+            with self._engine.begin() as connection:  # another program may be making it, too
+                connection.execute(CreateTable(_RUNS, if_not_exists=True))
 
     def add(self, record: RunRecord) -> None:
         """Add a run."""

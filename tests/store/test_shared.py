@@ -1,0 +1,63 @@
+"""Several programs at one store, and an index that somebody else keeps locked."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from threadline.errors import StoreError
+from threadline.store.index import RunIndex, RunRecord
+from threadline.store.run_store import INDEX, RunStore
+
+PROGRAMS = 8
+
+
+def record(run: str) -> RunRecord:
+    return RunRecord(
+        run=run, started="2026-11-23T01:00:00+00:00", job="x", machine="m", link="sim", speed=0.0,
+        level="nominal", proof_passed=True, override="", job_sha256="", machine_sha256="",
+        commands_sha256="", proof_sha256="", threadline="0.1.0",
+    )  # fmt: skip
+
+
+def test_programs_that_begin_at_once_all_get_their_rows(tmp_path: Path) -> None:
+    """On a store that is not there yet: one makes the table, the others find it."""
+    children, (gate, open_it) = [], os.pipe()
+    for number in range(PROGRAMS):
+        pid = os.fork()
+        if not pid:
+            try:
+                os.close(open_it)
+                os.read(gate, 1)  # all at once
+                store = RunStore(tmp_path / "runs")
+                for run in range(5):
+                    store.index.add(record(f"run-{number}-{run}"))
+                    store.index.end(
+                        f"run-{number}-{run}", ended="completed", text="", late_ticks=0, passed=True
+                    )
+                os._exit(0)
+            except BaseException as error:
+                os.write(2, f"{error}\n".encode())
+                os._exit(1)
+        children.append(pid)
+    os.close(gate)
+    os.close(open_it)
+    assert [os.waitpid(pid, 0)[1] for pid in children] == [0] * PROGRAMS
+    rows = RunStore(tmp_path / "runs").index.runs()
+    assert len(rows) == 5 * PROGRAMS
+    assert all(row.ended == "completed" and row.passed for row in rows)
+
+
+def test_a_locked_index_is_one_line_before_anything_moves(tmp_path: Path) -> None:
+    RunIndex(tmp_path / INDEX).add(record("first"))
+    other = sqlite3.connect(tmp_path / INDEX)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(StoreError, match="cannot be used: database is locked"):
+        RunStore(tmp_path).index.add(record("second"))
+    other.rollback()
+    other.close()
+    RunStore(tmp_path).index.add(record("second"))
+    assert [row.run for row in RunStore(tmp_path).index.runs()] == ["second", "first"]
