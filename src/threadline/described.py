@@ -14,6 +14,7 @@ from threadline.options import (
     parse_contour_m,
     parse_feed,
     parse_number,
+    parse_robust,
     parse_share,
     parse_tolerance_m,
     parse_width_s,
@@ -45,6 +46,12 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
             if options.feed_forward_s is None
             else {"feed-forward": f"{options.feed_forward_s!r} s"}
         ),
+        **(
+            {}
+            if options.robust_share is None
+            else {"robust": f"{options.robust_share * 100.0!r} %"}
+        ),
+        **({} if options.change_s is None else {"change": f"{options.change_s!r} s"}),
         **({"contour": _contour_text(options)} if options.follows_contour else {}),
     }
 
@@ -80,6 +87,10 @@ def options_from(description: dict[str, str]) -> Options:
             feed_forward_s=None
             if "feed-forward" not in description
             else parse_width_s(description["feed-forward"]),
+            robust_share=None
+            if "robust" not in description
+            else parse_robust(description["robust"]),
+            change_s=None if "change" not in description else parse_width_s(description["change"]),
             contour_m=None
             if "contour" not in description
             else parse_contour_m(description["contour"]),

@@ -92,7 +92,7 @@ def prove(
         Number of runs of the machine itself; None takes that of the level.
     **words
         ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``radius``, ``tolerance``,
-        ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``law``,
+        ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``robust``, ``law``,
         ``contour``: as on the command line.
 
     Raises
@@ -363,6 +363,7 @@ _WORDS = {
     "radius": None,
     "law": None,
     "contour": None,
+    "robust": None,
 }
 
 

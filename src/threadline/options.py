@@ -73,6 +73,8 @@ class TimingChoice:
     contour_m
         How far the loads may leave the path while their loops follow; infinite where the timing
         does not ask.
+    robust_share, change_s
+        As ``Options`` has them.
     """
 
     pace: Pace
@@ -82,6 +84,8 @@ class TimingChoice:
     smoothing_s: float | None
     shaper: str | None
     contour_m: float
+    robust_share: float | None = None
+    change_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,6 +125,11 @@ class Options:
     contour_m
         How far the loads may leave the path of ``optimal`` while their loops follow, at the tool;
         infinite for no such limit, None for ``DEFAULT_CONTOUR_M``.
+    robust_share
+        Share of the tolerances of loads and springs over all of which feed-forward is to hold, in
+        place of its even averages; None plans for the machine as typed alone.
+    change_s
+        Time in which a robust plan may change the speed; None is what the needle of a seam leaves.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -135,6 +144,8 @@ class Options:
     shaper_mode: str | None = None
     shaper_damping: float | None = None
     contour_m: float | None = None
+    robust_share: float | None = None
+    change_s: float | None = None
 
     @property
     def follows_contour(self) -> bool:
@@ -164,6 +175,8 @@ class Options:
             smoothing_s=self.feed_forward_s,
             shaper=self.shaper,
             contour_m=self._contour_m if self.follows_contour else math.inf,
+            robust_share=self.robust_share,
+            change_s=self.change_s,
         )
 
     @property
@@ -302,6 +315,23 @@ def parse_margin(text: str) -> float:
     return value
 
 
+def parse_robust(text: str) -> float:
+    """Return the share of the tolerances that a plan holds over, such as ``"100 %"``, as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 200 %.
+    """
+    value = parse_number("robust", text, "", "100 %")
+    if not 0.0 < value <= 2.0:
+        raise OptionError(
+            f"robust {text!r} must be above 0 % and at most 200 % of the tolerances",
+            remedy='All of them are "100 %".',
+        )
+    return value
+
+
 def parse_width_s(text: str) -> float:
     """Return the width of a smoothing in time such as ``"36 ms"`` in s.
 
@@ -329,6 +359,7 @@ def options_of(
     dialect: str | None = None,
     radius: str | None = None,
     contour: str | None = None,
+    robust: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text.
 
@@ -362,7 +393,13 @@ def options_of(
             f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of {what}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL} without --feed-forward.",
         )
-    if smoothing is None:
+    if robust is not None and (not feed_forward or interpolation != DEFAULT_INTERPOLATION):
+        raise OptionError(
+            f"--robust {robust!r} is of feed-forward along the programmed chords and times",
+            remedy="Give --feed-forward too, and no other --interpolation.",
+        )
+    change = smoothing if robust is not None else None
+    if smoothing is None or robust is not None:
         smoothing = OPTIMAL_FEED_FORWARD if interpolation == OPTIMAL else FEED_FORWARD
     return Options(
         interpolation=interpolation,
@@ -375,6 +412,8 @@ def options_of(
         shaper=shaper,
         feed_forward_s=parse_width_s(smoothing) if feed_forward else None,
         contour_m=None if contour is None else parse_contour_m(contour),
+        robust_share=None if robust is None else parse_robust(robust),
+        change_s=None if change is None else parse_width_s(change),
     )
 
 

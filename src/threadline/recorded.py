@@ -33,6 +33,8 @@ _PLANNED_WITH = (
     "mode",
     "damping",
     "feed-forward",
+    "robust",
+    "change",
 )
 
 

@@ -27,6 +27,9 @@ SLOW: dict[str, dict[str, str]] = {
         "python tools/memory_bounds.py": "half an hour",
     },
     "results-stitcher.md": {
+        'python -m tools.robust_corners SEAM examples/stitcher-place.spec.toml "100 %" 45': (
+            "a minute; tests/test_robust_plan.py at 42"
+        ),
         "pytest tests/twin/test_stitcher.py tests/twin/test_hybrid.py": OF_TESTS,
         "python -m tools.long_seam 1e6 FOLDER": "writes the job of the next",
         "threadline prove FOLDER/long.seam.toml -m stitcher --interpolation linear": "93 s",

@@ -11,7 +11,12 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source
 from threadline.signals import Stream
 from threadline.trajectory import Trajectory, TrajectoryBlock, TrajectoryReader
-from threadline.trajectory.averaged import STEPS, averaged_trajectory, held_trajectory
+from threadline.trajectory.averaged import (
+    STEPS,
+    averaged_trajectory,
+    even_averages,
+    held_trajectory,
+)
 
 WIDTH = 0.04
 HERE = Source("test", 1)
@@ -64,7 +69,7 @@ def test_corner_is_cut_by_the_mean_of_the_kernel():
     step = WIDTH / STEPS
     mean = 2 * quad(lambda t: t * kernel(t, step), 0, WIDTH / 2, limit=200, epsrel=1e-10)[0]
     assert mean / WIDTH == pytest.approx(0.1109, abs=1e-4)  # as the docstring says
-    smooth = averaged_trajectory(corner(), WIDTH)
+    smooth = averaged_trajectory(corner(), even_averages(WIDTH))
     middle = smooth(np.array([0.4]))[0]
     away = np.linalg.norm(middle - [0.06, 0.0])
     # Samples every 1.05 ms see the kink off by about v step^2 kernel(0) / 6 = 2.7 um.
@@ -77,7 +82,9 @@ def test_corner_is_cut_by_the_mean_of_the_kernel():
 def test_parabola_is_raised_by_half_its_variance():
     """The mean of a t^2 / 2 is a (t^2 + sigma^2) / 2; boxes of n samples have (n^2 - 1) / 12."""
     a, step = 3.0, WIDTH / STEPS
-    smooth = averaged_trajectory(motion([[[0, 0], [0, 0], [a / 2, 0]]], [1.0]), WIDTH)
+    smooth = averaged_trajectory(
+        motion([[[0, 0], [0, 0], [a / 2, 0]]], [1.0]), even_averages(WIDTH)
+    )
     variance = (4 * (81 - 1) / 12 + 6 / 12) * step**2
     t = np.array([0.4, 0.5, 0.6])
     expected = a * (t**2 + variance) / 2
@@ -85,7 +92,7 @@ def test_parabola_is_raised_by_half_its_variance():
 
 
 def test_four_derivatives_are_continuous_and_true():
-    smooth = averaged_trajectory(corner(), WIDTH)
+    smooth = averaged_trajectory(corner(), even_averages(WIDTH))
     step = WIDTH / STEPS
     joints = np.arange(300, 500) * step
     for order in range(5):
@@ -103,7 +110,7 @@ def test_four_derivatives_are_continuous_and_true():
 
 
 def test_operations_change_where_they_did():
-    blocks = list(averaged_trajectory(corner(), WIDTH))
+    blocks = list(averaged_trajectory(corner(), even_averages(WIDTH)))
     operation = np.concatenate([b.operation for b in blocks])
     start = np.concatenate([b.start_s for b in blocks])
     changes = start[np.flatnonzero(np.diff(operation)) + 1]
@@ -118,17 +125,21 @@ def test_what_needs_rest_gets_it(between):
     moves = Move((0.06, 0), None, HERE), Move((0.06, 0.06), None, HERE)
     held = held_trajectory(path, job(moves[0], between, moves[1]), WIDTH, 0.1, 0.2)
     assert held.duration_s == pytest.approx(0.6 + 0.3 + WIDTH)
-    smooth = averaged_trajectory(held, WIDTH)
+    smooth = averaged_trajectory(held, even_averages(WIDTH))
     rest = np.array([0.4 + WIDTH / 2])
     np.testing.assert_allclose(smooth(rest)[0], [0.06, 0.0], atol=1e-12)
     np.testing.assert_allclose(smooth(rest, 1)[0], [0.0, 0.0], atol=1e-12)
     through = held_trajectory(path, job(moves[0], Dwell(0.0, HERE), moves[1]), WIDTH, 0.1, 0.2)
     assert through.duration_s == pytest.approx(0.6 + 0.3)
-    assert np.abs(averaged_trajectory(through, WIDTH)(np.array([0.4]), 1)).min() > 0.05
+    assert (
+        np.abs(averaged_trajectory(through, even_averages(WIDTH))(np.array([0.4]), 1)).min() > 0.05
+    )
 
 
 def test_reader_gives_the_same_in_bounded_memory():
-    smooth = averaged_trajectory(held_trajectory(corner(), job(), WIDTH, 0.1, 0.1), WIDTH)
+    smooth = averaged_trajectory(
+        held_trajectory(corner(), job(), WIDTH, 0.1, 0.1), even_averages(WIDTH)
+    )
     cut = Trajectory(
         axes=smooth.axes,
         blocks=Stream.of(
@@ -157,4 +168,4 @@ def test_reader_gives_the_same_in_bounded_memory():
 
 def test_no_width_is_refused():
     with pytest.raises(OptionError, match="must be above 0 s"):
-        averaged_trajectory(corner(), 0.0)
+        averaged_trajectory(corner(), even_averages(0.0))

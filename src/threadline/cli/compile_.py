@@ -27,6 +27,7 @@ from threadline.cli.shared_options import (
     MachineOption,
     ParOption,
     RadiusOption,
+    RobustOption,
     SmoothingOption,
     ToleranceOption,
     keep_inputs,
@@ -66,6 +67,7 @@ def compile_(
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
+    robust: RobustOption = None,
     par: ParOption = None,
     shaper: Annotated[
         str,
@@ -120,6 +122,7 @@ def compile_(
             dialect=dialect,
             radius=radius,
             contour=contour,
+            robust=robust,
         ),
         shaper_mode=mode,
         shaper_damping=damping,

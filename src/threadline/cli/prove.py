@@ -36,6 +36,7 @@ from threadline.cli.shared_options import (
     RadiusOption,
     RecordingOption,
     ReportOption,
+    RobustOption,
     ShaperOption,
     SmoothingOption,
     SpecOption,
@@ -79,6 +80,7 @@ def prove(
     shaper: ShaperOption = None,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
+    robust: RobustOption = None,
     par: ParOption = None,
     actual: ActualOption = None,
     report: ReportOption = None,
@@ -130,6 +132,7 @@ def prove(
         dialect,
         radius,
         contour,
+        robust,
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     with progress_bar(not json) as progress:

@@ -36,6 +36,7 @@ from threadline.cli.shared_options import (
     ParOption,
     RadiusOption,
     RecordingOption,
+    RobustOption,
     ShaperOption,
     SmoothingOption,
     SpecOption,
@@ -135,6 +136,7 @@ def run(
     shaper: ShaperOption = None,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
+    robust: RobustOption = None,
     par: ParOption = None,
     recording: RecordingOption = None,
     nominal: NominalOption = False,
@@ -172,6 +174,7 @@ def run(
         dialect,
         radius,
         contour,
+        robust,
     )
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     check_machine(chosen)

@@ -139,6 +139,14 @@ SmoothingOption = Annotated[
         f'optimal "{planning.OPTIMAL_FEED_FORWARD}".'
     ),
 ]
+RobustOption = Annotated[
+    str | None,
+    typer.Option(
+        help="With --feed-forward: keep the loads from ringing wherever masses and stiffnesses are "
+        'within this share of their tolerances: "100 %". --smoothing is then the time in which '
+        "the speed may change, four turns of a seam's needle without it.",
+    ),
+]
 ActualOption = Annotated[
     str | None,
     typer.Option(

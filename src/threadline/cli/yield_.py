@@ -27,6 +27,7 @@ from threadline.cli.shared_options import (
     MachineOption,
     ParOption,
     ReportOption,
+    RobustOption,
     SmoothingOption,
     SpecOption,
     ToleranceOption,
@@ -67,6 +68,7 @@ def yield_(
     limits: LimitsOption = DEFAULT_LIMITS_TEXT,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
+    robust: RobustOption = None,
     par: ParOption = None,
     why: Annotated[
         bool,
@@ -117,7 +119,14 @@ def yield_(
             f"--worst and --resume are the same file {str(worst)!r}", remedy="Name two files."
         )
     options = options_of(
-        interpolation, feed, tolerance, limits, None, feed_forward, smoothing, None, law
+        interpolation,
+        feed,
+        tolerance,
+        limits,
+        feed_forward=feed_forward,
+        smoothing=smoothing,
+        law=law,
+        robust=robust,
     )
     check_machine(chosen)
     plan = plan_job(open_job(job, chosen, options), chosen, options)

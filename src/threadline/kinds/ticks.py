@@ -28,9 +28,15 @@ from threadline.shaping import parse_shaper
 from threadline.shaping.law_named import law_named
 from threadline.signals import ChannelKind, Commands, Recording, TickTable, tick_table
 from threadline.signals.files.common import Written
-from threadline.targets import followed_by_loads, followed_by_motors
+from threadline.targets import followed_by_loads, followed_by_motors, robust_averages
 from threadline.targets.write import TABLES, TICK_TARGETS, TableWriter, Target, WrittenPlan
-from threadline.trajectory import check_budget, check_limits, plan_trajectory
+from threadline.trajectory import (
+    check_budget,
+    check_limits,
+    even_averages,
+    plan_trajectory,
+    with_run_ups,
+)
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Spec
 from threadline.verdict.needle import has_stitches
@@ -106,11 +112,17 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         path, limited, timing.pace, motion_law, timing.contour_m, of_loads=of_loads
     )
     # A demand above its limit is no error: the verdict shows what comes of it.
-    followed = (
-        followed_by_motors(timed, machine, job, shaper)
-        if timing.smoothing_s is None
-        else followed_by_loads(timed, machine, job, timing.smoothing_s)
-    )
+    if timing.smoothing_s is None:
+        followed = followed_by_motors(timed, machine, job, shaper)
+    else:
+        if timing.robust_share is None:
+            averages = even_averages(timing.smoothing_s)
+        else:
+            timed = with_run_ups(timed)
+            averages = robust_averages(
+                timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
+            )
+        followed = followed_by_loads(timed, machine, job, averages)
     motion = Motion(
         programmed=programmed,
         path=path,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
 from threadline.machine.model import Drive, Machine
 from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
@@ -171,6 +172,32 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
         for name, cylinder in machine.cylinders.items()
     }
     return replace(machine, bodies=bodies, links=links, cylinders=cylinders)
+
+
+def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
+    """Return ``machine`` and the machines at the ends of its tolerances of loads and springs.
+
+    Nine, the machine itself first: loads lighter, as typed and heavier with springs softer, as
+    typed and stiffer.
+
+    Parameters
+    ----------
+    share
+        Of the tolerances.
+
+    Raises
+    ------
+    OptionError
+        If no number of a load or a spring has a tolerance.
+    """
+    ends = (0.0, -share, share)
+    found = [off_tolerance(machine, mass=m, stiffness=k) for m in ends for k in ends]
+    if found[-1] == machine:
+        raise OptionError(
+            f"loads and springs of {machine.name} have no tolerances",
+            remedy='Write them in the machine file: "111 kg +- 10 %".',
+        )
+    return found
 
 
 def mode_off(machine: Machine, relative: float) -> Machine:

@@ -25,7 +25,7 @@ from threadline.trajectory import (
     check_limits,
     held_trajectory,
 )
-from threadline.trajectory.averaged import DEGREE
+from threadline.trajectory.averaged import DEGREE, Averages
 
 _ROWS = 2048  # references in hand at once
 _KEPT = 32  # blocks of so many
@@ -35,10 +35,10 @@ def followed_by_loads(
     planned: Trajectory,
     machine: Machine,
     job: Job,
-    width_s: float,
+    averages: Averages,
     model: Values | None = None,
 ) -> Followed:
-    """Return the commands with which the loads follow ``planned``, smoothed over ``width_s``.
+    """Return the commands with which the loads follow ``planned``, smoothed by ``averages``.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def followed_by_loads(
         Its limits are checked on the smoothed motion, before anything is put out.
     job
         Where an output, a wait or a dwell comes between two moves, the loads come to rest.
-    width_s
-        Width of the moving averages, s, the same for all axes.
+    averages
+        Over time, of the motion of all axes.
     model
         The numbers that the inverses believe in; the machine's own when None.
 
@@ -63,9 +63,10 @@ def followed_by_loads(
         If an inverse needs more derivatives than the smoothed motion has.
     """
     before_s, after_s = _rests_s(machine, planned.axes, model)
+    width_s = averages.width_s
     half_s = 0.5 * width_s
     timed = held_trajectory(planned, job, width_s, before_s + half_s, after_s + half_s)
-    trajectory = averaged_trajectory(timed, width_s)
+    trajectory = averaged_trajectory(timed, averages)
     check_limits(trajectory, machine)
     # The first reading finds the demands; of a short motion it is kept for the commands.
     reading = _References(trajectory, machine, model)

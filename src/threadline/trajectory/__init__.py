@@ -1,14 +1,21 @@
 """Planned path + limits -> time, and the dense check of every limit."""
 
 from threadline.trajectory.at_times import TrajectoryReader
-from threadline.trajectory.averaged import averaged_trajectory, held_trajectory
+from threadline.trajectory.averaged import (
+    Averages,
+    averaged_trajectory,
+    even_averages,
+    held_trajectory,
+)
 from threadline.trajectory.budget import check_budget
 from threadline.trajectory.limits import Peak, check_limits, limit_peaks
 from threadline.trajectory.path_to_trajectory import Pace, plan_trajectory
 from threadline.trajectory.retime import retime
+from threadline.trajectory.run_ups import with_run_ups
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 __all__ = [
+    "Averages",
     "Pace",
     "Peak",
     "Trajectory",
@@ -17,8 +24,10 @@ __all__ = [
     "averaged_trajectory",
     "check_budget",
     "check_limits",
+    "even_averages",
     "held_trajectory",
     "limit_peaks",
     "plan_trajectory",
     "retime",
+    "with_run_ups",
 ]

@@ -1,21 +1,24 @@
 r"""Trajectories smooth enough for an inverse: averages over time as a spline of fifth degree.
 
-The motion is sampled every ``step_s``; four moving averages of nine samples each are taken one
-after the other; what comes out are the control points of a uniform quintic B-spline. All of that
-is one kernel of the width ``38 step_s``, centred, the same for all axes: nothing is late, straight
-paths stay straight, and four derivatives are continuous. The motion passes a corner of angle
-``turn`` taken at speed v within :math:`v\,E|t|\sin(turn/2)`, where E\|t\| of the kernel is 0.111
-of its width.
+The motion is sampled every ``step_s``; weighted averages of its samples are the control points of a
+uniform quintic B-spline, so that four derivatives are continuous. Weights of the sum 1 that lie
+evenly about their middle make nothing late.
+
+Unless weights are given, four moving averages of nine samples each are taken one after the other.
+All of that is one kernel of the width ``38 step_s``, the same for all axes: straight paths stay
+straight. The motion passes a corner of angle ``turn`` taken at speed v within
+:math:`v\,E|t|\sin(turn/2)`, where E\|t\| of the kernel is 0.111 of its width.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray, IntArray, Locked, read_only
 from threadline.errors import OptionError
 from threadline.jobs.operations import Dwell, Job, Move
 from threadline.signals import Stream
@@ -25,10 +28,57 @@ DEGREE = 5
 _AVERAGES, _SAMPLES = 4, 9
 STEPS = _AVERAGES * (_SAMPLES - 1) + DEGREE + 1
 """Width of the kernel in sampling steps."""
-_REACH = _AVERAGES * (_SAMPLES - 1) // 2
-_BEFORE, _AFTER = _REACH + DEGREE // 2, _REACH + DEGREE // 2 + 1
 _CHUNK = 8192
 _KEPT = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Averages(Locked):
+    """Weights of the samples of a motion in the control points of its spline.
+
+    Parameters
+    ----------
+    weights
+        (2 m + 1, axes), or (2 m + 1, 1) for all axes alike; each column has the sum 1.
+    step_s
+        Time between samples.
+    """
+
+    weights: FloatArray
+    step_s: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", read_only(self.weights, "weights", ndim=2))
+        if len(self.weights) % 2 == 0:
+            raise ValueError(f"the number of weights must be odd, got {len(self.weights)}")
+
+    @property
+    def width_s(self) -> float:
+        """How long a motion that is at rest elsewhere is touched by one of its instants."""
+        return (len(self.weights) + DEGREE) * self.step_s
+
+    @property
+    def before(self) -> int:
+        """Number of samples before an interval that have a part in it."""
+        return len(self.weights) // 2 + DEGREE // 2
+
+    @property
+    def after(self) -> int:
+        """Number of samples after the beginning of an interval that have a part in it."""
+        return self.before + 1
+
+
+def even_averages(width_s: float) -> Averages:
+    """Return the four moving averages whose kernel has the width ``width_s``.
+
+    Raises
+    ------
+    OptionError
+        If the width is not above zero.
+    """
+    if not (np.isfinite(width_s) and width_s > 0.0):
+        raise OptionError(f"the width of the averages must be above 0 s, got {width_s!r}")
+    return Averages(weights=averaging_weights()[:, None], step_s=width_s / STEPS)
 
 
 def averaging_weights() -> FloatArray:
@@ -70,26 +120,18 @@ def held_trajectory(
     )
 
 
-def averaged_trajectory(held: Trajectory, width_s: float) -> Trajectory:
-    """Return the averages of a trajectory over ``width_s``.
+def averaged_trajectory(held: Trajectory, averages: Averages) -> Trajectory:
+    """Return the averages of a trajectory.
 
     Parameters
     ----------
     held
-        It must stand for half of the width at both ends.
-
-    Raises
-    ------
-    OptionError
-        If the width is not above zero.
+        It must stand for half of the width of ``averages`` at both ends.
     """
-    if not (np.isfinite(width_s) and width_s > 0.0):
-        raise OptionError(f"the width of the averages must be above 0 s, got {width_s!r}")
-    step_s = width_s / STEPS
-    if held.duration_s / step_s <= _KEPT:
+    if held.duration_s / averages.step_s <= _KEPT:
         # A short motion is worked out once and kept: it will be read many times.
-        return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, step_s))))
-    return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, step_s))
+        return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, averages))))
+    return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, averages))
 
 
 def _rests(job: Job) -> Iterator[int]:
@@ -162,16 +204,17 @@ def _still(place: FloatArray, operation: int, start_s: float, duration_s: float)
     )
 
 
-def _averaged(held: Trajectory, step_s: float) -> Iterator[TrajectoryBlock]:
-    weights, basis = averaging_weights(), spline_basis()
-    raw: FloatArray | None = None  # samples from that of number ``done - _BEFORE`` on
+def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]:
+    basis, step_s = spline_basis(), averages.step_s
+    ahead, behind = averages.before, averages.after
+    raw: FloatArray | None = None  # samples from that of number ``done - ahead`` on
     labels: IntArray = np.empty(0, dtype=np.int64)
     done = sampled = labelled = 0
     end_s = 0.0
     final: FloatArray = np.empty(0)
     for block in held:
         if raw is None:
-            raw = np.tile(block.coefficients[0, 0], (_BEFORE, 1))
+            raw = np.tile(block.coefficients[0, 0], (ahead, 1))
         end_s = block.end_s
         while True:
             fresh = np.arange(sampled, sampled + _CHUNK)
@@ -184,9 +227,9 @@ def _averaged(held: Trajectory, step_s: float) -> Iterator[TrajectoryBlock]:
             piece = np.searchsorted(block.start_s, middle, side="right") - 1
             labels = np.concatenate([labels, block.operation[np.maximum(piece, 0)]])
             labelled += len(middle)
-            ready = min(sampled - done - _AFTER, labelled - done)
+            ready = min(sampled - done - behind, labelled - done)
             if ready > 0:
-                yield _spline(raw, labels, done, ready, step_s, weights, basis)
+                yield _spline(raw, labels, done, ready, averages, basis)
                 raw, labels = raw[ready:], labels[ready:]
                 done += ready
             if inside < _CHUNK:
@@ -195,11 +238,11 @@ def _averaged(held: Trajectory, step_s: float) -> Iterator[TrajectoryBlock]:
     if raw is None:
         return
     count = ceil(end_s / step_s - 1e-9) - done
-    missing = count + _BEFORE + _AFTER - len(raw)
+    missing = count + ahead + behind - len(raw)
     raw = np.concatenate([raw, np.tile(final, (max(missing, 0), 1))])
     labels = np.concatenate([labels, np.repeat(labels[-1:], max(count - len(labels), 0))])
     if count > 0:
-        yield _spline(raw, labels, done, count, step_s, weights, basis)
+        yield _spline(raw, labels, done, count, averages, basis)
 
 
 def _spline(
@@ -207,15 +250,15 @@ def _spline(
     labels: IntArray,
     done: int,
     count: int,
-    step_s: float,
-    weights: FloatArray,
+    averages: Averages,
     basis: FloatArray,
 ) -> TrajectoryBlock:
-    """Return pieces ``done`` to ``done + count``; ``raw`` begins ``_BEFORE`` samples before."""
+    """Return pieces ``done`` to ``done + count``; ``raw`` begins ``before`` samples earlier."""
+    step_s = averages.step_s
     controls = np.zeros((count + DEGREE, raw.shape[1]))
     # About the first sample, so that rest is exactly rest.
-    away = raw[: count + _BEFORE + _AFTER] - raw[0]
-    for shift, weight in enumerate(weights):
+    away = raw[: count + averages.before + averages.after] - raw[0]
+    for shift, weight in enumerate(averages.weights):
         controls += weight * away[shift : shift + len(controls)]
     windows = np.stack([controls[i : i + count] for i in range(DEGREE + 1)], axis=1)
     coefficients = np.einsum("ki,nia->nka", basis, windows)

@@ -1,0 +1,114 @@
+"""Averages that leave many machines without ringing, against simulations of other code."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+from scipy.signal import TransferFunction, lsim
+
+from threadline.control.corner_machines import CornerResponse, corner_responses
+from threadline.control.robust_averages import (
+    RunUp,
+    StepOfSpeed,
+    frequencies_rad_s,
+    robust_weights,
+)
+from threadline.machine import load_machine
+from threadline.machine.vary import corners
+from threadline.plant.closed_loop import answers_of
+
+CHANGE_S, COUNT, SAMPLES = 0.1, 43, 4096
+STEP_S = CHANGE_S / 28
+GRID_S = STEP_S / 4
+MODE, DAMPING = 75.0, 0.2
+STEP = RunUp(at_s=np.zeros(1), share=np.ones(1), change_s=CHANGE_S)
+
+
+def believed_and(factor: float) -> tuple[list[float], list[float]]:
+    """Return a mode in place of the one that the inverse takes away, as polynomials in s."""
+    w = MODE * factor
+    zeros = [1.0 / MODE**2, 2.0 * DAMPING / MODE, 1.0]
+    return zeros, [1.0 / w**2, 2.0 * DAMPING / w, 1.0]
+
+
+def response(factor: float, omega: np.ndarray) -> CornerResponse:
+    above, below = believed_and(factor)
+    s = 1j * omega
+    load = np.polyval(above, s) / np.polyval(below, s)
+    return CornerResponse(load=load, current_s_a_m=None)
+
+
+def answer(weights: np.ndarray, factor: float, t: np.ndarray) -> np.ndarray:
+    """The speed of the load after a step of speed at 0, by scipy's integration in time."""
+    element = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+    at = (t[:, None] - (np.arange(COUNT) - (COUNT - 1) / 2) * STEP_S) / STEP_S
+    kernel = np.nan_to_num(element(at)) @ weights / STEP_S
+    meant = np.cumsum(kernel) * (t[1] - t[0])
+    return lsim(TransferFunction(*believed_and(factor)), meant, t - t[0])[1]
+
+
+def test_no_machine_rings_more_than_is_said():
+    omega = frequencies_rad_s(GRID_S, SAMPLES)
+    factors = (1.0, 0.85, 1.15)
+    found = robust_weights(
+        StepOfSpeed(
+            speed=0.1,
+            room=1e-3,
+            current_limit_a=np.inf,
+            machines=[response(factor, omega) for factor in factors],
+        ),
+        STEP,
+        count=COUNT,
+        step_s=STEP_S,
+        degree=5,
+        grid_s=GRID_S,
+        samples=SAMPLES,
+    )
+    assert found is not None
+    assert found.weights.sum() == pytest.approx(1.0, abs=1e-9)
+    t = np.arange(-0.2, 0.6, 2e-5)
+    outside = np.abs(t) >= CHANGE_S / 2
+    worst = 0.0
+    for factor in factors:
+        speed = answer(found.weights, factor, t)
+        off = np.abs(speed - (t > 0.0))[outside]
+        worst = max(worst, float(off.max()))
+        # By how far the load has gone when it should start: within its room.
+        assert abs(np.cumsum(speed * 2e-5)[t <= 0.0] * 0.1).max() < 1e-3 * 1.02
+    # Rows are met to 2e-4 at instants 0.9 ms apart; between them the speed moves a little more.
+    assert worst == pytest.approx(found.error, abs=3e-3)
+    assert found.error < 0.02
+    # The test can fail: averages of the same width that know nothing of the machines ring more.
+    even = np.convolve(np.ones(22) / 22, np.ones(22) / 22)
+    plain = max(np.abs(answer(even, f, t) - (t > 0.0))[outside].max() for f in factors)
+    assert plain > 2.0 * found.error
+
+
+def test_a_corner_answers_as_its_closed_loop_does_in_time():
+    """T / T0 against the impulse responses of both loops, tick by tick."""
+    machine = load_machine("stitcher")
+    nine = corners(machine)
+    assert nine[0] == machine
+    assert len({(c.bodies["x_head"].inertia.si, c.links["x_belt"].stiffness.si) for c in nine}) == 9
+    omega = 2.0 * np.pi * np.array([2.0, 8.0, 12.0, 20.0, 40.0])
+    for axis in ("X", "Y"):
+        loops = [answers_of(m)[axis] for m in (machine, nine[5])]
+        period = loops[0].period_s
+        spectra = [
+            np.exp(-1j * omega[:, None] * period * np.arange(len(a.taps))) @ a.taps for a in loops
+        ]
+        itself, other = corner_responses(machine, axis, [machine, nine[5]], omega)
+        np.testing.assert_allclose(itself.load, 1.0, atol=1e-12)
+        # The impulse responses are cut off at 1e-5.
+        np.testing.assert_allclose(other.load, spectra[1] / spectra[0], rtol=2e-3)
+
+
+def test_current_of_a_steady_speed_is_that_of_its_friction():
+    """0.24 N m s/rad of the motor and 3330 N s/m of the load, by hand."""
+    machine = load_machine("stitcher")
+    (found,) = corner_responses(machine, "X", [machine], np.array([1e-3]))
+    radius = 0.029 / 6
+    torque = 0.24 / radius + 3330.0 * radius
+    assert found.current_s_a_m is not None
+    assert found.current_s_a_m[0].real == pytest.approx(torque / 0.5, rel=1e-3)
