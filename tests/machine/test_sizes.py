@@ -13,6 +13,7 @@ from threadline.machine import load_machine
 from threadline.machine.quantity import LEAST_SI, MOST_SI
 from threadline.plant.analysis import analyse_axis
 from threadline.plant.loop import axis_loop
+from threadline.plant.modes import locked_modes
 from threadline.plant.suspicions import suspicions
 from threadline.plant.values import Values
 from threadline.twin.prescribed import advances_of
@@ -60,6 +61,15 @@ def test_a_clock_has_as_many_digits_as_can_be_counted(
         return
     with pytest.raises(MachineError, match="has more digits than a time is counted in"):
         load_machine(file)
+
+
+@pytest.mark.parametrize(("base", "clock"), [("stitcher", "filter"), ("letter-placer", "scan")])
+def test_a_clock_that_ticks_once_in_a_lifetime_is_refused(
+    base: str, clock: str, tmp_path: Path
+) -> None:
+    """What a plant does in 1e9 s is beyond all numbers on the way there."""
+    with pytest.raises(MachineError, match="must be at most 3600"):
+        load_machine(overlaid(tmp_path, base, f"clocks.{clock}", "1e9 s"))
 
 
 def test_a_load_or_a_frame_of_nothing_is_refused(tmp_path: Path) -> None:
@@ -163,3 +173,10 @@ def test_a_stepper_that_carries_too_much_to_swing_is_refused(tmp_path: Path) -> 
             continue
         with pytest.raises(MachineError, match="its acceleration is averaged over 1000000 at most"):
             advances_of(machine)
+
+
+def test_a_mode_damped_beyond_measure_has_a_ratio_of_one(tmp_path: Path) -> None:
+    """Two real poles, the slower of which is 0 by rounding: -Re/|s| of it is 0/0."""
+    file = overlaid(tmp_path, "lathe-winder", "overlays.springy.links.x_arm.stretch.x_eye", "1e15")
+    (mode,) = locked_modes(load_machine(f"{file}+springy"), "X")
+    assert mode.damping == 1.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+import tracemalloc
+from itertools import islice, pairwise
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,25 @@ def test_a_slow_piece_does_not_fill_memory(interpolation: str, tmp_path: Path) -
         assert after.start_s[0] == pytest.approx(before.end_s, abs=1e-9)
     last = blocks[-1].coefficients[-1].sum(axis=0)
     assert last[machine.axis_names.index("X")] == pytest.approx(5e-3, abs=1e-12)
+
+
+def test_a_piece_of_a_billion_samples_begins_at_once(tmp_path: Path) -> None:
+    """An axis that takes months for a degree: its first blocks were preceded by 3 GB of numbers."""
+    file = tmp_path / "m.toml"
+    file.write_text('base = "lathe-winder"\naxes.A.acceleration = "1e-12 rad/s^2 exact, assumed"\n')
+    machine = load_machine(str(file))
+    job = tmp_path / "slow.prg"
+    job.write_text("%\nO 1;\nN 10 G91 G01 A 3 F 2160;\nN 20 M30;\n%\n")
+    options = Options(interpolation="cubic")
+    trajectory = plan_job(read_job(job, machine), machine, options).motion.trajectory
+    tracemalloc.start()
+    try:
+        first = list(islice(iter(trajectory), 3))
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert max(map(len, first)) <= SAMPLES
+    assert most < 50e6
 
 
 def test_a_limit_that_takes_longer_than_the_budget_is_told_at_once(tmp_path: Path) -> None:

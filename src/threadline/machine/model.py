@@ -23,7 +23,7 @@ from threadline.machine.parts import (
     LimitSwitch,
     Link,
     Operator,
-    PositiveTime,
+    Period,
     Sensor,
     Tool,
 )
@@ -99,7 +99,7 @@ class Machine:
     title: str
     sources: tuple[str, ...]
     tick_budget: Annotated[Quantity, Units(("tick",), positive=True)]
-    clocks: dict[Name, PositiveTime] = Field(min_length=1)
+    clocks: dict[Name, Period] = Field(min_length=1)
     bodies: dict[Name, Body] = Field(default_factory=dict)
     links: dict[Name, Link] = Field(default_factory=dict)
     drives: dict[Name, Drive] = Field(default_factory=dict)

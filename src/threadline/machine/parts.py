@@ -17,6 +17,9 @@ from threadline.machine.quantity import Quantity, Units
 STRICT = ConfigDict(extra="forbid")
 
 PositiveTime = Annotated[Quantity, Units(("s",), positive=True)]
+Period = Annotated[Quantity, Units(("s",), positive=True, most=3600.0)]
+"""Of a clock: what is held for longer than an hour is held by nothing that samples."""
+
 Coefficient = Annotated[Quantity, Units(("", "m/rad", "rad/m"))]
 Resolution = Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
 Sensitivity = Annotated[Quantity, Units(("V/m", "V/rad"))]

@@ -83,4 +83,5 @@ def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float)
         whole[n:, n:] = share * damping
         poles = np.linalg.eigvals(whole)
         at = poles[int(np.argmin(np.abs(poles - at)))]
-    return float(-at.real / abs(at))
+    # A pair that met on the real axis has a ratio of 1, also where one of it is lost in rounding.
+    return float(-at.real / abs(at)) if at else 1.0

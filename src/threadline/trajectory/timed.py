@@ -48,8 +48,10 @@ def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
                 if smoother is None:
                     smoother = Smoother(smoothing, part.coefficients[0, 0], int(part.operation[0]))
                 count = max(0, int(np.ceil((block.end_s - phase) / smoothing.step_s)))
-                # A slow piece has millions of samples; equal parts leave no short one over.
-                for some in np.array_split(np.arange(count), -(-count // SAMPLES) or 1):
+                # A slow piece has up to a billion samples; equal parts leave no short one over.
+                parts = -(-count // SAMPLES) or 1
+                for k in range(parts):
+                    some = np.arange(k * count // parts, (k + 1) * count // parts)
                     times = np.asarray(phase + some * smoothing.step_s, dtype=np.float64)
                     which = np.searchsorted(block.start_s, times, side="right") - 1
                     fresh = smoother.extend(block.evaluate(times), block.operation[which])
