@@ -137,10 +137,14 @@ def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
     fastest = np.array([machine.axes[axis].velocity.si for axis in path.axes])
     bound = path.timing is not Timing.TIME
     for block in path:
-        moved_s = block.nominal_s
+        moved_s, order = block.nominal_s, block.coefficients.shape[1]
         if bound:
-            way = np.abs(block.coefficients[:, 1:].sum(axis=1))
-            moved_s = np.maximum(moved_s, (way / fastest).max(axis=1))
+            # Column by column: numpy adds and compares along short inner axes slowly.
+            way = block.coefficients[:, 1].copy()
+            for k in range(2, order):
+                way += block.coefficients[:, k]
+            for axis_s in (np.abs(way) / fastest).T:
+                moved_s = np.maximum(moved_s, axis_s)
         least_s += float(moved_s.sum() + block.dwell_s.sum())
         if least_s / period_s > budget:
             raise BudgetError(

@@ -100,10 +100,12 @@ class Trajectory:
         moved = False
         for block in self.blocks:
             end_s = block.end_s
-            if moved and block.coefficients[-1, 1:].any():  # by far the most often
-                moves_s = moves_s[0], end_s
+            goes = block.coefficients[:, 1:]
+            if goes[-1].any() and (moved or goes[0].any()):  # by far the most often
+                moves_s = moves_s[0] if moved else float(block.start_s[0]), end_s
+                moved = True
             else:
-                moving = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
+                moving = (goes != 0.0).any(axis=(1, 2))
                 if moving.any():
                     begin_s = moves_s[0] if moved else float(block.start_s[moving][0])
                     moves_s = begin_s, float((block.start_s + block.duration_s)[moving][-1])
