@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -177,6 +178,14 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         load_spec(None, replace(winder(), name="mine", reference=""))
     with pytest.raises(SpecError, match="no default"):
         load_spec(None, replace(winder(), name="../lathe-winder", reference=""))
+
+
+def test_a_copy_of_a_library_machine_is_told_how_to_be_asked_for_the_same(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    library = resources.files("threadline.machine") / "library" / "lathe-winder.toml"
+    file.write_text(library.read_text().replace('name = "lathe-winder"', 'name = "mine"'))
+    with pytest.raises(SpecError, match=r'mine.spec.toml .* base = "NAME"'):
+        load_spec(None, load_machine(file))
 
 
 def test_the_default_of_a_machine_file_lies_beside_it(tmp_path: Path) -> None:

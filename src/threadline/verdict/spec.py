@@ -98,7 +98,8 @@ def _default(machine: Machine) -> tuple[str, str]:
         return _LIMITS_ALONE, ""
     raise SpecError(
         f"machine {name!r} has no default specification",
-        remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file.",
+        remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file; a copy "
+        'of a library machine is asked for the same once its file has base = "NAME".',
     )
 
 
