@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +55,13 @@ def compiled(text: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tup
 
 
 def test_a_list_that_says_it_is_brought_home_so(tmp_path: Path) -> None:
-    """Without a word Z comes last, as it moves last; the list's own order goes before that."""
+    """Without a word Z comes last, as it moves last; the list's own order goes before that.
+
+    The slide of this machine may move with the lift anywhere.
+    """
     machine = load_machine("letter-placer")
+    slide = replace(machine.cylinders["X"], needs=())
+    machine = replace(machine, cylinders={**machine.cylinders, "X": slide})
     found = []
     for head in ("", 'home = ["Z", "X"]\n', 'home = ["X", "Z"]\n'):
         file = tmp_path / "list.toml"
@@ -301,3 +307,24 @@ def test_a_switch_at_the_edge_of_its_tolerance_is_told(
 def main_or_exit(words: list[str]) -> None:
     with pytest.raises(SystemExit):
         main(words)
+
+
+def test_what_an_interlock_needs_at_home_comes_home_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """X needs z_is_up: Z first, though the list moves Z last; the other order is refused.
+
+    With both away the way home then ends at the start; X first would stand still for ever.
+    """
+    machine = load_machine("letter-placer")
+    file, out = tmp_path / "list.toml", tmp_path / "free.st"
+    file.write_text(FREE, encoding="utf-8")
+    plan = plan_job(read_job(file, machine), machine, Options())
+    assert home_order(plan.scheduled) == ("Z", "X")
+    write(plan, "st", out)
+    bench = Bench(Plc(read_in_parts(out.read_text(encoding="ascii"))), cell=Cell(120.0, 60.0))
+    bench.home()
+    assert [bench.cell.pistons[a].at for a in "xz"] == [0.0, 0.0]
+    code, written, err = compiled('home = ["X", "Z"]\n' + FREE, tmp_path, capsys)
+    assert (code, written, err.count("\n")) == (2, "", 1)
+    assert "home = X, Z brings X back before Z, and X moves only with z_is_up on" in err

@@ -80,17 +80,19 @@ def home_order(scheduled: Scheduled) -> tuple[str, ...]:
 
     That of the list's ``home``; without it the order in which the list moves each for the last
     time: a list ends at its start, so that its last moves are the way back. What never moves comes
-    first.
+    first, and what an interlock needs at home before what needs it.
 
     Raises
     ------
     PlanError
-        If the list lets a cylinder move only with another at its start, and brings it home before.
+        If the list or an interlock lets a cylinder move only with another at its start, and the
+        list brings it home before.
     """
     last = {move.axis: move.first_tick for move in scheduled.moves}
     order = scheduled.job.home
     if not order:
-        return tuple(sorted(scheduled.machine.cylinders, key=lambda axis: last.get(axis, -1)))
+        wanted = sorted(scheduled.machine.cylinders, key=lambda axis: last.get(axis, -1))
+        return tuple(_behind_needed(wanted, scheduled.machine))
     for axis, other in _needed(scheduled):
         if order.index(axis) < order.index(other):
             raise PlanError(
@@ -99,7 +101,35 @@ def home_order(scheduled: Scheduled) -> tuple[str, ...]:
                 place=Place(scheduled.job.file),
                 remedy=f"Write {other} before {axis}.",
             )
+    for axis, other, name in _locked(scheduled.machine):
+        if order.index(axis) < order.index(other):
+            raise PlanError(
+                f"home = {', '.join(order)} brings {axis} back before {other}, and {axis} moves "
+                f"only with {name} on",
+                place=Place(scheduled.job.file),
+                remedy=f"Write {other} before {axis}.",
+            )
     return order
+
+
+def _locked(machine: Machine) -> Iterator[tuple[str, str, str]]:
+    """Yield (cylinder, other, switch) where an interlock has the first wait for the second."""
+    for axis, cylinder in machine.cylinders.items():
+        for name in cylinder.needs:
+            contact = machine.contacts[name]
+            if contact.cylinder is not None and contact.beyond == "below":
+                yield axis, contact.cylinder, name
+
+
+def _behind_needed(wanted: list[str], machine: Machine) -> Iterator[str]:
+    """Yield cylinders in their order, but each behind those that its interlock needs at home."""
+    left = list(wanted)
+    while left:
+        waits = {axis for axis, other, _ in _locked(machine) if other in left and other != axis}
+        # Where each waits for another, none could come first: the order stays.
+        first = next((axis for axis in left if axis not in waits), left[0])
+        left.remove(first)
+        yield first
 
 
 def _needed(scheduled: Scheduled) -> Iterator[tuple[str, str]]:
