@@ -253,6 +253,10 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ("M584 X0\nM92 X80\nM208 X9:3\n", "M208 X is '-6.0'"),
         ("M566 X900 P7..\n", "M566 P is '7..'"),
         ("M584 X0\nM569 P0 S1\n", "say nothing of any axis (reprapfirmware)"),
+        ("M584 X0\nG20\nM92 X80\n", "G20: these lengths are in inches"),
+        ("echo:  G20 ; (in)\necho:  M92 X80.0\n", "G20: these lengths are in inches"),
+        ("M584 X0\nM669 K1\nM92 X80\n", "M669 K1: only machines with a motor for each axis"),
+        ("[printer]\nkinematics: corexy\n[stepper_x]\n", "kinematics: corexy: only machines"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -282,6 +286,43 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], 
     file.write_text(MARLIN)
     with pytest.raises(OptionError, match=re.escape(said)):
         machine_text(read_settings(file), parse_answers(answers), "mine")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (MARLIN + "echo:  M593 X F41.2 D0.1\n", "M593 shapes the motion"),
+        (REPRAPFIRMWARE + 'M593 P"zvd" F40 S0.1\n', "M593 shapes the motion"),
+        (REPRAPFIRMWARE + 'M98 P"config-override.g"\n', "the file that M98 runs is not read"),
+        (KLIPPER + "[input_shaper]\nshaper_freq_x: 40\n", "[input_shaper] shapes the motion"),
+    ],
+)
+def test_what_is_not_heeded_is_told(text: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "settings.txt"
+    file.write_text(text)
+    (told,) = read_settings(file).unheeded
+    assert said in told and f"settings.txt:{len(text.splitlines())}" in told
+
+
+@pytest.mark.parametrize("off", ["echo:  M593 X F0.00 D0.1\n", 'M593 P"none"\n'])
+def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
+    file = tmp_path / "settings.txt"
+    file.write_text((MARLIN if off.startswith("echo") else REPRAPFIRMWARE) + off)
+    assert not read_settings(file).unheeded
+
+
+def test_what_save_config_has_saved_is_in_force(tmp_path: Path) -> None:
+    """Klipper appends it as comments of a form of its own, which win over the lines above."""
+    saved = """
+#*# <---------------------- SAVE_CONFIG ---------------------->
+#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
+#*#
+#*# [stepper_x]
+#*# position_max = 695
+"""
+    file = tmp_path / "printer.cfg"
+    file.write_text(KLIPPER + saved)
+    assert read_settings(file).axes["X"].travel.value == 700.0
 
 
 def test_an_axis_of_reprapfirmware_without_its_jump_is_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from threadline import __version__
+from threadline.cli.told import warning
 from threadline.errors import OptionError, Place
 from threadline.machine import library_file, load_machine
 from threadline.machine.firmware import (
@@ -54,6 +55,8 @@ def settings_files(
             f"{kind.removesuffix('-winder')}",
             remedy=f"Make it with: threadline new {settings.firmware}-winder.",
         )
+    for unheeded in settings.unheeded:
+        warning(unheeded)
     said = parse_answers(answers)
     text = machine_text(settings, said, kind, limits_only=limits_only)
     _check(text)

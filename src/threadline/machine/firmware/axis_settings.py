@@ -58,12 +58,15 @@ class Settings:
     planner
         Settings of the motion planner, by the keys of ``[planner]`` in a machine file, in mm and
         degrees; ``jump.X`` is that of axis X.
+    unheeded
+        What the file says that changes the motion and is not in a machine file, a sentence each.
     """
 
     firmware: str
     file: str
     axes: dict[str, AxisSettings] = field(default_factory=dict)
     planner: dict[str, Said] = field(default_factory=dict)
+    unheeded: list[str] = field(default_factory=list)
 
     def say(self, axis: str, what: str, text: str, line: int, name: str) -> None:
         """Add a number ``text`` of an axis, for its setting ``what``; ``name`` is the file's word.
@@ -90,6 +93,41 @@ class Settings:
         value = self._number(text, line, name, zero=True)
         self._refuse_another(self.planner.get(key), value, line, name)
         self.planner[key] = Said(value, line)
+
+    def shapes(self, name: str, line: int) -> None:
+        """Record that the firmware's own input shaper is on, by the file's word for it."""
+        self.unheeded.append(
+            f"{Place(self.file, line)}: {name} shapes the motion; what is planned as the firmware "
+            "plans is planned without it"
+        )
+
+    def refuse_inches(self, line: int) -> None:
+        """Refuse a file whose lengths are in inches.
+
+        Raises
+        ------
+        MachineError
+            Always.
+        """
+        raise MachineError(
+            "G20: these lengths are in inches",
+            place=Place(self.file, line),
+            remedy="Send G21, and dump the settings anew.",
+        )
+
+    def refuse_kinematics(self, said: str, line: int) -> None:
+        """Refuse a machine of which a motor moves more than its own axis.
+
+        Raises
+        ------
+        MachineError
+            Always.
+        """
+        raise MachineError(
+            f"{said}: only machines with a motor for each axis are made from settings",
+            place=Place(self.file, line),
+            remedy="Write the machine file by hand: docs/machines.md says how.",
+        )
 
     def _number(self, text: str, line: int, name: str, *, zero: bool) -> float:
         try:

@@ -31,7 +31,9 @@ def read_config_g(lines: list[str], file: str) -> Settings:
     settings = Settings("reprapfirmware", file)
     ends: dict[str, dict[str, tuple[float, int]]] = {}
     for number, line in enumerate(lines, start=1):
-        match = _CODE.match(_plain(line))
+        plain = _plain(line)
+        _heed(settings, plain, line, number)
+        match = _CODE.match(plain)
         code = int(match[1]) if match else 0
         if match is None or (code not in _READ and code not in _OTHERS):
             continue
@@ -80,6 +82,22 @@ def read_config_g(lines: list[str], file: str) -> Settings:
             (low, _), (high, line_of_high) = found["low"], found["high"]
             settings.say(letter, "travel", repr(high - low), line_of_high, f"M208 {letter}")
     return settings
+
+
+def _heed(settings: Settings, plain: str, line: str, number: int) -> None:
+    """Refuse what makes the numbers others, and record what else changes the motion."""
+    if re.match(r"\s*G20\b", plain):
+        settings.refuse_inches(number)
+    kinematics = re.match(r"\s*M669\b.*?\bK\s*(\d+)", plain)
+    if kinematics is not None and int(kinematics[1]) != 0:
+        settings.refuse_kinematics(f"M669 K{kinematics[1]}", number)
+    if re.match(r"\s*M593\b", plain) and not re.search(r'P"none"', line, re.IGNORECASE):
+        settings.shapes("M593", number)
+    if re.match(r"\s*M98\b", plain):
+        settings.unheeded.append(
+            f"{Place(settings.file, number)}: the file that M98 runs is not read; put what it sets "
+            "of the axes in its place"
+        )
 
 
 def _plain(line: str) -> str:

@@ -92,6 +92,11 @@ def _marlin(lines: list[str], file: str) -> Settings:
     settings = Settings("marlin", file)
     for number, line in enumerate(lines, start=1):
         match = _MARLIN_LINE.match(line.strip())
+        if re.match(r"\s*(?:echo:)?\s*G20\b", line):
+            settings.refuse_inches(number)
+        shaper = re.match(r"\s*(?:echo:)?\s*M593\b[^;]*\bF([0-9.]+)", line)
+        if shaper is not None and shaper[1].strip("0."):
+            settings.shapes("M593", number)
         if match is None:
             if line.strip().startswith(("echo:", "Cap:", "ok", "FIRMWARE_NAME", "Unknown", "//")):
                 continue
@@ -153,7 +158,10 @@ def _klipper(lines: list[str], file: str) -> Settings:
     settings = Settings("klipper", file)
     sections: dict[str, dict[str, tuple[str, int]]] = {}
     section: dict[str, tuple[str, int]] | None = None
-    for number, line in enumerate(lines, start=1):
+    for number, whole in enumerate(lines, start=1):
+        # What SAVE_CONFIG has added is in force, behind a mark that makes it a comment elsewhere.
+        saved = whole.startswith("#*#")
+        line = whole.removeprefix("#*#").strip() if saved else whole
         code = line.split("#", 1)[0].rstrip()
         place = Place(file, number)
         if not code.strip():
@@ -168,6 +176,8 @@ def _klipper(lines: list[str], file: str) -> Settings:
                 )
             section = sections.setdefault(header[1].strip(), {})
             continue
+        if saved and (section is None or "=" not in code):
+            continue  # its heading
         if section is None:
             raise _unknown(line, file, number, "[stepper_x]")
         if code[0] in " \t":
@@ -177,6 +187,12 @@ def _klipper(lines: list[str], file: str) -> Settings:
             raise _unknown(line, file, number, "rotation_distance: 40")
         section[match[1].lower()] = match[2].strip(), number
     printer = sections.get("printer", {})
+    kinematics, at = printer.get("kinematics", ("cartesian", 0))
+    if kinematics not in ("cartesian", "none"):
+        settings.refuse_kinematics(f"kinematics: {kinematics}", at)
+    if "input_shaper" in sections:
+        first = min((line for _, line in sections["input_shaper"].values()), default=0)
+        settings.shapes("[input_shaper]", first)
     for key, ours in _KLIPPER.items():
         if key in printer:
             text, number = printer[key]
