@@ -41,6 +41,7 @@ PARTS = {
     "`[planner]`, grbl and FluidNC": ("planner.grbl",),
     "`[planner]`, Marlin": ("planner.marlin",),
     "`[planner]`, Klipper": ("planner.klipper",),
+    "`[planner]`, RepRapFirmware": ("planner.reprapfirmware",),
     "`[operator]`": ("operator",),
     "`[cylinders.X]`": ("cylinders.X",),
     "`forward` and `back` of a cylinder": ("cylinders.X.forward", "cylinders.X.back"),
