@@ -237,7 +237,7 @@ def test_a_dwell_that_is_kept_is_told_in_words(shaped: Proof) -> None:
     result = shaped.verdict.result("switching_dwell")
     assert result.measured == 0.0
     assert " ms; it needs 20 ms" in result.note
-    assert float(result.note.split(" rests ")[1].split(" ms")[0]) >= 20.0
+    assert float(result.note.split(" again after ")[1].split(" ms")[0]) >= 20.0
 
 
 def test_flow_controls_of_a_closed_valve_are_no_level(shaped: Proof) -> None:
