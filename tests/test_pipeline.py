@@ -12,13 +12,8 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.kinds import watched
 from threadline.machine import load_machine
-from threadline.options import (
-    LEAST_SHARE,
-    Options,
-    parse_feed,
-    parse_share,
-    parse_tolerance_m,
-)
+from threadline.option_words import LEAST_SHARE, parse_feed, parse_share, parse_tolerance_m
+from threadline.options import Options
 from threadline.pipeline import Trials, check_loops, plan_job, prove_plan
 from threadline.verdict import load_spec
 

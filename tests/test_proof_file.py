@@ -19,7 +19,8 @@ from tests.machine.test_par import PRINTED
 from threadline.cli.main import main
 from threadline.errors import ProofError
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import REPEATED, Trials, open_job, plan_job, prove
 from threadline.proof_file import check_proof, read_proof, spec_sha256, verify_proof, write_proof
 from threadline.verdict import load_spec

@@ -21,7 +21,8 @@ from threadline.errors import LimitError
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import derate
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.path import programmed_path
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plan import Plan

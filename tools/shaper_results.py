@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import prove
 from threadline.shaping import (
     ControllerLimits,

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plan import Plan
 from threadline.report.style import figure_style

@@ -7,10 +7,9 @@ import math
 from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.options import (
+from threadline.option_words import (
     FEED_UNITS,
     NO_CONTOUR,
-    Options,
     parse_contour_m,
     parse_feed,
     parse_number,
@@ -19,6 +18,7 @@ from threadline.options import (
     parse_tolerance_m,
     parse_width_s,
 )
+from threadline.options import Options
 
 
 def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:

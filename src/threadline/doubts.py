@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import islice
 
 from threadline.jobs.operations import FeedMode, Job, MoveRun
-from threadline.options import parse_tolerance_m
+from threadline.option_words import parse_tolerance_m
 from threadline.path.interpolations import KEEPING_TOLERANCE, on_chords
 from threadline.pipeline import Proof
 from threadline.plan import Plan

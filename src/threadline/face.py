@@ -18,14 +18,13 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine import load_machine as load_machine_file
 from threadline.machine.par import read_parameters
+from threadline.option_words import parse_feed, parse_margin
 from threadline.options import (
     DEFAULT_INTERPOLATION,
     DEFAULT_LIMITS,
     DEFAULT_TOLERANCE,
     Options,
     options_of,
-    parse_feed,
-    parse_margin,
 )
 from threadline.trajectory import retime
 from threadline.verdict import Spec, load_spec

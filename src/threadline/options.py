@@ -5,13 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from threadline.errors import OptionError, UnitError
-from threadline.jobs.operations import Feed, FeedMode
+from threadline.errors import OptionError
+from threadline.jobs.operations import Feed
 from threadline.machine import Machine
+from threadline.option_words import (
+    parse_contour_m,
+    parse_feed,
+    parse_robust,
+    parse_share,
+    parse_tolerance_m,
+    parse_width_s,
+)
 from threadline.path.interpolations import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
-from threadline.units import parse_quantity, same_dimension, split_quantity
 
 DEFAULT_INTERPOLATION = "auto"
 DEFAULT_LIMITS = "100 %"
@@ -20,19 +27,13 @@ DEFAULT_CONTOUR_M = 3e-4
 ``optimal``. With the tolerance of the path this is 0.4 mm of the +-0.5 mm that the winder and the
 stitcher have to keep. The rest is for what the plan does not contain: encoder counts, levels of the
 DAC, friction, and the spread from run to run."""
-LEAST_CONTOUR_M = 1e-6
-NO_CONTOUR = "none"
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
 FEED_FORWARD = "40 ms"
 """Default time over which feed-forward smooths the motion."""
 OPTIMAL_FEED_FORWARD = "10 ms"
 """Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
-FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
-"""Units of the feeds that are not speeds of the fastest axis."""
 OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
 """Keys of ``describe`` that have a meaning only for machines with axes."""
-LEAST_SHARE = 1e-3
-"""Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,163 +188,6 @@ class Options:
     def following(self) -> Following:
         """Whether the motors or the loads are to be where the motion says."""
         return Following.MOTOR if self.feed_forward_s is None else Following.LOAD
-
-
-def parse_number(subject: str, text: str, unit: str, example: str) -> float:
-    """Return what an option says, in ``unit``.
-
-    Parameters
-    ----------
-    subject
-        The option, as an error names it.
-    text
-        A number with a unit, as it was written.
-    unit
-        The SI unit wanted; ``""`` for a plain number.
-    example
-        How such an option is written.
-
-    Raises
-    ------
-    OptionError
-        If it is not a quantity of that kind.
-    """
-    try:
-        return parse_quantity(text, unit)
-    except UnitError as error:
-        raise OptionError(
-            f"{subject} {text!r}: {error.message}", remedy=f'Write it like "{example}".'
-        ) from error
-
-
-def parse_feed(text: str) -> Feed:
-    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
-
-    Raises
-    ------
-    OptionError
-        If it is not a positive feed of a known kind.
-    """
-    try:
-        _, written = split_quantity(text)
-        modes = (m for m, unit in FEED_UNITS.items() if written and same_dimension(written, unit))
-        mode = next(modes, FeedMode.FASTEST_AXIS)
-        feed = Feed(mode, parse_quantity(text, FEED_UNITS.get(mode, "m/s")))
-    except UnitError as error:
-        raise OptionError(
-            f"feed {text!r}: {error.message}",
-            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
-            'machine like "120 stitch/min".',
-        ) from error
-    if feed.value <= 0:
-        raise OptionError(f"feed {text!r} must be greater than zero")
-    return feed
-
-
-def parse_tolerance_m(text: str) -> float:
-    """Return a tolerance such as ``"0.1 mm"`` in m.
-
-    Raises
-    ------
-    OptionError
-        If it is not a positive length.
-    """
-    value = parse_number("tolerance", text, "m", "0.1 mm")
-    if value <= 0:
-        raise OptionError(f"tolerance {text!r} must be greater than zero")
-    return value
-
-
-def tolerance_words(tolerance_m: float) -> str:
-    """Return a tolerance as it is typed, in mm, to four digits.
-
-    >>> tolerance_words(8.74999e-5)
-    '0.0875 mm'
-    """
-    return f"{tolerance_m * 1e3:.4g} mm"
-
-
-def parse_contour_m(text: str) -> float:
-    """Return how far loops may leave the path, such as ``"0.3 mm"``, in m; infinite for ``none``.
-
-    Raises
-    ------
-    OptionError
-        If it is not a length of at least ``LEAST_CONTOUR_M``.
-    """
-    if text == NO_CONTOUR:
-        return math.inf
-    value = parse_number("contour", text, "m", "0.3 mm")
-    if value < LEAST_CONTOUR_M:
-        raise OptionError(
-            f"contour {text!r} must be at least {LEAST_CONTOUR_M * 1e6:g} um",
-            remedy=f'Write "{NO_CONTOUR}" to plan on the limits of axes and drives alone.',
-        )
-    return value
-
-
-def parse_share(text: str) -> float:
-    """Return a share such as ``"25 %"`` as a number.
-
-    Raises
-    ------
-    OptionError
-        If it is not at least ``LEAST_SHARE`` and at most 100 %.
-    """
-    value = parse_number("limits", text, "", "25 %")
-    if not LEAST_SHARE <= value <= 1.0:
-        raise OptionError(
-            f"limits {text!r} must be at least {100.0 * LEAST_SHARE:g} % and at most 100 %",
-            remedy='A quarter of the limits is "25 %".',
-        )
-    return value
-
-
-def parse_margin(text: str) -> float:
-    """Return a margin such as ``"20 %"`` as a number.
-
-    Raises
-    ------
-    OptionError
-        If it is not at least 0 % and below 100 %.
-    """
-    value = parse_number("margin", text, "", "20 %")
-    if not 0.0 <= value < 1.0:
-        raise OptionError(
-            f"margin {text!r} must be at least 0 % and below 100 %", remedy='Write it like "20 %".'
-        )
-    return value
-
-
-def parse_robust(text: str) -> float:
-    """Return the share of the tolerances that a plan holds over, such as ``"100 %"``, as a number.
-
-    Raises
-    ------
-    OptionError
-        If it is not above 0 % and at most 200 %.
-    """
-    value = parse_number("robust", text, "", "100 %")
-    if not 0.0 < value <= 2.0:
-        raise OptionError(
-            f"robust {text!r} must be above 0 % and at most 200 % of the tolerances",
-            remedy='All of them are "100 %".',
-        )
-    return value
-
-
-def parse_width_s(text: str) -> float:
-    """Return the width of a smoothing in time such as ``"36 ms"`` in s.
-
-    Raises
-    ------
-    OptionError
-        If it is not a time of at least 0.1 ms and at most 10 s.
-    """
-    value = parse_number("smoothing", text, "s", "36 ms")
-    if not 1e-4 <= value <= 10.0:
-        raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
-    return value
 
 
 def options_of(

@@ -115,7 +115,7 @@ def test_after_a_fault_nothing_moves_before_reset_enable_and_home() -> None:
     ],
 )
 def test_a_sound_machine_trips_nothing(job: str, machine: str, options: dict[str, object]) -> None:
-    from threadline.options import parse_feed
+    from threadline.option_words import parse_feed
 
     chosen: Machine = load_machine(machine)
     if "feed" in options:

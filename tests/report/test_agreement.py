@@ -14,7 +14,8 @@ from pypdf import PdfReader
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import Proof, Trials, prove
 from threadline.report import write_report
 from threadline.units import parse_quantity

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures

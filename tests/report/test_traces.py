@@ -10,7 +10,8 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import Proof, Trials, plan_job, prove_plan
 from threadline.report.figures import all_figures
 from threadline.report.style import figure_style

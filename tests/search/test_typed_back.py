@@ -16,7 +16,8 @@ from threadline.jobs import read_job
 from threadline.laws import law, write_law
 from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
-from threadline.options import Options, options_of, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options, options_of
 from threadline.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove_plan
 from threadline.search import fastest_needle, gentle, mismatch
 from threadline.search.fastest import find_fastest

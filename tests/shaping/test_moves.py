@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import Proof, prove
 from threadline.plant.analysis import analyse_axis
 from threadline.shaping import parse_shaper, shape_trajectory

@@ -16,7 +16,8 @@ import pytest
 from threadline.cli.main import main
 from threadline.laws import law
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, write
 from threadline.targets.step_tables import step_tables
 

@@ -14,7 +14,8 @@ from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.laws import law
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import REPEATED, open_job, plan_job, prove
 from threadline.report.stitched import stitch_rows
 from threadline.shaping import FlexibleMode

@@ -13,7 +13,8 @@ import pytest
 from threadline.cli.main import main
 from threadline.jobs import Job, read_job
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import REPEATED, Trials, plan_job, prove_plan
 from threadline.search import shaft
 from threadline.search.fastest import find_fastest

@@ -13,7 +13,8 @@ import pytest
 from tests.made import Made
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import Proof, plan_job, prove
 from threadline.report import write_report
 from threadline.report.stitched_figures import design_figure

@@ -23,7 +23,8 @@ from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, write
 from threadline.plan import Plan
 from threadline.shaping import FlexibleMode

@@ -34,7 +34,8 @@ from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine.radii import with_radii
-from threadline.options import DEFAULT_INTERPOLATION, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import DEFAULT_INTERPOLATION
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison

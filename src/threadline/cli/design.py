@@ -35,7 +35,7 @@ from threadline.cli.shared_options import (
 from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine
-from threadline.options import parse_width_s
+from threadline.option_words import parse_width_s
 from threadline.report.design import (
     candidate_rows,
     change_rows,

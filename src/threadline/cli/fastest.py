@@ -36,7 +36,7 @@ from threadline.cli.shared_options import (
 )
 from threadline.errors import OptionError
 from threadline.machine.radii import with_radii
-from threadline.options import parse_margin
+from threadline.option_words import parse_margin
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.verdict import load_spec

@@ -25,7 +25,8 @@ from threadline.errors import OptionError
 from threadline.jobs import Job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.options import Options, parse_feed
+from threadline.option_words import parse_feed
+from threadline.options import Options
 from threadline.pipeline import Trials, plan_job
 from threadline.plan import Following
 from threadline.report.mismatch import write_mismatch

@@ -16,7 +16,8 @@ from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs import Job
 from threadline.machine import Machine
-from threadline.options import NO_CONTOUR, Options
+from threadline.option_words import NO_CONTOUR
+from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import Trials, plan_job, prove_plan, with_shaping
 from threadline.report import write_report

@@ -7,7 +7,7 @@ from typing import Any
 
 from threadline.cli.output import print_table, say
 from threadline.errors import OptionError
-from threadline.options import parse_number
+from threadline.option_words import parse_number
 from threadline.search.cycle import cycle_s
 from threadline.search.cycle_beside import BesideRow
 from threadline.search.cycle_robust import RobustCycle

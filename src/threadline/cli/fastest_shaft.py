@@ -16,7 +16,8 @@ from threadline.errors import OptionError
 from threadline.jobs import Job
 from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine
-from threadline.options import Options, parse_feed, tolerance_words
+from threadline.option_words import parse_feed, tolerance_words
+from threadline.options import Options
 from threadline.pipeline import Trials
 from threadline.report.mismatch import write_mismatch
 from threadline.search.mismatch import SHAFT, shaft_over_tolerances

@@ -13,7 +13,7 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.told import warning
 from threadline.errors import OptionError
 from threadline.laws import LAWS, Law, write_law
-from threadline.options import parse_number
+from threadline.option_words import parse_number
 from threadline.report.document import Table
 from threadline.shaping import (
     Demand,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from threadline.errors import OptionError
-from threadline.options import parse_number
+from threadline.option_words import parse_number
 from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, yielding
 
 NominalOption = Annotated[

@@ -28,7 +28,7 @@ from threadline.cli.shaper_text import (
 from threadline.cli.shared_options import JsonOption, ReportOption
 from threadline.cli.told import warning
 from threadline.errors import OptionError
-from threadline.options import parse_number
+from threadline.option_words import parse_number
 from threadline.report.document import Table
 from threadline.report.shaper import write_shaper
 from threadline.shaping import (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import OptionError
-from threadline.options import parse_number
+from threadline.option_words import parse_number
 from threadline.report.document import Table
 from threadline.shaping import FlexibleMode
 from threadline.shaping.onoff.body_and_modes import Command, RestToRest, worst_ringing

@@ -9,7 +9,7 @@ import typer
 from threadline.cli.output import print_json, print_table
 from threadline.cli.shared_options import JsonOption
 from threadline.cli.told import warning
-from threadline.options import parse_number
+from threadline.option_words import parse_number
 from threadline.sizing import PROFILES, Demands, Sizing
 from threadline.sizing import size as size_demands
 

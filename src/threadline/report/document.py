@@ -11,7 +11,7 @@ from threadline import __version__
 from threadline.escaping import plain
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.options import parse_tolerance_m, tolerance_words
+from threadline.option_words import parse_tolerance_m, tolerance_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

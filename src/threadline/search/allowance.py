@@ -17,7 +17,8 @@ from dataclasses import replace
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.options import LEAST_CONTOUR_M, Options
+from threadline.option_words import LEAST_CONTOUR_M
+from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
 from threadline.search.fastest import Fastest, Interval, worst_criterion
 from threadline.search.feed import feed_range_m_s

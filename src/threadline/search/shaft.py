@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.options import Options, parse_tolerance_m, tolerance_words
+from threadline.option_words import parse_tolerance_m, tolerance_words
+from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, check_machine, plan_job, try_plan
 from threadline.plan import Plan
 from threadline.search.fastest import Fastest, find_fastest

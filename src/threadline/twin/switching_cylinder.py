@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
@@ -23,18 +22,17 @@ from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
 from threadline.plant.cylinders import cylinder_equations
 from threadline.plant.values import Values
+from threadline.twin.short_step import exponential_of_short_step
 
 SLIDES, STICKS, AT_START, AT_END = 0, 1, 2, 3
 RAMP_STEPS = 8
 HALVINGS = 12
 PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
-_TERMS, _ROUNDING = 24, 1e-17
 _ADHESION_N = 1.0
 """N. A piston leaves its stop only when a larger force pulls at it; at a smaller one it would
 leave and meet the stop again at every step."""
 _TAYLOR = 8
-_FAR = 1e3  # a series of so few terms has no chance to converge beyond
 _EMPTY = 1.0 / (4.0 * 1.4)
 """Of the stroke: so far the air is strained when the exhaust of a pressed piston is empty.
 
@@ -146,7 +144,7 @@ def cylinders_of(
         place = np.concatenate((np.arange(n), [size - 2, size - 1]))
         k = rate.shape[1]
         # The shortest part by series, the longer ones each the square of the one before.
-        part = _short_step(rate * (step_s * 0.5**HALVINGS))
+        part = exponential_of_short_step(rate * (step_s * 0.5**HALVINGS))
         for halvings in range(HALVINGS, -1, -1):
             if not np.isfinite(part).all():
                 raise MachineError(
@@ -165,27 +163,6 @@ def cylinders_of(
         all_rows[:, c][:, :, place] = rows
         numbers[:, c], masses[c] = own, pair
     return Cylinders(step=step, rate=rates, rows=all_rows, numbers=numbers, masses=masses)
-
-
-def _short_step(turned: FloatArray) -> FloatArray:
-    """Return the exponential of (V, K, n, n) generators by their series.
-
-    In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so that
-    a few terms are enough, much faster than a general exponential. Where the series has not
-    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used.
-    Where a generator is beyond ``_FAR`` its powers could overflow, and that one is used at once.
-    """
-    if float(np.abs(turned).max()) > _FAR:
-        return np.asarray(expm(turned))
-    total = np.broadcast_to(np.eye(turned.shape[-1]), turned.shape).copy()
-    term = total
-    for order in range(1, _TERMS):
-        term = term @ turned / order
-        total = total + term
-        if (np.abs(term) <= _ROUNDING * np.abs(total)).all():
-            return total
-    whole: FloatArray = expm(turned)
-    return whole
 
 
 def _tables(

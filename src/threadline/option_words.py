@@ -1,0 +1,173 @@
+"""Words of an option on a command line, and the numbers that they stand for."""
+
+from __future__ import annotations
+
+import math
+
+from threadline.errors import OptionError, UnitError
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.units import parse_quantity, same_dimension, split_quantity
+
+LEAST_CONTOUR_M = 1e-6
+NO_CONTOUR = "none"
+FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
+"""Units of the feeds that are not speeds of the fastest axis."""
+LEAST_SHARE = 1e-3
+"""Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
+
+
+def parse_number(subject: str, text: str, unit: str, example: str) -> float:
+    """Return what an option says, in ``unit``.
+
+    Parameters
+    ----------
+    subject
+        The option, as an error names it.
+    text
+        A number with a unit, as it was written.
+    unit
+        The SI unit wanted; ``""`` for a plain number.
+    example
+        How such an option is written.
+
+    Raises
+    ------
+    OptionError
+        If it is not a quantity of that kind.
+    """
+    try:
+        return parse_quantity(text, unit)
+    except UnitError as error:
+        raise OptionError(
+            f"{subject} {text!r}: {error.message}", remedy=f'Write it like "{example}".'
+        ) from error
+
+
+def parse_feed(text: str) -> Feed:
+    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a positive feed of a known kind.
+    """
+    try:
+        _, written = split_quantity(text)
+        modes = (m for m, unit in FEED_UNITS.items() if written and same_dimension(written, unit))
+        mode = next(modes, FeedMode.FASTEST_AXIS)
+        feed = Feed(mode, parse_quantity(text, FEED_UNITS.get(mode, "m/s")))
+    except UnitError as error:
+        raise OptionError(
+            f"feed {text!r}: {error.message}",
+            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
+            'machine like "120 stitch/min".',
+        ) from error
+    if feed.value <= 0:
+        raise OptionError(f"feed {text!r} must be greater than zero")
+    return feed
+
+
+def parse_tolerance_m(text: str) -> float:
+    """Return a tolerance such as ``"0.1 mm"`` in m.
+
+    Raises
+    ------
+    OptionError
+        If it is not a positive length.
+    """
+    value = parse_number("tolerance", text, "m", "0.1 mm")
+    if value <= 0:
+        raise OptionError(f"tolerance {text!r} must be greater than zero")
+    return value
+
+
+def tolerance_words(tolerance_m: float) -> str:
+    """Return a tolerance as it is typed, in mm, to four digits.
+
+    >>> tolerance_words(8.74999e-5)
+    '0.0875 mm'
+    """
+    return f"{tolerance_m * 1e3:.4g} mm"
+
+
+def parse_contour_m(text: str) -> float:
+    """Return how far loops may leave the path, such as ``"0.3 mm"``, in m; infinite for ``none``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a length of at least ``LEAST_CONTOUR_M``.
+    """
+    if text == NO_CONTOUR:
+        return math.inf
+    value = parse_number("contour", text, "m", "0.3 mm")
+    if value < LEAST_CONTOUR_M:
+        raise OptionError(
+            f"contour {text!r} must be at least {LEAST_CONTOUR_M * 1e6:g} um",
+            remedy=f'Write "{NO_CONTOUR}" to plan on the limits of axes and drives alone.',
+        )
+    return value
+
+
+def parse_share(text: str) -> float:
+    """Return a share such as ``"25 %"`` as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not at least ``LEAST_SHARE`` and at most 100 %.
+    """
+    value = parse_number("limits", text, "", "25 %")
+    if not LEAST_SHARE <= value <= 1.0:
+        raise OptionError(
+            f"limits {text!r} must be at least {100.0 * LEAST_SHARE:g} % and at most 100 %",
+            remedy='A quarter of the limits is "25 %".',
+        )
+    return value
+
+
+def parse_margin(text: str) -> float:
+    """Return a margin such as ``"20 %"`` as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not at least 0 % and below 100 %.
+    """
+    value = parse_number("margin", text, "", "20 %")
+    if not 0.0 <= value < 1.0:
+        raise OptionError(
+            f"margin {text!r} must be at least 0 % and below 100 %", remedy='Write it like "20 %".'
+        )
+    return value
+
+
+def parse_robust(text: str) -> float:
+    """Return the share of the tolerances that a plan holds over, such as ``"100 %"``, as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 200 %.
+    """
+    value = parse_number("robust", text, "", "100 %")
+    if not 0.0 < value <= 2.0:
+        raise OptionError(
+            f"robust {text!r} must be above 0 % and at most 200 % of the tolerances",
+            remedy='All of them are "100 %".',
+        )
+    return value
+
+
+def parse_width_s(text: str) -> float:
+    """Return the width of a smoothing in time such as ``"36 ms"`` in s.
+
+    Raises
+    ------
+    OptionError
+        If it is not a time of at least 0.1 ms and at most 10 s.
+    """
+    value = parse_number("smoothing", text, "s", "36 ms")
+    if not 1e-4 <= value <= 10.0:
+        raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
+    return value
