@@ -12,11 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from threadline import pipeline
 from threadline.cli import output, prove, told
 from threadline.cli.main import main
 from threadline.errors import PlanError
-from threadline.kinds import ticks
+from threadline.kinds import ticks, watched
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PROVE = ["prove", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
@@ -142,7 +141,7 @@ def test_a_run_without_a_terminal_says_how_far_it_is(
 ) -> None:
     """No bar is drawn there. What is said comes from the run itself, in blocks of it."""
     monkeypatch.setattr(told, "_EVERY_S", 0.002)
-    monkeypatch.setattr(pipeline, "_LONG_S", 0.0)
+    monkeypatch.setattr(watched, "_LONG_S", 0.0)
     code, _, err = stopped(capsys, *PROVE, "--feed", "0.05 mm/s")
     assert code == 0
     assert re.search(r": simulating and judging, \d+ % done, about [\d.]+ s more\n", err)
