@@ -11,6 +11,7 @@ from threadline import options as planning
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
+from threadline.option_words import NO_CONTOUR
 
 FEED_FORWARD = planning.FEED_FORWARD
 
@@ -82,7 +83,7 @@ ContourOption = Annotated[
     str | None,
     typer.Option(
         help=f"Of optimal: how far the loops may leave the path; default "
-        f'"{planning.DEFAULT_CONTOUR_M * 1e3:g} mm", "{planning.NO_CONTOUR}" for no limit.'
+        f'"{planning.DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit.'
     ),
 ]
 LimitsOption = Annotated[
