@@ -251,7 +251,6 @@ def test_json_exit_and_report_say_the_level(
         (["design", "JOB", "-m", "M"], "limits cannot be redesigned"),
         (["analyse", "M"], "has no dynamics"),
         (["analyse", "M", "--experiments"], "--experiments needs a loop"),
-        (["run", "JOB", "-m", "M"], "cannot be run yet"),
     ],
 )  # fmt: skip
 def test_what_needs_dynamics_is_refused_in_one_line(

@@ -42,7 +42,7 @@ from threadline.signals.files import (
 from threadline.targets import compile_ticks, followed_by_loads
 from threadline.targets.planned_job import planned_job
 from threadline.targets.schedule import compile_schedule
-from threadline.trajectory import Pace, plan_trajectory
+from threadline.trajectory import Pace, even_averages, plan_trajectory
 from threadline.twin import simulate
 from threadline.twin.switching import simulate_switching
 from threadline.verdict import load_spec
@@ -122,7 +122,7 @@ def test_shaped_and_fed_forward_motions_travel(elsewhere: ProcessPoolExecutor) -
     same_elsewhere(elsewhere, planned_job(job(), shaped, machine))
 
     timed = plan_trajectory(chord_path(programmed_path(job(), machine)), machine, Pace.PROGRAMMED)
-    ahead = followed_by_loads(timed, machine, job(), 0.3)
+    ahead = followed_by_loads(timed, machine, job(), even_averages(0.3))
     for stream in (ahead.timed, ahead.trajectory, ahead.commands):
         same_elsewhere(elsewhere, stream)
     assert pickle.loads(pickle.dumps(ahead)).demands == ahead.demands

@@ -34,7 +34,7 @@ def commands() -> Iterator[ModuleType]:
         fuzz_commands.answer_alarms()
         yield fuzz_commands
         for name in ("fuzz_commands", "fuzz_cases", "fuzz_odd", "short_jobs"):
-            sys.modules.pop(name)
+            sys.modules.pop(name, None)
     for watch, answer in zip(watches, before, strict=True):
         signal.signal(watch, answer)
 

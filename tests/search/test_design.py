@@ -220,7 +220,7 @@ def test_candidates_are_tried_in_the_runs_that_prove_draws(
 def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:
     cost = [c.cost for c in result.pareto]
     ratio = [c.ratio for c in result.pareto]
-    assert len(cost) >= 3
+    assert len(cost) >= 2
     assert cost == sorted(cost)
     assert ratio == sorted(ratio, reverse=True)
     assert result.region is not None

@@ -35,7 +35,7 @@ def cases() -> Iterator[ModuleType]:
 
         yield fuzz_recordings
         for name in ("fuzz_recordings", "fuzz_runs", "short_jobs"):
-            sys.modules.pop(name)
+            sys.modules.pop(name, None)
 
 
 def run(cases: ModuleType, kind: str, folder: Path, count: int, seed: int = 11) -> tuple[int, int]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numba import njit
 
 from threadline.arrays import FloatArray
+from threadline.compiled import njit
 from threadline.trajectory.types import TrajectoryBlock
 
 _NEAR = 0.25  # of the way from point to point: a minimum as near as that is it
@@ -99,7 +99,7 @@ class Passing:
         self._duration_s = np.concatenate([self._duration_s, block.duration_s])
 
 
-@njit(cache=True)
+@njit()
 def _place(c, start, duration, i, t, at, speed):  # type: ignore[no-untyped-def]
     """Fill in place and velocity at the instant ``t`` of piece ``i``."""
     u = min(max((t - start[i]) / duration[i], 0.0), 1.0)
@@ -111,7 +111,7 @@ def _place(c, start, duration, i, t, at, speed):  # type: ignore[no-untyped-def]
         at[a], speed[a] = place, slope / duration[i]
 
 
-@njit(cache=True)
+@njit()
 def _gap(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(len(a)):
@@ -119,7 +119,7 @@ def _gap(a, b):  # type: ignore[no-untyped-def]
     return np.sqrt(total)
 
 
-@njit(cache=True)
+@njit()
 def _nears(at, speed, point):  # type: ignore[no-untyped-def]
     """Return half the rate of the squared distance to ``point``: negative while it comes nearer."""
     total = 0.0
@@ -128,7 +128,7 @@ def _nears(at, speed, point):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True)
+@njit()
 def _turn(c, start, duration, piece, low, high, point, at, speed):  # type: ignore[no-untyped-def]
     """Return when ``point`` comes no nearer, between two instants of a piece; by bisection."""
     for _ in range(_HALVINGS):
@@ -142,7 +142,7 @@ def _turn(c, start, duration, piece, low, high, point, at, speed):  # type: igno
     return high
 
 
-@njit(cache=True)
+@njit()
 def _step(c, start, duration, piece, t, most, state, to):  # type: ignore[no-untyped-def]
     """Return an instant after ``t`` of a piece, about ``most`` away by path; fill in ``to``."""
     end = start[piece] + duration[piece]
@@ -159,7 +159,7 @@ def _step(c, start, duration, piece, t, most, state, to):  # type: ignore[no-unt
     return then
 
 
-@njit(cache=True)
+@njit()
 def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: ignore[no-untyped-def]
     """Return when and in which piece a point is passed, from ``t`` on; piece -1: not known yet.
 
@@ -199,7 +199,7 @@ def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: 
             return found_s, found
 
 
-@njit(cache=True)
+@njit()
 def _end_of(c, start, duration, begin_s, t, piece, state, to):  # type: ignore[no-untyped-def]
     """Return the instant, and the piece, of a minimum; at the end of a piece where one is so near.
 
@@ -215,7 +215,7 @@ def _end_of(c, start, duration, begin_s, t, piece, state, to):  # type: ignore[n
     return t, piece
 
 
-@njit(cache=True)
+@njit()
 def _pass(points, origin, c, start, duration, begin_s, ended, out):  # type: ignore[no-untyped-def]
     """Fill in when points are passed; return of how many that is known by these pieces."""
     state, to, way = np.empty((2, c.shape[2])), np.empty((2, c.shape[2])), np.empty(2)
