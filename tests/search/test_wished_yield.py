@@ -135,7 +135,7 @@ def test_the_set_is_told_where_the_yield_is_too_low(capsys: pytest.CaptureFixtur
 
 
 def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
-    """The one that is in spec in 20 runs keeps no yield: drawn by hand, almost none passes."""
+    """The one that is in spec in 20 runs keeps no yield: drawn by hand, one in nine passes."""
     stitcher = load_machine("stitcher")
     file = tmp_path / "corner.seam.toml"
     file.write_text(CORNER)
@@ -146,8 +146,8 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     plain = design(file, machine, spec, Options(), effort=SMALL).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
-    assert MachineYield(plan, plain.spec).drawn(60, 7).interval[1] < 0.3
-    wished = design(file, machine, spec, Options(), trials=yielding(0.3), effort=SMALL)
+    assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.15
+    wished = design(file, machine, spec, Options(), trials=yielding(0.15), effort=SMALL)
     assert "rejects" in wished.refused
     assert wished.found is not None
     assert wished.found.candidate.cost > plain.candidate.cost
