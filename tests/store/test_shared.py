@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from threadline.cli.main import main
 from threadline.errors import StoreError
 from threadline.store.index import RunIndex, RunRecord
 from threadline.store.run_store import INDEX, RunStore
@@ -61,3 +62,32 @@ def test_a_locked_index_is_one_line_before_anything_moves(tmp_path: Path) -> Non
     other.close()
     RunStore(tmp_path).index.add(record("second"))
     assert [row.run for row in RunStore(tmp_path).index.runs()] == ["second", "first"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["report", "last", "--store", "STORE"], "there is no run 'last' in"),
+        (["report", "last", "--store", "FILE"], "is no folder of runs"),
+        (["runs", "--store", "FILE"], "is no folder of runs"),
+    ],
+)
+def test_who_asks_for_runs_makes_no_store(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, folder = tmp_path / "file", tmp_path / "nowhere"
+    file.write_text("not a store")
+    with pytest.raises(SystemExit) as ended:
+        main([{"STORE": str(folder), "FILE": str(file)}.get(word, word) for word in words])
+    out, err = capsys.readouterr()
+    assert ended.value.code == 2 and out == "" and said in err
+    assert not folder.exists() and file.read_text() == "not a store"
+
+
+def test_a_folder_without_an_index_has_no_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["runs", "--store", str(tmp_path)])
+    assert not ended.value.code and "There are no runs in" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []

@@ -18,7 +18,7 @@ from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files
 from threadline.report import write_report
 from threadline.signals.files import write_recording
-from threadline.store.run_store import INPUTS, PROOF, TRACE, RunStore
+from threadline.store.run_store import INPUTS, PROOF, TRACE, opened
 from threadline.verdict import verdict_json
 from threadline.writing import together
 
@@ -51,7 +51,12 @@ def report(
 
     Example: threadline report last --csv run.csv
     """
-    folder = RunStore(store).find(run)
+    kept = opened(store)
+    if kept is None:
+        raise StoreError(
+            f"there is no run {run[:60]!r} in {str(store)!r}", remedy="threadline run makes one."
+        )
+    folder = kept.find(run)
     pages = out or folder / "report"
     check_outputs(file=csv, folder=pages)
     known = read_proof(folder / PROOF)

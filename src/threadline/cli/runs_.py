@@ -11,7 +11,7 @@ import typer
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.shared_options import JsonOption
 from threadline.store.index import RUNNING, RunRecord
-from threadline.store.run_store import RunStore
+from threadline.store.run_store import opened
 
 DEFAULT_STORE = Path("runs")
 StoreOption = Annotated[
@@ -24,7 +24,8 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
 
     Example: threadline runs --store runs
     """
-    records = RunStore(store).index.runs() if store.is_dir() else []
+    kept = opened(store)
+    records = [] if kept is None else kept.index.runs()
     if json:
         print_json([asdict(record) for record in records])
     elif not records:

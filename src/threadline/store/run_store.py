@@ -139,6 +139,21 @@ def _free(folder: Path, name: str) -> Path:
     return path
 
 
+def opened(folder: Path) -> RunStore | None:
+    """Return the store in ``folder``, or None where there are no runs; nothing is made.
+
+    Raises
+    ------
+    StoreError
+        If it is no folder, or the index cannot be used.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise StoreError(
+            f"{str(folder)!r} is no folder of runs", remedy="Give the folder with --store."
+        )
+    return RunStore(folder) if (folder / INDEX).exists() else None
+
+
 class OpenRun:
     """A run that is being written, into which an executor puts what happens.
 
