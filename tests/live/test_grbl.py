@@ -249,6 +249,7 @@ def test_slower_settings_are_taken() -> None:
     model = GrblModel(slower)
     with meeting(model) as (one, _, _):
         one.connect()
+    assert b"$$" in model.heard and b"G1" not in model.heard
 
 
 def test_a_run_begins_where_the_machine_stands_and_stays_in_its_travel() -> None:

@@ -17,9 +17,8 @@ from threadline.compiled import njit
 from threadline.trajectory.types import TrajectoryBlock
 
 _NEAR = 0.25  # of the way from point to point: a minimum as near as that is it
-_FAR = (
-    2.0  # times that way, and the distance of the point before: so far a nearer one is looked for
-)
+_FAR = 2.0
+"""Of that way and the distance of the point before: so far a nearer one is looked for."""
 _STRIDE = 0.125  # of that way: seldom farther from instant to instant, and never twice as far
 _HALVINGS = 60  # of an interval about a minimum: to the last digits of a double
 _FINEST = 1e-9  # of the duration of a piece: strides are no shorter
