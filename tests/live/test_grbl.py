@@ -336,3 +336,5 @@ def test_the_command_records_and_judges(tmp_path: Path, capsys: pytest.CaptureFi
     assert '"not-measured"' in captured.out
     assert "runs out its own buffer" in captured.err
     np.testing.assert_allclose(model.at, [40.0, 0.0, 0.0, 60.0], atol=1e-9)
+    (kept,) = (tmp_path / "runs").glob("*/sent/program.nc")
+    assert kept.read_bytes() in bytes(model.heard).replace(b"?", b"")

@@ -11,6 +11,7 @@ import pytest
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.guards import Guards
+from threadline.live.links import link_of
 from threadline.live.sim_faults import SimFault, parse_fault
 from threadline.live.states import State
 from threadline.machine import load_machine
@@ -178,3 +179,12 @@ def test_a_fault_that_there_is_not_is_refused(text: str, said: str) -> None:
 def test_faults_are_read() -> None:
     assert parse_fault("stuck-encoder:X@1.2 s", winder()) == SimFault("stuck-encoder", 240, "X")
     assert parse_fault("late-ticks@500 ms", winder()) == SimFault("late-ticks", 100)
+
+
+@pytest.mark.parametrize("kind", ["e-stop", "power-loss"])
+def test_a_machine_without_supply_is_not_said_to_have_braked(kind: str) -> None:
+    link = link_of("sim", winder(), 0.0, parse_fault(f"{kind}@1 s", winder()))
+    assert "coasted" in link.after_fault
+    assert "come to rest" not in link.after_fault
+    lost = link_of("sim", winder(), 0.0, parse_fault("lost-link@1 s", winder()))
+    assert "come to rest by itself" in lost.after_fault

@@ -195,7 +195,7 @@ def run(
         at_rest = _hold_at_rest(leaves_m, hold_limit_m(asked))
         told = {"link": link, **({"override": override} if override else {})}
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
-        kept = RunStore(store).begin(plan, known, told, speed, inputs)
+        kept = RunStore(store).begin(plan, known, told, speed, inputs, over.sent)
         with (
             closed(Desk()) as desk,
             at_the_keys(desk, plan.duration_s, progress) as watch,

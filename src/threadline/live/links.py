@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import Context
 from pathlib import Path
 from typing import Protocol
@@ -45,6 +45,10 @@ class Link(Protocol):
     def after_fault(self) -> str:
         """What a machine has done after a fault, for people."""
 
+    @property
+    def sent(self) -> Mapping[str, bytes]:
+        """Files by name of what ``prepare`` made for the machine, other than the plan's rows."""
+
     def prepare(self, plan: Plan) -> Sequence[str]:
         """Make ready what is sent, and return what the operator has to know before it is."""
 
@@ -78,10 +82,17 @@ class SimLink:
     @property
     def after_fault(self) -> str:
         """What the simulated machine has done after a fault."""
+        if self._fault is not None and self._fault.cuts_supply:
+            return "Its drives had no supply: how far it coasted is not simulated."
         braked = "The machine has come to rest by itself."
         if self._speed == REAL_TIME:
             braked += " If the computer was too busy for real time, --speed 0 simulates without it."
         return braked
+
+    @property
+    def sent(self) -> Mapping[str, bytes]:
+        """Nothing: the rows of the plan are what it is sent."""
+        return {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
         """Return nothing."""
@@ -139,6 +150,7 @@ class GrblLink:
             "The controller was told to hold; without its link it runs out its buffer."
         )
         self._program: Program | None = None
+        self.sent: dict[str, bytes] = {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:
         """Write the program; say how long the controller goes on when the link is lost."""
@@ -148,6 +160,7 @@ class GrblLink:
             # In a context of its own it is there at once, and no output of the command.
             Context().run(kind_of(machine).targets["grbl"].write, plan, file)
             text = file.read_bytes()
+        self.sent = {file.name: text}
         starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
         self._program = program_of(text, machine.axis_names, units_of(machine), starts)
         goes_s, _ = runs_out(self._program, 15)

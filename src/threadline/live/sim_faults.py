@@ -75,6 +75,11 @@ class SimFault:
         elif self.kind == "unheeded-reversal":
             samples[f"{self.where}.voltage"][at:] = np.resize([1.0, -1.0], len(samples[name]) - at)
 
+    @property
+    def cuts_supply(self) -> bool:
+        """Whether it takes the supply of the drives away."""
+        return self.kind in {"e-stop", "power-loss"}
+
     def silences(self, tick: int) -> bool:
         """Return whether the machine sends no more messages from ``tick`` on."""
         return self.kind in {"lost-link", "power-loss"} and tick >= self.tick

@@ -26,8 +26,8 @@ from threadline.signals import Channel, Recording, RecordingBlock, Stream
 from threadline.signals.files.recording_mcap import TraceWriter
 from threadline.store.index import RunIndex, RunRecord
 
-INDEX, PROOF, INPUTS, TRACE, EVENTS, VERDICT = (
-    "index.sqlite", "proof.json", "inputs", "trace.mcap", "events.jsonl", "verdict.json",
+INDEX, PROOF, INPUTS, SENT, TRACE, EVENTS, VERDICT = (
+    "index.sqlite", "proof.json", "inputs", "sent", "trace.mcap", "events.jsonl", "verdict.json",
 )  # fmt: skip
 _NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -66,6 +66,7 @@ class RunStore:
         told: Mapping[str, str],
         speed: float,
         inputs: Iterable[Path] = (),
+        sent: Mapping[str, bytes] | None = None,
     ) -> OpenRun:
         """Make the folder and the row of a run, before anything moves.
 
@@ -80,6 +81,8 @@ class RunStore:
             Speed of the run as a multiple of real time.
         inputs
             Files that the run is made from, of which copies are kept.
+        sent
+            Files by name of what the machine is sent besides the rows of the plan.
         """
         now = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
@@ -92,6 +95,8 @@ class RunStore:
         kept = copy_proof(proof, path / PROOF)
         for file in inputs:
             shutil.copyfile(file, _free(path / INPUTS, file.name))
+        for file_name, content in (sent or {}).items():
+            _free(path / SENT, file_name).write_bytes(content)
         record = RunRecord(
             run=name,
             started=now.isoformat(timespec="seconds"),
