@@ -36,11 +36,13 @@ class GrblModel(threading.Thread):
         Time in s that it moved on after the link was lost.
     """
 
-    def __init__(self, settings: dict[int, float], *, faster: float = 1.0) -> None:
+    def __init__(
+        self, settings: dict[int, float], *, faster: float = 1.0, blocks: int = BLOCKS
+    ) -> None:
         super().__init__(daemon=True)
         self.server = socket.create_server(("127.0.0.1", 0))
         self.port = self.server.getsockname()[1]
-        self.settings, self.faster = settings, faster
+        self.settings, self.faster, self.room = settings, faster, blocks
         self.state, self.at = "Idle", np.zeros(4)
         self.overflowed = self.stuck = False
         self.alarm_at_s: float | None = None
@@ -110,7 +112,7 @@ class GrblModel(threading.Thread):
             state = {"Hold": "Hold:0"}.get(self.state, self.state)
             place = ",".join(f"{value:.3f}" for value in self.at)
             if not self.stuck:
-                self._say(f"<{state}|MPos:{place}|Bf:{BLOCKS - len(self.blocks)},{ROOM}|FS:0,0>")
+                self._say(f"<{state}|MPos:{place}|Bf:{self.room - len(self.blocks)},{ROOM}|FS:0,0>")
         elif byte == ord("!") and self.state == "Run":
             self.state = "Hold"
         elif byte == ord("~") and self.state == "Hold":
@@ -125,7 +127,7 @@ class GrblModel(threading.Thread):
 
     def _plan(self) -> None:
         """Take lines into the planner while it has room; a line is answered then."""
-        while b"\n" in self.rx and len(self.blocks) < BLOCKS:
+        while b"\n" in self.rx and len(self.blocks) < self.room:
             line, _, rest = bytes(self.rx).partition(b"\n")
             self.rx = bytearray(rest)
             self._do(line.decode("ascii"))
@@ -133,7 +135,7 @@ class GrblModel(threading.Thread):
     def _do(self, line: str) -> None:
         if line == "$I":
             self._say("[VER:1.1h.20190825:]")
-            self._say(f"[OPT:V,{BLOCKS},{ROOM}]")
+            self._say(f"[OPT:V,{self.room},{ROOM}]")
             self._say("[AXS:4:XYZA]")
         elif line == "$$":
             for number, value in self.settings.items():

@@ -16,7 +16,7 @@ from threadline.cli.main import main
 from threadline.errors import CommandError, LinkFaultError, OptionError, PlanError
 from threadline.live import grbl_run
 from threadline.live.desk import Desk
-from threadline.live.grbl_controller import units_of
+from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_port import Port
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import Program, program_of, runs_out, status_of
@@ -24,6 +24,8 @@ from threadline.live.kept import Kept
 from threadline.live.links import link_of
 from threadline.live.states import Cause, State
 from threadline.machine import Machine, load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
 from threadline.signals import Ended
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -59,7 +61,7 @@ def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, Kept]]:
     model.start()
     desk, kept, port = Desk(), Kept(), Port(model.address)
     try:
-        yield GrblRun(port, MACHINE, desk, kept), desk, kept
+        yield GrblRun(Controller(port, MACHINE), desk, kept), desk, kept
     finally:
         port.close()
         desk.close()
@@ -67,7 +69,7 @@ def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, Kept]]:
 
 
 def ready(one: GrblRun, what: Program) -> None:
-    one.connect()
+    one.controller.meet()
     one.enable()
     one.home()
     one.start(what, START)
@@ -223,7 +225,7 @@ def test_who_moves_already_is_not_sent_anything_that_moves() -> None:
     model.state = "Run"
     with meeting(model) as (one, _, _):
         with pytest.raises(LinkFaultError, match="is not at rest: it tells Run"):
-            one.connect()
+            one.controller.meet()
         assert set(bytes(model.heard)) <= set(b"?")
         assert one.state is State.DISABLED
 
@@ -239,7 +241,7 @@ def test_a_controller_of_another_machine_is_refused(number: int, factor: float, 
     wrong[number] *= factor
     model = GrblModel(wrong)
     with meeting(model) as (one, _, _), pytest.raises(CommandError, match=said):
-        one.connect()
+        one.controller.meet()
     assert b"G1" not in model.heard
 
 
@@ -248,7 +250,7 @@ def test_slower_settings_are_taken() -> None:
     slower[110] *= 0.5
     model = GrblModel(slower)
     with meeting(model) as (one, _, _):
-        one.connect()
+        one.controller.meet()
     assert b"$$" in model.heard and b"G1" not in model.heard
 
 
@@ -318,6 +320,26 @@ def test_addresses_and_options_that_are_none() -> None:
         link_of("grbl:127.0.0.1:1", MACHINE, 0.0, None)
     with pytest.raises(OptionError, match="is not driven by part programs"):
         link_of("grbl:127.0.0.1:1", load_machine("letter-placer"), 1.0, None)
+
+
+def test_a_planner_of_more_blocks_is_said_to_run_out_longer(tmp_path: Path) -> None:
+    """The controller tells how many blocks it holds; the program has 40, mostly of 1 mm."""
+    job = tmp_path / "zigzag.gcode"
+    moves = "".join(f"X{1 + k % 2} A{k % 4}\n" for k in range(40))
+    job.write_text(f"G21\nG90\nG1 F600\n{moves}M30\n", "utf-8")
+    options = Options()
+    plan = plan_job(open_job(job, MACHINE, options), MACHINE, options)
+    told = []
+    for blocks in (15, 100):
+        model = GrblModel(settings(), blocks=blocks)
+        model.start()
+        link = link_of(f"grbl:{model.address}", MACHINE, 1.0, None)
+        told += [float(line.split()[-5]) for line in link.prepare(plan) if "up to" in line]
+        link.close()
+        model.close()
+        assert b"G1" not in model.heard
+    holds = plan.duration_s
+    assert told[0] < told[1] <= holds, (told, holds)
 
 
 def test_the_command_records_and_judges(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -180,7 +180,11 @@ def run(
     check_machine(chosen)
     if proof_file is not None:
         read_proof(proof_file)  # one that cannot be read is told before anything is planned
-    with progress_bar(not json) as progress, tempfile.TemporaryDirectory() as folder:
+    with (
+        progress_bar(not json) as progress,
+        tempfile.TemporaryDirectory() as folder,
+        closed(over),
+    ):
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         check_halts(plan, answered=pass_stops or sys.stdin.isatty())
         if proof_file is None:

@@ -31,12 +31,14 @@ class Controller:
 
     Attributes
     ----------
+    port, machine
+        As given.
     blocks
-        Blocks that its planner holds.
+        Blocks that its planner holds: 15, unless it has told another number when it was met.
     """
 
     def __init__(self, port: Port, machine: Machine) -> None:
-        self._port, self._machine = port, machine
+        self.port, self.machine = port, machine
         self.blocks = 15
         self._letters: tuple[str, ...] = ()
         self._homes = False
@@ -59,7 +61,7 @@ class Controller:
                 f"the controller is not at rest: it tells {found.state}",
                 remedy="Stop it by its own means; nothing was sent that moves.",
             )
-        self._port.send(RESET)  # at rest: it forgets the modes and lines of whoever was there
+        self.port.send(RESET)  # at rest: it forgets the modes and lines of whoever was there
         self._quiet()
         self._letters = self._ask_letters()
         settings = settings_of(self.ask(b"$$\n", _ANSWER_S))
@@ -99,10 +101,10 @@ class Controller:
         LinkFaultError
             If it is refused, or not answered in time.
         """
-        self._port.send(line)
+        self.port.send(line)
         until, found = time.monotonic() + timeout_s, list[str]()
-        while (left_s := until - time.monotonic()) > 0.0 and not self._port.lost:
-            heard = self._port.receive(left_s)
+        while (left_s := until - time.monotonic()) > 0.0 and not self.port.lost:
+            heard = self.port.receive(left_s)
             if heard == "ok":
                 return found
             if heard is not None and heard.startswith(("error", "ALARM")):
@@ -117,9 +119,9 @@ class Controller:
     def ask_status(self) -> Status:
         """Ask for a status report, and return it; a LinkFaultError if none comes."""
         until = time.monotonic() + _ANSWER_S
-        while (left_s := until - time.monotonic()) > 0.0 and not self._port.lost:
-            self._port.send(STATUS)
-            while (heard := self._port.receive(min(left_s, 0.5))) is not None:
+        while (left_s := until - time.monotonic()) > 0.0 and not self.port.lost:
+            self.port.send(STATUS)
+            while (heard := self.port.receive(min(left_s, 0.5))) is not None:
                 found = status_of(heard)
                 if found is not None:
                     return found
@@ -130,7 +132,7 @@ class Controller:
 
     def _quiet(self) -> None:
         """Read what comes until nothing comes any more."""
-        while self._port.receive(0.5) is not None:
+        while self.port.receive(0.5) is not None:
             pass
 
     def _ask_letters(self) -> tuple[str, ...]:
@@ -144,7 +146,7 @@ class Controller:
         return ("X", "Y", "Z")
 
     def _columns(self) -> Sequence[int]:
-        return [self._letters.index(name) for name in self._machine.axis_names]
+        return [self._letters.index(name) for name in self.machine.axis_names]
 
     def _compare(self, settings: dict[int, float]) -> None:
         """Refuse a controller whose axes are not those of the machine.
@@ -154,7 +156,7 @@ class Controller:
         CommandError
             With the first setting that differs, or lets an axis go beyond its limit.
         """
-        machine = self._machine
+        machine = self.machine
         missing = [name for name in machine.axis_names if name not in self._letters]
         if missing:
             raise CommandError(
@@ -183,15 +185,15 @@ class Controller:
 
     def position(self, found: Status) -> FloatArray:
         """Return the (axes,) place in a status report, m or rad; a LinkFaultError if it is none."""
-        if len(found.position) < len(self._letters or self._machine.axes):
+        if len(found.position) < len(self._letters or self.machine.axes):
             raise LinkFaultError(f"the controller reports {len(found.position)} axes")
         if found.offset is not None and np.any(found.offset):
             raise LinkFaultError(f"its coordinates are shifted: {found.offset.tolist()}")
-        return np.asarray(found.position[self._columns()] * units_of(self._machine))
+        return np.asarray(found.position[self._columns()] * units_of(self.machine))
 
     def beyond(self, place: FloatArray) -> str:
         """Return the axis that is beyond its travel; empty where none is."""
-        for value, (name, axis) in zip(place.tolist(), self._machine.axes.items(), strict=True):
+        for value, (name, axis) in zip(place.tolist(), self.machine.axes.items(), strict=True):
             if axis.travel is not None and not (
                 axis.travel[0].si - _TRAVEL_M <= value <= axis.travel[1].si + _TRAVEL_M
             ):

@@ -16,7 +16,6 @@ from threadline.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
 from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_port import Port
 from threadline.live.grbl_trace import ReportTrace
 from threadline.live.grbl_words import (
     HOLD,
@@ -30,7 +29,6 @@ from threadline.live.grbl_words import (
 )
 from threadline.live.kept import Sink
 from threadline.live.states import MOVING, Cause, State, next_state
-from threadline.machine import Machine
 from threadline.signals import Ended
 
 POLL_S = 0.1
@@ -47,15 +45,15 @@ class GrblRun:
 
     Parameters
     ----------
-    port
-        The port of the controller.
-    machine
-        Machine that must be there.
+    controller
+        The controller, which ``Controller.meet`` has met.
     desk, sink
         Queue of the operator's commands; receiver of samples, events and changes of state.
 
     Attributes
     ----------
+    controller
+        As given.
     state
         State of the run, as of an executor.
     executed
@@ -66,13 +64,15 @@ class GrblRun:
 
     late_ticks = 0
 
-    def __init__(self, port: Port, machine: Machine, desk: Desk, sink: Sink) -> None:
-        self._port, self._machine, self._desk, self._sink = port, machine, desk, sink
+    def __init__(self, controller: Controller, desk: Desk, sink: Sink) -> None:
+        self.controller, self._desk, self._sink = controller, desk, sink
+        self._port, self._machine = controller.port, controller.machine
+        machine = self._machine
         self.state = State.DISABLED
         self.ended: tuple[Ended, str] | None = None
         self.over = False
         self.executed = self.acknowledged = 0
-        self._controller, self._trace = Controller(port, machine), ReportTrace(machine, sink)
+        self._trace = ReportTrace(machine, sink)
         self._count = CharacterCount()
         self._program = Program((), np.zeros((0, len(machine.axes))), np.zeros(0))
         self._at: FloatArray = np.zeros(len(machine.axes))
@@ -93,10 +93,6 @@ class GrblRun:
 
     # --- before a run ----------------------------------------------------------------------
 
-    def connect(self) -> None:
-        """Meet the controller; see ``Controller.meet``."""
-        self._controller.meet()
-
     def enable(self) -> None:
         """Note that the drives are on: grbl switches them by itself."""
         self._go(Cause.ENABLE)
@@ -104,7 +100,7 @@ class GrblRun:
     def home(self) -> None:
         """Home it; see ``Controller.home``."""
         self._go(Cause.HOME)
-        self._at = self._controller.home()
+        self._at = self.controller.home()
         self._trace.begin(self._at)
         self._go(Cause.HOMED)
 
@@ -135,7 +131,7 @@ class GrblRun:
                 remedy="Home the machine, or move it there.",
             )
         for end in program.ends:
-            if name := self._controller.beyond(end):
+            if name := self.controller.beyond(end):
                 raise CommandError(
                     f"axis {name}: the program leaves its travel", remedy="Move the job."
                 )
@@ -222,14 +218,14 @@ class GrblRun:
 
     def _report(self, found: Status) -> None:
         self._heard_s = time.monotonic()
-        self._at = self._controller.position(found)
+        self._at = self.controller.position(found)
         self._trace.record(self._heard_s - self._begun_s, self._at)
         if self._settled_s is not None:
             self.over = self._heard_s >= self._settled_s
             if self.over:
                 self._leave()
             return
-        if name := self._controller.beyond(self._at):
+        if name := self.controller.beyond(self._at):
             self._fault(f"axis {name} is beyond its travel")
         self._pass_lines()
         if found.state == "Alarm" and not self._braking:
@@ -298,10 +294,6 @@ class GrblRun:
         self._trace.end(*self.ended)
         self._go(Cause.FAULT, text)
         self.over = True
-
-    def close(self) -> None:
-        """End the connection."""
-        self._port.close()
 
     def _go(self, cause: Cause, text: str = "") -> None:
         self.state = next_state(self.state, cause)

@@ -11,7 +11,7 @@ from typing import Protocol
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.live.desk import Desk
-from threadline.live.grbl_controller import units_of
+from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_port import Port
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import Program, program_of, runs_out
@@ -50,7 +50,13 @@ class Link(Protocol):
         """Files by name of what ``prepare`` made for the machine, other than the plan's rows."""
 
     def prepare(self, plan: Plan) -> Sequence[str]:
-        """Make ready what is sent, and return what the operator has to know before it is."""
+        """Make ready what is sent, and return what the operator has to know before it is.
+
+        Nothing moves. ``close`` must follow, with or without a run.
+        """
+
+    def close(self) -> None:
+        """End the connection, if there is one."""
 
     def run(
         self,
@@ -97,6 +103,9 @@ class SimLink:
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
         """Return nothing."""
         return ()
+
+    def close(self) -> None:
+        """Do nothing: the simulated machine ends with its run."""
 
     def run(
         self,
@@ -150,10 +159,11 @@ class GrblLink:
             "The controller was told to hold; without its link it runs out its buffer."
         )
         self._program: Program | None = None
+        self._controller: Controller | None = None
         self.sent: dict[str, bytes] = {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:
-        """Write the program; say how long the controller goes on when the link is lost."""
+        """Write the program, and meet the controller; say what it does when the link is lost."""
         machine = plan.machine
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "program.nc"
@@ -163,7 +173,9 @@ class GrblLink:
         self.sent = {file.name: text}
         starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
         self._program = program_of(text, machine.axis_names, units_of(machine), starts)
-        goes_s, _ = runs_out(self._program, 15)
+        self._controller = Controller(Port(self._address), machine)
+        self._controller.meet()
+        goes_s, _ = runs_out(self._program, self._controller.blocks)
         return [
             "grbl plans its own ramps: what is proved is the program's path, not its timing",
             f"if the link is lost, the controller runs out its own buffer: up to {goes_s:.1f} s "
@@ -180,23 +192,24 @@ class GrblLink:
         hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
         watch: Callable[[Running], None],
     ) -> tuple[Ended, str]:
-        """Connect, home, send the program, and record what the controller reports."""
+        """Home, send the program, and record what the controller reports."""
         assert self._program is not None
+        assert self._controller is not None
         starts = way_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit
-        port = Port(self._address)
-        try:
-            one = GrblRun(port, plan.machine, desk, sink)
-            one.connect()
-            one.enable()
-            one.home()
-            one.start(self._program, starts)
-            while not one.over:
-                one.step()
-                watch(one)
-        finally:
-            port.close()
+        one = GrblRun(self._controller, desk, sink)
+        one.enable()
+        one.home()
+        one.start(self._program, starts)
+        while not one.over:
+            one.step()
+            watch(one)
         assert one.ended is not None
         return one.ended
+
+    def close(self) -> None:
+        """End the connection, if there is one."""
+        if self._controller is not None:
+            self._controller.port.close()
 
 
 def link_of(text: str, machine: Machine, speed: float, fault: SimFault | None) -> Link:
