@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed
 from threadline.machine import Machine
+from threadline.machine.radii import written_out
 from threadline.option_words import (
     parse_contour_m,
     parse_feed,
@@ -250,7 +251,7 @@ def options_of(
         feed=None if feed is None else parse_feed(feed),
         dialect=dialect,
         feed_mode=feed_mode,
-        radius=radius,
+        radius=None if radius is None else written_out(radius),
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,

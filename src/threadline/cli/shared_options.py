@@ -68,7 +68,8 @@ DialectOption = Annotated[
 RadiusOption = Annotated[
     str | None,
     typer.Option(
-        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm. Default: the '
+        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm, '
+        '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
         "machine file's."
     ),
 ]

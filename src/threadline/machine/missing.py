@@ -83,7 +83,8 @@ def missing_keys(
         node = field_node(_BODIES)
         found.append(MissingKey(_BODIES, _assigned(_BODIES, node, sample(node))))
     turns = any(
-        _kind(content, (*_AXES, name, "kind")) == "rotary" and "radius" not in content["axes"][name]
+        _kind(content, (*_AXES, name, "kind")) == "rotary"
+        and not {"radius", "profile"} & set(content["axes"][name])
         for name in _axes_of(content)
     )
     if found and turns and "tool" not in content:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import Place
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
+from threadline.machine.mandrel import LocalRadii, local_radii
 from threadline.machine.motion_planner import FirmwarePlanner, MarlinPlanner, RepRapPlanner
 from threadline.machine.parts import (
     STRICT,
@@ -168,12 +169,7 @@ class Machine:
         for name, switch in self.inputs.items():
             _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             _known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
-        turning = sorted(name for name in self.rotary if self.axes[name].radius is None)
-        if turning and self.tool is None:
-            raise ValueError(
-                f"'tool' is missing: it says at which radius the rotary axis {turning[0]} acts, "
-                'like [tool] radius = "100 mm exact, assumed", or give the axis a radius of its own'
-            )
+        self._radii()
         if isinstance(self.planner, MarlinPlanner | RepRapPlanner):
             _known(self.planner.jump, self.axes, "planner.jump", "axis")
             for name, jump in self.planner.jump.items():
@@ -186,6 +182,22 @@ class Machine:
             numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
             check_named(self.tolerances, [path for of in numbers for path, _ in of])
         return self
+
+    def _radii(self) -> None:
+        for name in sorted(self.rotary):
+            axis = self.axes[name]
+            if axis.profile is not None:
+                along = axis.profile.along
+                _known([along], self.axes, f"axes.{name}.profile.along", "axis")
+                if along in self.rotary:
+                    raise ValueError(
+                        f"axes.{name}.profile goes along {along}, which turns; name a linear axis"
+                    )
+            elif axis.radius is None and self.tool is None:
+                raise ValueError(
+                    f"'tool' is missing: it says at which radius the rotary axis {name} acts, like "
+                    '[tool] radius = "100 mm exact, assumed", or give the axis a radius of its own'
+                )
 
     def _on_off_references(self) -> None:
         if not self.axes and not self.cylinders:
@@ -377,12 +389,24 @@ class Machine:
 
     @property
     def radius_m(self) -> FloatArray:
-        """(axes,) 1 for a linear axis, for a rotary one its own radius, else that of the tool."""
+        """(axes,) 1 for a linear axis, for a rotary one its own radius, else that of the tool.
+
+        With a profile it is the largest.
+        """
         return np.array([self._acts_at_m(axis) for axis in self.axes.values()])
+
+    def local_radii(self, axes: Sequence[str]) -> LocalRadii | None:
+        """Return by how much less the radii are from place to place, for a path of ``axes``."""
+        profiles = {
+            name: axis.profile for name, axis in self.axes.items() if axis.profile is not None
+        }
+        return local_radii(profiles, axes)
 
     def _acts_at_m(self, axis: Axis) -> float:
         if axis.kind == "linear":
             return 1.0
+        if axis.profile is not None:
+            return axis.profile.largest_m
         if axis.radius is not None:
             return axis.radius.si
         # Where an axis without one turns there is a tool: the checks above have seen to it.

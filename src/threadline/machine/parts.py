@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
+from threadline.machine.mandrel import Mandrel
 from threadline.machine.quantity import Quantity, Units
 
 STRICT = ConfigDict(extra="forbid")
@@ -203,7 +204,8 @@ class Axis:
     rounded. ``frame`` gives the position of the frame in the same way. ``endless`` axes have no
     travel. ``stroke`` is the way between the two ends of the axis, of an axis on which a job may
     begin anywhere: the greatest position less the least is never more. ``radius`` is the distance
-    at which a rotary axis acts on the work, that of the tool when left out. ``working_velocity``
+    at which a rotary axis acts on the work, that of the tool when left out; ``profile`` gives it
+    by the place of a linear axis instead, for a mandrel. ``working_velocity``
     is the speed of daily work, for which warnings are computed.
     """
 
@@ -218,6 +220,7 @@ class Axis:
     stroke: Position | None = None
     endless: StrictBool = False
     radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
+    profile: Mandrel | None = None
     load: Weights | None = None
     frame: Weights | None = None
     working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
@@ -241,6 +244,10 @@ class Axis:
             )
         if self.radius is not None and self.kind == "linear":
             raise ValueError("a linear axis has no radius: take it out")
+        if self.profile is not None and (self.kind == "linear" or self.radius is not None):
+            raise ValueError(
+                "a profile is of a rotary axis, and takes the place of its radius: take one out"
+            )
         if (self.travel is None) != self.endless:
             raise ValueError('an axis has either travel = ["min", "max"] or endless = true')
         if self.travel is not None:

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from dataclasses import replace
+from pathlib import Path
+
+from pydantic import ValidationError
 
 from threadline.errors import OptionError, UnitError
+from threadline.input_files import read_text
+from threadline.machine.mandrel import Mandrel
 from threadline.machine.model import Machine
-from threadline.machine.quantity import parse_machine_quantity
+from threadline.machine.parts import Axis
+from threadline.machine.quantity import Quantity, parse_machine_quantity
+
+_TABLE = ".csv"
+_MOST_BYTES = 1_000_000
+_PLACE = re.compile(r"(?P<radius>.+?)\s+at\s+(?P<along>[A-Z])\s+(?P<at>.+)")
+_FORM = 'Write it like "A=40 mm", "A=20 mm at X 0 mm; 50 mm at X 100 mm" or "A=mandrel.csv".'
+_COLUMN = re.compile(r"(?P<along>[A-Z])_mm")
+_RADIUS = "radius_mm"
 
 
 def with_radii(machine: Machine, text: str | None) -> Machine:
     """Return ``machine`` with radii of its rotary axes, given like ``"A=40 mm, B=2 mm"``.
 
-    With None the machine is returned as it is.
+    A mandrel may have one for each place of a linear axis: ``"A=20 mm at X 0 mm; 50 mm at X 100
+    mm"``. With None the machine is returned as it is.
 
     Raises
     ------
@@ -22,6 +38,7 @@ def with_radii(machine: Machine, text: str | None) -> Machine:
     if text is None:
         return machine
     axes = dict(machine.axes)
+    text = written_out(text)
     for part in text.split(","):
         name, equals, written = (piece.strip() for piece in part.partition("="))
         axis = machine.axes.get(name)
@@ -30,20 +47,87 @@ def with_radii(machine: Machine, text: str | None) -> Machine:
             raise OptionError(
                 f"--radius {part.strip()[:40]!r} is not the radius of a rotary axis of "
                 f"{machine.name!r}",
-                remedy=f'Write it like "A=40 mm"; its rotary axes: {turning}.',
+                remedy=f"{_FORM} Its rotary axes: {turning}.",
             )
-        try:
-            radius = parse_machine_quantity(f"{written} exact, assumed", ("m",))
-        except UnitError as error:
-            raise OptionError(
-                f"--radius {part.strip()[:40]!r}: {error.message}",
-                remedy='Write it like "A=40 mm".',
-            ) from error
         if axes[name] is not axis:
             raise OptionError(
                 f"--radius {text[:80]!r} gives {name} two radii", remedy="Give each axis one."
             )
-        if radius.si <= 0.0:
-            raise OptionError(f"--radius {part.strip()[:40]!r} must be greater than 0")
-        axes[name] = replace(axis, radius=radius)
+        axes[name] = _with_radius(axis, written, machine, f"--radius {part.strip()[:40]!r}")
     return replace(machine, axes=axes)
+
+
+def written_out(text: str) -> str:
+    """Return the text of ``--radius`` with each table (``A=mandrel.csv``) as its rows.
+
+    What is kept of the options of a plan says then what the table said. A table has the columns
+    ``X_mm`` (or of another linear axis) and ``radius_mm``.
+
+    Raises
+    ------
+    OptionError
+        If a table cannot be read.
+    """
+    parts = []
+    for part in text.split(","):
+        name, _, written = (piece.strip() for piece in part.partition("="))
+        parts.append(f"{name}={_rows(Path(written))}" if written.endswith(_TABLE) else part.strip())
+    return ", ".join(parts)
+
+
+def _with_radius(axis: Axis, written: str, machine: Machine, told: str) -> Axis:
+    if " at " not in written:
+        return replace(axis, radius=_length(written, told, positive=True), profile=None)
+    matches = [_PLACE.fullmatch(place.strip()) for place in written.split(";")]
+    places = [match for match in matches if match is not None]
+    along = {match["along"] for match in places}
+    if len(places) < len(matches) or len(along) > 1:
+        raise OptionError(f"{told} is not a profile along one axis", remedy=_FORM)
+    beside = along.pop()
+    if beside not in machine.axes or machine.axes[beside].kind != "linear":
+        raise OptionError(
+            f"{told} goes along {beside}, which is no linear axis of {machine.name!r}", remedy=_FORM
+        )
+    try:
+        profile = Mandrel(
+            along=beside,
+            at=tuple(_length(match["at"], told) for match in places),
+            radius=tuple(_length(match["radius"], told, positive=True) for match in places),
+        )
+    except ValidationError as error:
+        said = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
+        raise OptionError(f"{told}: {said}", remedy=_FORM) from error
+    return replace(axis, radius=None, profile=profile)
+
+
+def _length(written: str, told: str, *, positive: bool = False) -> Quantity:
+    try:
+        length = parse_machine_quantity(f"{written.strip()} exact, assumed", ("m",))
+    except UnitError as error:
+        raise OptionError(f"{told}: {error.message}", remedy=_FORM) from error
+    if positive and length.si <= 0.0:
+        raise OptionError(f"{told}: a radius must be greater than 0", remedy=_FORM)
+    return length
+
+
+def _rows(table: Path) -> str:
+    """Return the rows of a table of radii like ``20 mm at X 0 mm; 50 mm at X 100 mm``."""
+    text = read_text(table, _MOST_BYTES, OptionError, "table of radii", "utf-8-sig")
+    rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
+    header = [name.strip() for name in rows[0]] if rows else []
+    named = [match["along"] for name in header if (match := _COLUMN.fullmatch(name))]
+    if len(header) != 2 or len(named) != 1 or _RADIUS not in header:
+        raise OptionError(
+            f"{table}: a table of radii has the columns X_mm and {_RADIUS}",
+            remedy=f"Begin it with the line X_mm,{_RADIUS} (X: the axis beside the mandrel).",
+        )
+    radius, place = header.index(_RADIUS), 1 - header.index(_RADIUS)
+    told = []
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(header) or any("," in cell or ";" in cell for cell in row):
+            raise OptionError(
+                f"{table}: row {number} has {len(row)} columns, its header {len(header)}",
+                remedy="Give each row a place and a radius, with points in numbers.",
+            )
+        told.append(f"{row[radius].strip()} mm at {named[0]} {row[place].strip()} mm")
+    return "; ".join(told)

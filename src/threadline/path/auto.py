@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.machine.mandrel import LocalRadii
 from threadline.path.polygon import (
     EVEN_CUT,
     LEAST_SPACING_M,
@@ -38,14 +39,14 @@ def auto_pieces(
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
     the one before it is left out.
     """
-    run = _Run(programmed.radius_m, cut_m)
+    run = _Run(programmed.radius_m, programmed.local, cut_m)
     for chunk in runs(programmed, near_m):
         yield from run.extend(chunk)
 
 
 def points_added(programmed: ProgrammedPath, cut_m: float) -> int:
     """Return the number of control points that are not vertices; reads the whole program."""
-    run = _Run(programmed.radius_m, cut_m)
+    run = _Run(programmed.radius_m, programmed.local, cut_m)
     for chunk in runs(programmed):
         for _ in run.extend(chunk):
             pass
@@ -57,6 +58,7 @@ class _Run:
     """State of the run under way: vertices and control points that are not yet in a piece."""
 
     radius_m: FloatArray
+    local: LocalRadii | None
     cut_m: float
     vertices: Vertices | None = None
     controls: Controls | None = None
@@ -68,7 +70,7 @@ class _Run:
         """Add vertices, and yield the pieces that no later vertex can change."""
         self.vertices = join_vertices(self.vertices, chunk.vertices)
         while True:
-            length, turn = turns(self.vertices.positions, self.radius_m)
+            length, turn = turns(self.vertices.positions, self.radius_m, self.local)
             # At a corner too tight for a curve within the tolerance the motion comes to rest.
             tight = np.flatnonzero(self.cut_m < EVEN_CUT * LEAST_SPACING_M * turn)
             tight = tight[tight >= max(self.first_chord, 1)]

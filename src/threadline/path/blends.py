@@ -29,7 +29,7 @@ def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBl
     for chunk in runs(programmed):
         held = join_vertices(held, chunk.vertices)
         while True:
-            length, turn = turns(held.positions, radius)
+            length, turn = turns(held.positions, radius, programmed.local)
             tight = np.flatnonzero(CUT * cut_m < LEAST_SPACING_M * turn)
             tight = tight[tight > first]
             if not len(tight):

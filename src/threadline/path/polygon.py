@@ -14,6 +14,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
+from threadline.machine.mandrel import LocalRadii
 from threadline.path.runs import Vertices
 
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
@@ -73,16 +74,24 @@ def join_controls(first: Controls | None, second: Controls) -> Controls:
     )
 
 
-def turns(positions: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def turns(
+    positions: FloatArray, radius_m: FloatArray, local: LocalRadii | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return the (n - 1,) lengths of the chords and the (n,) turns at the vertices.
 
-    The turn of the first and the last vertex is 0.
+    The turn of the first and the last vertex is 0. It says how far a curve of given length leaves
+    the vertex, so that a turn of a mandrel counts at its largest radius on the chords beside the
+    vertex; lengths count at the largest of all.
     """
     chord = np.diff(positions, axis=0) * radius_m
     length = np.sqrt((chord**2).sum(axis=1))
     tangent = chord / length[:, None]
     turn = np.zeros(len(positions))
-    turn[1:-1] = np.sqrt((np.diff(tangent, axis=0) ** 2).sum(axis=1))
+    change = np.diff(tangent, axis=0)
+    if local is not None:
+        most = local.most_between(positions)
+        change *= np.maximum(most[:-1], most[1:])
+    turn[1:-1] = np.sqrt((change**2).sum(axis=1))
     turn[turn <= STRAIGHT] = 0.0
     return length, turn
 

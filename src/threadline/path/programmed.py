@@ -57,6 +57,7 @@ def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> Pro
         axes=job.axes,
         radius_m=machine.radius_m[column],
         blocks=Stream(_blocks, job, machine, feed),
+        local=machine.local_radii(job.axes),
     )
 
 

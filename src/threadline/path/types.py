@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
+from threadline.machine.mandrel import LocalRadii
 from threadline.signals import Stream
 
 
@@ -83,11 +84,14 @@ class ProgrammedPath:
     blocks
         Re-iterable blocks of vertices. A path holds motion only; outputs and waits stay in the job
         and are found by the index of their operation.
+    local
+        By how much less the radii are from place to place, of a mandrel with a profile.
     """
 
     axes: tuple[str, ...]
     radius_m: FloatArray
     blocks: Stream[VertexBlock]
+    local: LocalRadii | None = None
 
     def __iter__(self) -> Iterator[VertexBlock]:
         return iter(self.blocks)

@@ -45,7 +45,7 @@ def contour_along(
     time_s = np.zeros(stretches + 1)
     window = PathWindow(plan.motion.programmed)
     for block in judged_blocks(recording, axes, setting.lag_samples, window):
-        squared = block.nearest[0][:, 0]
+        squared = block.nearest_on_surface[0][:, 0]
         stretch = np.minimum((block.time_s / width_s).astype(np.int64), stretches)
         # The largest of each stretch comes last, and what is assigned last stays.
         order = np.argsort(squared, kind="stable")

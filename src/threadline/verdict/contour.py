@@ -37,7 +37,8 @@ class _Last:
 class Contour:
     """Both directions at once: path to chords, and programmed vertices to path.
 
-    Lengths are at the tool, Euclidean over all axes, rotary ones times their radius. The chords
+    Lengths are at the tool, Euclidean over all axes, rotary ones times their radius: of a mandrel
+    with a profile that which it has where the tool, or a programmed vertex, is. The chords
     and vertices of a sample are those that the command was or will be on within the lag before
     and after it: a path may cross or retrace itself without hiding an error, and trailing along
     the path by less than the lag costs nothing. A machine that trails by more is charged for it.
@@ -63,7 +64,7 @@ class Contour:
         """Take the next samples."""
         points = block.at_tool
         path, begin, end = block.window()
-        squared, chord = block.nearest
+        squared, chord = block.nearest_on_surface
         last = self._last or _Last(
             points[0],
             chord[0] + path.first,
@@ -86,6 +87,7 @@ class Contour:
             begins,
             ends,
             path.vertices,
+            block.shares,
             worst,
             at,
             part,
@@ -110,6 +112,7 @@ class Contour:
             path.vertices,
             self._best,
             self._best_time_s,
+            path.shares,
         )
         self._last = _Last(
             points[-1],

@@ -37,6 +37,27 @@ def _squared_to_segment(
 squared_to_segment = njit(inline="always")(_squared_to_segment)
 
 
+def _weighed_to_segment(
+    point: FloatArray, start: FloatArray, end: FloatArray, share: FloatArray
+) -> float:
+    """Return the squared distance of a point to a segment, each axis counting with its share."""
+    along = 0.0
+    length = 0.0
+    for k in range(len(point)):
+        direction = share[k] * (end[k] - start[k])
+        along += share[k] * (point[k] - start[k]) * direction
+        length += direction * direction
+    where = 0.0 if length <= 0.0 else min(max(along / length, 0.0), 1.0)
+    squared = 0.0
+    for k in range(len(point)):
+        gap = share[k] * (point[k] - start[k] - where * (end[k] - start[k]))
+        squared += gap * gap
+    return squared
+
+
+weighed_to_segment = njit(inline="always")(_weighed_to_segment)
+
+
 def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (m, axes) way of each chord, and (m,) its squared length; 1 of a mere point.
 
@@ -55,13 +76,14 @@ def _nearest_chords(
     way: FloatArray,
     length: FloatArray,
     axes: tuple[int, ...],
+    share: FloatArray | None,
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
     """Fill in the squared distance of each point to the chords ``begin[i]`` to ``end[i]``.
 
     ``chord`` is the first of the nearest. ``axes`` has one entry for each axis: its length is known
-    when this is compiled, and the loops over axes are gone.
+    when this is compiled, and the loops over axes are gone. So is what asks for ``share``.
     """
     samples, _, runs = points.shape
     for i in range(samples):
@@ -71,14 +93,25 @@ def _nearest_chords(
         for c in range(begin[i], end[i] + 1):
             for r in range(runs):
                 along = 0.0
-                for a in range(len(axes)):
-                    along += (points[i, a, r] - vertices[c - 1, a]) * way[c, a]
-                where = along / length[c]
+                size = length[c]
+                if share is None:
+                    for a in range(len(axes)):
+                        along += (points[i, a, r] - vertices[c - 1, a]) * way[c, a]
+                else:
+                    size = 0.0
+                    for a in range(len(axes)):
+                        weighed = share[i, a, r] * way[c, a]
+                        along += share[i, a, r] * (points[i, a, r] - vertices[c - 1, a]) * weighed
+                        size += weighed * weighed
+                    size = size if size > 0.0 else 1.0
+                where = along / size
                 where = where if where > 0.0 else 0.0
                 where = where if where < 1.0 else 1.0
                 away = 0.0
                 for a in range(len(axes)):
                     gap = points[i, a, r] - vertices[c - 1, a] - where * way[c, a]
+                    if share is not None:
+                        gap *= share[i, a, r]
                     away += gap * gap
                 nearer = away < squared[i, r]
                 squared[i, r] = away if nearer else squared[i, r]
@@ -93,6 +126,7 @@ def _between(
     begin: IntArray,
     end: IntArray,
     vertices: FloatArray,
+    share: FloatArray | None,
     worst: FloatArray,
     at: IntArray,
     part: FloatArray,
@@ -103,11 +137,12 @@ def _between(
     The distance to one chord is largest at an end of the way; to two it may not be. ``begin`` and
     ``end`` have an entry more than the points, for the point before. Where the
     worst is: ``at`` the point that the way leads to, ``part`` of the way (0..1), and the nearest
-    chord ``worst_chord``.
+    chord ``worst_chord``. The way counts with the shares of the point that it leads to.
     """
     lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
     axes = points.shape[1]
     here, there, start, stop = np.empty(axes), np.empty(axes), np.empty(axes), np.empty(axes)
+    of = np.ones(axes)
     for i in range(len(points)):
         known = chord_before if i == 0 else chord[i - 1]
         low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
@@ -117,10 +152,12 @@ def _between(
             for a in range(axes):
                 here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
                 there[a] = points[i, a, r]
+                if share is not None:
+                    of[a] = share[i, a, r]
             # One chord that is near both ends is enough: no place of the way is farther from it.
             c = chord[i, r]
-            first, _ = squared_to_segment(here, vertices[c - 1], vertices[c])
-            second, _ = squared_to_segment(there, vertices[c - 1], vertices[c])
+            first = weighed_to_segment(here, vertices[c - 1], vertices[c], of)
+            second = weighed_to_segment(there, vertices[c - 1], vertices[c], of)
             if max(first, second) <= worst[r]:
                 continue
             left = 1
@@ -133,8 +170,8 @@ def _between(
                 # No place of this part is farther than its ends from any one chord.
                 bound = np.inf
                 for c in range(low, high + 1):
-                    first, _ = squared_to_segment(start, vertices[c - 1], vertices[c])
-                    second, _ = squared_to_segment(stop, vertices[c - 1], vertices[c])
+                    first = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
+                    second = weighed_to_segment(stop, vertices[c - 1], vertices[c], of)
                     bound = min(bound, max(first, second))
                 if bound <= worst[r] or b - a < _FINEST:
                     continue
@@ -142,7 +179,7 @@ def _between(
                 start[:] = 0.5 * (start + stop)
                 best, nearest = np.inf, -1
                 for c in range(low, high + 1):
-                    away, _ = squared_to_segment(start, vertices[c - 1], vertices[c])
+                    away = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
                     if away < best:
                         best, nearest = away, c
                 if best > worst[r]:
@@ -161,6 +198,7 @@ def _vertices_to_path(
     end: IntArray,
     vertices: FloatArray,
     axes: tuple[int, ...],
+    share: FloatArray | None,
     best: FloatArray,
     best_time_s: FloatArray,
 ) -> None:
@@ -168,7 +206,7 @@ def _vertices_to_path(
 
     Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
     chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have an entry more than
-    the points, for the point before.
+    the points, for the point before. ``share`` is (vertices, axes).
     """
     samples, count, runs = points.shape
     way, lengths = np.empty((count, runs)), np.empty(runs)
@@ -185,14 +223,25 @@ def _vertices_to_path(
         for v in range(begin[i] - 1, end[i + 1] + 1):
             for r in range(runs):
                 along = 0.0
-                for a in range(len(axes)):
-                    along += (vertices[v, a] - start[a, r]) * way[a, r]
-                where = along / lengths[r]
+                size = lengths[r]
+                if share is None:
+                    for a in range(len(axes)):
+                        along += (vertices[v, a] - start[a, r]) * way[a, r]
+                else:
+                    size = 0.0
+                    for a in range(len(axes)):
+                        weighed = share[v, a] * way[a, r]
+                        along += share[v, a] * (vertices[v, a] - start[a, r]) * weighed
+                        size += weighed * weighed
+                    size = size if size > 0.0 else 1.0
+                where = along / size
                 where = where if where > 0.0 else 0.0
                 where = where if where < 1.0 else 1.0
                 away = 0.0
                 for a in range(len(axes)):
                     gap = vertices[v, a] - start[a, r] - where * way[a, r]
+                    if share is not None:
+                        gap *= share[v, a]
                     away += gap * gap
                 nearer = away < best[v, r]
                 best[v, r] = away if nearer else best[v, r]
@@ -205,7 +254,11 @@ _vertices_to_path_fast = njit(nogil=True, error_model="numpy")(_vertices_to_path
 
 
 def nearest_chords(
-    points: FloatArray, begin: IntArray, end: IntArray, vertices: FloatArray
+    points: FloatArray,
+    begin: IntArray,
+    end: IntArray,
+    vertices: FloatArray,
+    share: FloatArray | None = None,
 ) -> tuple[FloatArray, IntArray]:
     """Return (n, runs) squared distances to the chords ``begin[i]`` to ``end[i]``, and the nearest.
 
@@ -215,12 +268,15 @@ def nearest_chords(
         (n, axes, runs).
     vertices
         (m, axes).
+    share
+        (n, axes, runs) with which the axes count at each point; None where they count alike.
     """
     samples, axes, runs = points.shape
     squared = np.empty((samples, runs))
     chord = np.empty((samples, runs), dtype=np.int64)
     way, length = chord_ways(vertices)
-    _nearest_chords_fast(points, begin, end, vertices, way, length, (0,) * axes, squared, chord)
+    each = (0,) * axes
+    _nearest_chords_fast(points, begin, end, vertices, way, length, each, share, squared, chord)
     return squared, chord
 
 
@@ -233,7 +289,10 @@ def vertices_to_path(
     vertices: FloatArray,
     best: FloatArray,
     best_time_s: FloatArray,
+    share: FloatArray | None = None,
 ) -> None:
     """Lower ``best`` and set ``best_time_s``, both (m, runs): see ``_vertices_to_path``."""
     axes = (0,) * points.shape[1]
-    _vertices_to_path_fast(points, before, time_s, begin, end, vertices, axes, best, best_time_s)
+    _vertices_to_path_fast(
+        points, before, time_s, begin, end, vertices, axes, share, best, best_time_s
+    )

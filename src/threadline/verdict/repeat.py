@@ -9,7 +9,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import IntArray
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, MeasureOfRuns, Option, Run
 from threadline.verdict.samples import Block, Setting
@@ -23,15 +23,16 @@ class _Spread:
     Compared at equal operation and equal instant, over the whole job: a difference in lag counts.
     """
 
-    def __init__(self, radius_m: FloatArray, lacking: str) -> None:
-        self.radius_m, self._lacking = radius_m, lacking
-        self._worst = Worst(1, len(radius_m), note=lacking or "the recordings are empty")
+    def __init__(self, setting: Setting, lacking: str) -> None:
+        self.setting, self._lacking = setting, lacking
+        self._worst = Worst(1, len(setting.axes), note=lacking or "the recordings are empty")
 
     def feed(self, block: Block) -> None:
         """Take the next samples of all runs."""
         if self._lacking or block.actual is None:
             return
-        away = (block.actual - block.actual.mean(axis=1, keepdims=True)) * self.radius_m
+        mean = block.actual.mean(axis=1, keepdims=True)
+        away = self.setting.lengths(block.actual - mean, block.actual)
         squared = (away**2).sum(axis=2)
         at, run = np.unravel_index(int(np.argmax(squared)), squared.shape)
         index = np.array([at])
@@ -58,9 +59,7 @@ def start_repeatability(setting: Setting, options: Mapping[str, float]) -> Measu
     """
     wanted = max(int(options["recordings"]), 2)
     few = setting.runs < wanted
-    return _Spread(
-        setting.radius_m, f"needs {wanted} recordings, has {setting.runs}" if few else ""
-    )
+    return _Spread(setting, f"needs {wanted} recordings, has {setting.runs}" if few else "")
 
 
 def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> MeasureOfRuns:
@@ -78,7 +77,7 @@ def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> Meas
     """
     wanted, count = max(int(options["recordings"]), 2), sum(run.runs for run in runs)
     few = f"needs {wanted} recordings, has {count}" if count < wanted else ""
-    return _InStep(len(runs), _Spread(runs[0].radius_m, few), few)
+    return _InStep(len(runs), _Spread(runs[0], few), few)
 
 
 @dataclass(slots=True)
@@ -119,7 +118,7 @@ class _InStep:
     def __init__(self, count: int, spread: _Spread, few: str) -> None:
         self._few = few
         # By time a sample may be of another operation: the same spread, told with that one.
-        self._own, self._by_time = spread, _Spread(spread.radius_m, few)
+        self._own, self._by_time = spread, _Spread(spread.setting, few)
         self._waiting: list[deque[_Taken]] = [deque() for _ in range(count)]
         self._operations = [_Operations() for _ in range(count)]
 

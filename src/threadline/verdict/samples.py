@@ -37,6 +37,12 @@ class Setting:
     interval_s: float
     lag_samples: int
 
+    def lengths(self, away: FloatArray, at: FloatArray) -> FloatArray:
+        """Return small differences ``away``, axes last, as lengths at the tool at ``at``."""
+        local = self.plan.motion.programmed.local
+        shares = 1.0 if local is None else local.shares(at)
+        return np.asarray(away * self.radius_m * shares)
+
     @property
     def runs(self) -> int:
         """How many runs the recording holds side by side."""
@@ -111,6 +117,21 @@ class Block:
         """(n, runs) squared distances of the tool to the nearest chord of its window, and which."""
         path, begin, end = self.window()
         return nearest_chords(self.at_tool, begin, end, path.vertices)
+
+    @cached_property
+    def shares(self) -> FloatArray | None:
+        """(n, axes, runs) what a length is of that of ``at_tool`` there; None where it is 1."""
+        assert self.actual is not None and self.path is not None
+        local = self.path.local
+        return None if local is None else local.shares(lanes(self.actual), axis=1)
+
+    @cached_property
+    def nearest_on_surface(self) -> tuple[FloatArray, IntArray]:
+        """As ``nearest``, with lengths at the radius that a mandrel has at each sample."""
+        if self.shares is None:
+            return self.nearest
+        path, begin, end = self.window()
+        return nearest_chords(self.at_tool, begin, end, path.vertices, self.shares)
 
     def operations_at(self, index: IntArray) -> IntArray | None:
         """Return the operations under way at some samples."""

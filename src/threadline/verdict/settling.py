@@ -51,7 +51,7 @@ class _Residual:
 
     def __init__(self, setting: Setting, after_s: float, window_s: float) -> None:
         self._axes, self._runs = setting.axes, setting.runs
-        self._radius_m = setting.radius_m
+        self._lengths = setting.lengths
         self._after_s, self._window_s = after_s, window_s
         self._end = CommandEnd()
         self._clear()
@@ -82,7 +82,7 @@ class _Residual:
 
     def finish(self) -> Sequence[Found]:
         found = []
-        swing = (self._high - self._low) / 2 * self._radius_m
+        swing = self._lengths((self._high - self._low) / 2, self._low)
         for column, axis in enumerate(self._axes):
             values = swing[:, column]
             worst = Worst(
@@ -106,7 +106,8 @@ class _Settling:
     """
 
     def __init__(self, setting: Setting, band_m: float) -> None:
-        self._radius_m, self._runs = setting.radius_m, setting.runs
+        self._lengths, self._runs = setting.lengths, setting.runs
+        self._axes = len(setting.axes)
         self._band_m = band_m
         self._end = CommandEnd()
         self._settled_s: FloatArray = np.full(setting.runs, np.nan)  # of those that have
@@ -118,7 +119,7 @@ class _Settling:
         if begin is not None:
             self._settled_s[:] = np.nan
         begin = begin or 0
-        away = (block.actual[begin:] - block.commanded[-1]) * self._radius_m
+        away = self._lengths(block.actual[begin:] - block.commanded[-1], block.actual[begin:])
         outside = np.linalg.norm(away, axis=2) > self._band_m
         self._seen_s = float(block.time_s[-1])
         left = outside.any(axis=0)
@@ -129,7 +130,7 @@ class _Settling:
         self._settled_s = np.where(left, after_s, begun_s)
 
     def finish(self) -> Sequence[Found]:
-        worst = Worst(self._runs, len(self._radius_m), note="the recording ends with the command")
+        worst = Worst(self._runs, self._axes, note="the recording ends with the command")
         if self._seen_s > self._end.time_s:
             never = np.isnan(self._settled_s)
             lasted_s = self._seen_s - self._end.time_s

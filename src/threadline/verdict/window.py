@@ -50,6 +50,8 @@ class PathWindow:
         (m,) operation that moves to each vertex, and its job line.
     speed_m_s
         (m,) programmed speed of the chord into each vertex, at the tool; NaN where there is none.
+    radius_m, local
+        Those of the path.
     first
         Number of the first of them since the start of the path.
     ended
@@ -59,6 +61,7 @@ class PathWindow:
     def __init__(self, path: ProgrammedPath) -> None:
         self._source: Iterator[VertexBlock] = iter(path)
         self.radius_m = path.radius_m
+        self.local = path.local
         self.vertices: FloatArray = np.empty((0, len(path.axes)))
         self.operation: IntArray = np.empty(0, dtype=np.int64)
         self.line: IntArray = np.empty(0, dtype=np.int64)
@@ -69,6 +72,11 @@ class PathWindow:
 
     def __len__(self) -> int:
         return len(self.operation)
+
+    @property
+    def shares(self) -> FloatArray | None:
+        """(m, axes) what a length at each vertex is of one at the largest radii; None: the same."""
+        return None if self.local is None else self.local.shares(self.vertices / self.radius_m)
 
     def reach(self, latest: int) -> None:
         """Read on until every chord of the operation ``latest`` and the one after are held."""
