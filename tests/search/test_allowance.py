@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from threadline.jobs import read_job
-from threadline.machine import load_machine
-from threadline.options import options_of
-from threadline.pipeline import REPEATED, plan_job, prove_plan
-from threadline.search import FastestJob, fastest_job
+from threadline.jobs import Job, read_job
+from threadline.machine import Machine, load_machine
+from threadline.options import Options, options_of
+from threadline.pipeline import REPEATED, Trials, plan_job, prove_plan
+from threadline.plan import Plan
+from threadline.search import FastestJob, Rung, allowance, fastest_job
 from threadline.search.allowance import ALLOWED, options_at
-from threadline.verdict import load_spec
+from threadline.verdict import Result, Spec, Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OPTIMAL = options_of("optimal", None, "0.1 mm")
@@ -61,6 +64,53 @@ def test_bounds_are_below_and_in_order(found: FastestJob) -> None:
     assert 2.0 * 2.0 * (0.18 / 10.5) ** 0.5 < own.duration_s < driven.duration_s
     assert found.best.duration_s is not None
     assert driven.duration_s < found.best.duration_s
+
+
+def test_a_plan_whose_neighbour_fails_is_not_the_answer(
+    monkeypatch: pytest.MonkeyPatch, examples: Path
+) -> None:
+    """Half a percent below 0.41 mm fails, as by chance near a limit: what is slower is answered.
+
+    The twin passes both; a judge that fails what lies between 0.402 and 0.409 mm stands for it.
+    """
+    machine = load_machine("lathe-winder")
+    job = read_job(examples / "x-180.prg", machine)
+    tried: list[float] = []
+
+    def chancy(plan: Plan, spec: Spec, trials: Trials, actual: Machine | None) -> SimpleNamespace:
+        allowed = tried[-1]
+        good = allowed <= 0.402e-3 or 0.409e-3 <= allowed <= 0.411e-3
+        status = Status.PASSED if good else Status.FAILED
+        result = Result(
+            name="contour_error",
+            axis="",
+            measured=0.45e-3 if good else 0.51e-3,
+            limit=0.5e-3,
+            unit="m",
+            status=status,
+        )
+        return SimpleNamespace(verdict=Verdict(results=(result,), simulated=True))
+
+    def planned(job: Job, machine: Machine, options: Options) -> SimpleNamespace:
+        tried.append(options.contour_m or 0.3e-3)
+        return SimpleNamespace(duration_s=1e-3 / tried[-1])
+
+    monkeypatch.setattr(allowance, "plan_job", planned)
+    monkeypatch.setattr(allowance, "try_plan", chancy)
+    monkeypatch.setattr(allowance, "_bounds", lambda *_: ())
+    monkeypatch.setattr(allowance, "_next_contour", next_of([0.41e-3, 0.42e-3, 0.39e-3]))
+    result = allowance.fastest_allowed(job, machine, load_spec(None, machine), OPTIMAL)
+
+    assert [r.contour_m for r in result.rungs if r.alone] == [0.41e-3]
+    assert result.best.contour_m == 0.39e-3
+    assert tried[-2:] == [pytest.approx(0.40795e-3), pytest.approx(0.38805e-3)]
+    assert all(allowed == float(f"{allowed:.5g}") for allowed in tried)
+
+
+def next_of(allowances: list[float]) -> Callable[[Mapping[float, Rung]], float | None]:
+    """Return a search that tries these one after the other."""
+    left = iter(allowances)
+    return lambda _: next(left, None)
 
 
 def test_an_allowance_that_is_given_is_the_only_one_that_is_proved(examples: Path) -> None:

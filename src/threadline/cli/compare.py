@@ -211,7 +211,7 @@ def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str
         return [name, "none", "-", "-", "-", rung.found.limited_by]
     return [
         name,
-        f"{best * 1e3:.1f}",
+        f"{best * 1e3:.1f}{' alone' if rung.alone else ''}",
         f"{best / reference_m_s:.2f}" if reference_m_s else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",
@@ -233,6 +233,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
                 "best": f.best.found.best,
                 "unit": "m/s",
                 "intervals": [[i.low, i.high] for i in f.best.found.intervals],
+                "alone": list(f.best.found.alone),
                 "limited_by": f.best.found.limited_by,
                 "limits": f.best.share,
                 "duration_s": f.best.duration_s,

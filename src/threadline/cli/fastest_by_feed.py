@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.found import (
+    alone_words,
     command_line,
     limit_words,
     margin_words,
@@ -168,6 +169,7 @@ def _content(result: FastestJob) -> dict[str, Any]:
         "best": found.best,
         "unit": "m/s",
         "intervals": [[i.low, i.high] for i in found.intervals],
+        "alone": list(found.alone),
         "limited_by": found.limited_by,
         "limits": result.best.share,
         "duration_s": result.best.duration_s,
@@ -191,12 +193,12 @@ def _show(result: FastestJob, title: str) -> None:
     rows = []
     for rung in result.rungs:
         for interval in rung.found.intervals:
-            first = interval is rung.found.intervals[0]
+            first = interval is rung.found.fastest
             rows.append(
                 [
                     f"{rung.share:.1%}",
                     typed(interval.low * 1e3),
-                    typed(interval.high * 1e3),
+                    "alone" if interval.alone else typed(interval.high * 1e3),
                     f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
                     limit_words(rung.found.limited_by) if first else "",
                 ]
@@ -216,6 +218,8 @@ def _show(result: FastestJob, title: str) -> None:
         f"{tried} plans tried"
     )
     say(f"feeds {resolution_words(best.found)}")
+    if best.found.alone:
+        say(alone_words(best.found, "mm/s", 1e3))
     print_table("verdict at the fastest", head, body)
     say(closing(best.found.verdict))
 

@@ -132,6 +132,7 @@ def _rung_content(rung: Rung) -> dict[str, Any]:
     return {
         "duration_s": rung.duration_s,
         "limited_by": None if rung.duration_s is not None else rung.found.limited_by,
+        "alone": rung.alone,
         **_allowed(rung),
     }
 
@@ -149,7 +150,7 @@ def _show(found: FastestJob, title: str) -> None:
         [
             _allowance(rung),
             "" if rung.duration_s is None else f"{rung.duration_s:.3f}",
-            "in spec" if rung.duration_s is not None else f"OUT: {rung.found.limited_by}",
+            _outcome(rung),
         ]
         for rung in found.rungs
     ]
@@ -165,11 +166,19 @@ def _show(found: FastestJob, title: str) -> None:
         f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "
         f"{len(rows)} plans proved"
     )
+    if any(rung.alone for rung in found.rungs):
+        say("alone: the plan for an allowance smaller by half a percent is out of spec")
     for bound in found.bounds:
         over = best.duration_s / bound.duration_s - 1.0
         say(f"within the limits of {bound.within} alone: {bound.duration_s:.3f} s ({over:+.0%})")
     print_table("verdict at the fastest", head, body)
     say(closing(best.found.verdict))
+
+
+def _outcome(rung: Rung) -> str:
+    if rung.duration_s is None:
+        return f"OUT: {rung.found.limited_by}"
+    return "in spec, alone" if rung.alone else "in spec"
 
 
 def _allowance(rung: Rung) -> str:

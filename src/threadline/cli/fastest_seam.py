@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.found import limit_words, margin_words, resolution_words, typed
+from threadline.cli.found import alone_words, limit_words, margin_words, resolution_words, typed
 from threadline.cli.level import level_words
 from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -90,6 +90,7 @@ def _content(found: Fastest) -> dict[str, Any]:
     return {
         "best": found.best,
         "intervals": [[i.low, i.high] for i in found.intervals],
+        "alone": list(found.alone),
         "limited_by": found.limited_by,
         "unit": "stitch/s",
         "step": found.step,
@@ -108,13 +109,15 @@ def _show(found: Fastest, title: str) -> None:
         say(f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all")
         print_table("verdict where the search came closest", *verdict_rows(found.verdict))
         return
-    rows = [[typed(i.low), typed(i.high)] for i in found.intervals]
+    rows = [[typed(i.low), "alone" if i.alone else typed(i.high)] for i in found.intervals]
     print_table(f"{title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows)
     say(
         f"fastest: {typed(found.best)} stitch/s, limited by {limit_words(found.limited_by)}; "
         f"{found.tried} plans tried"
     )
     say(f"needle speeds {resolution_words(found)}")
+    if found.alone:
+        say(alone_words(found, "stitch/s"))
     print_table("verdict at the fastest", *verdict_rows(found.verdict))
     say(closing(found.verdict))
 

@@ -7,7 +7,13 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.found import command_line, limit_words, margin_words, resolution_words
+from threadline.cli.found import (
+    alone_words,
+    command_line,
+    limit_words,
+    margin_words,
+    resolution_words,
+)
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -123,6 +129,7 @@ def _content(found: FastestShaft) -> dict[str, Any]:
         "best": found.duration_s,
         "unit": "s",
         "intervals": [[i.low, i.high] for i in found.constant.intervals],
+        "alone": list(found.constant.alone),
         "intervals_unit": "stitch/s",
         "limited_by": found.limited_by,
         "constant_s": found.constant_s,
@@ -143,7 +150,7 @@ def _show(found: FastestShaft, title: str) -> None:
     rows = [
         [
             f"{i.low * _MINUTE:.2f}",
-            f"{i.high * _MINUTE:.2f}",
+            "alone" if i.alone else f"{i.high * _MINUTE:.2f}",
             "begins where the search did: --low for slower ones" if i.low == begun else "",
         ]
         for i in found.constant.intervals
@@ -158,6 +165,8 @@ def _show(found: FastestShaft, title: str) -> None:
             f"{found.constant_s:.4g} s, limited by {limit_words(found.limited_by)}; "
             f"{resolution_words(found.constant)}"
         )
+    if found.constant.alone:
+        say(alone_words(found.constant, "stitch/min", _MINUTE))
     if found.schedule is not None:
         say(
             f"fastest with a speed for each stitch: {found.schedule.plan.duration_s:.4g} s, "

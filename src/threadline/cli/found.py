@@ -29,6 +29,21 @@ def resolution_words(found: Fastest) -> str:
     )
 
 
+def alone_words(found: Fastest, unit: str, per_unit: float = 1.0) -> str:
+    """Return the sentence on feeds that pass while those beside them fail; "" without any.
+
+    Parameters
+    ----------
+    unit, per_unit
+        In which feeds are printed, and what a feed is multiplied by for that.
+    """
+    if found.fastest is None or not found.alone:
+        return ""
+    each = ", ".join(typed(feed * per_unit) for feed in found.alone)
+    told = f"in spec alone, out of it within {found.edge:.1%} on both sides: {each} {unit}"
+    return f"{told}; no range is in spec" if found.fastest.alone else told
+
+
 def typed(value: float) -> str:
     """Return a number with twelve digits: typed into a command it is the value that was tried.
 

@@ -4,6 +4,8 @@
 them is the contour allowance: how far the loads may leave the path. Encoder counts, levels of the
 DAC and the spread from run to run add to that error, and how much is known only after a proof. So a
 few plans are proved, with larger allowances until one fails and with smaller ones until one passes.
+Near the limit it can be chance that one passes, so the answer is proved with a slightly smaller
+allowance, too: one whose neighbour fails is called alone, and a slower one is the answer.
 With feed-forward the loads follow the motion itself, and drives that are told positions have no
 loop: the share of the acceleration and jerk limits is lowered until a plan passes.
 """
@@ -11,7 +13,7 @@ loop: the share of the acceleration and jerk limits is lowered until a plan pass
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from threadline.errors import LimitError
@@ -38,6 +40,8 @@ _CLOSE = 1.03  # between the allowances of a plan that passes and one that fails
 _AIM = 0.97  # of a limit
 _LEAST_GROWTH, _MOST_GROWTH = 1.06, 1.5
 _LEAST_FALL = 0.4
+_BESIDE = 0.995  # of an allowance: its neighbour, which has to pass as well
+_MOST_ALONE = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 
 
@@ -99,11 +103,34 @@ def fastest_allowed(
         rungs[amount] = proved(amount)
         alone = by_contour and options.contour_m is not None
         amount = None if alone or len(rungs) >= _MOST_PROOFS else next_one(rungs)
+    if by_contour and options.contour_m is None:
+        _look_beside(rungs, proved)
     return FastestJob(
         best=_best(rungs, ALLOWED if by_contour else LIMITS),
         rungs=tuple(rungs[amount] for amount in sorted(rungs, reverse=True)),
         bounds=_bounds(job, machine, options),
     )
+
+
+def _look_beside(rungs: dict[float, Rung], proved: Callable[[float], Rung]) -> None:
+    """Prove neighbours of the fastest plans until one of both passes; mark those alone."""
+    for _ in range(_MOST_ALONE):
+        steady = [c for c, rung in rungs.items() if rung.duration_s is not None and not rung.alone]
+        if not steady:
+            return
+        best = min(steady, key=lambda amount: rungs[amount].duration_s or math.inf)
+        near = _short(best * _BESIDE)
+        rungs[near] = rungs[near] if near in rungs else proved(near)
+        if math.isinf(best) or rungs[near].duration_s is not None:
+            return
+        found = rungs[best].found
+        alone = tuple(replace(interval, alone=True) for interval in found.intervals)
+        rungs[best] = replace(rungs[best], found=replace(found, intervals=alone))
+
+
+def _short(allowance_m: float) -> float:
+    """Return an allowance of five digits: what is tried can be typed."""
+    return float(f"{allowance_m:.5g}")
 
 
 def options_at(
@@ -146,7 +173,7 @@ def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
     passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
     if not passed:
         return min(rungs.values(), key=lambda rung: worst_criterion(rung.found.verdict)[1])
-    at = min(passed, key=lambda amount: rungs[amount].duration_s or math.inf)
+    at = min(passed, key=lambda amount: (rungs[amount].alone, rungs[amount].duration_s or math.inf))
     above = [amount for amount, rung in rungs.items() if rung.duration_s is None and amount > at]
     limited_by = rungs[min(above)].found.limited_by if above else otherwise
     return replace(rungs[at], found=replace(rungs[at].found, limited_by=limited_by))
@@ -161,10 +188,10 @@ def _next_contour(rungs: Mapping[float, Rung]) -> float | None:
         return None
     if not passed:
         excess = worst_criterion(rungs[high].found.verdict)[1]
-        return max(high * max(_AIM / excess, _LEAST_FALL), LEAST_CONTOUR_M)
+        return _short(max(high * max(_AIM / excess, _LEAST_FALL), LEAST_CONTOUR_M))
     if math.isinf(high):
-        return low * min(max(_AIM / _used(rungs[low]), _LEAST_GROWTH), _MOST_GROWTH)
-    return math.sqrt(low * high)
+        return _short(low * min(max(_AIM / _used(rungs[low]), _LEAST_GROWTH), _MOST_GROWTH))
+    return _short(math.sqrt(low * high))
 
 
 def _used(rung: Rung) -> float:

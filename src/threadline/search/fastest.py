@@ -9,7 +9,7 @@ interval that passes are refined.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -37,10 +37,17 @@ class Interval:
     """A range of feeds that pass; SI or counts per tick, as searched.
 
     Both ends were tried, and, where the search looks near its edges, feeds all over it.
+
+    Parameters
+    ----------
+    alone
+        Whether it is one feed, whose neighbours on both sides, no farther than edges are refined,
+        are out of specification: a chance of how times round to whole ticks.
     """
 
     low: float
     high: float
+    alone: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +70,8 @@ class Fastest:
         narrower interval can be missed.
     low
         Where the scan began: whether feeds below it pass is not known.
+    edge
+        Relative distance of pass and fail at the edges of intervals.
     """
 
     intervals: tuple[Interval, ...]
@@ -72,11 +81,22 @@ class Fastest:
     step: float = 0.0
     near_step: float = 0.0
     low: float = 0.0
+    edge: float = EDGE_RELATIVE
+
+    @property
+    def fastest(self) -> Interval | None:
+        """The fastest interval; a feed that passes alone only where no others pass."""
+        return _first(self.intervals) if self.intervals else None
 
     @property
     def best(self) -> float | None:
-        """The highest feed that was tried and passed."""
-        return self.intervals[0].high if self.intervals else None
+        """The highest feed that was tried and passed, and not alone where others pass."""
+        return None if self.fastest is None else self.fastest.high
+
+    @property
+    def alone(self) -> tuple[float, ...]:
+        """Feeds that pass while those right beside them fail, the highest first."""
+        return tuple(interval.high for interval in self.intervals if interval.alone)
 
 
 def find_fastest(
@@ -144,7 +164,12 @@ def find_fastest(
     edges = sum(before != after for before, after in pairwise(passes))
     expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
     step = (high / low) ** (1.0 / (points - 1))
-    steps = {"step": step - 1.0, "near_step": step ** (1.0 / (near + 1)) - 1.0, "low": low}
+    steps = {
+        "step": step - 1.0,
+        "near_step": step ** (1.0 / (near + 1)) - 1.0,
+        "low": low,
+        "edge": edge_relative,
+    }
     intervals: list[Interval] = []
     start: float | None = None
     for index, feed in enumerate(feeds):
@@ -172,7 +197,7 @@ def find_fastest(
             tried=len(seen),
             **steps,
         )
-    best = intervals[0].high
+    best = _first(intervals).high
     above = [feed for feed in seen if feed > best]
     limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
     return Fastest(
@@ -182,6 +207,11 @@ def find_fastest(
         tried=len(seen),
         **steps,
     )
+
+
+def _first(intervals: Sequence[Interval]) -> Interval:
+    """Return the first interval; one feed alone only where there are no others."""
+    return min(intervals, key=lambda interval: interval.alone)
 
 
 def _finer(feeds: list[float], passes: list[bool], near: int) -> list[float]:
@@ -236,14 +266,16 @@ def _held(
 
     Between two feeds that pass, one may fail: where a margin is thin, the rounding of times to
     whole ticks decides. So an interval is looked into at feeds spread evenly, by the golden ratio,
-    and cut about each that fails; of a part narrower than an edge its highest feed is left.
+    and cut about each that fails; of a part narrower than an edge, but at an end of the search, its
+    highest feed is left, alone.
     """
     parts, found = [interval], []
     while parts:
         part = parts.pop()
         width = part.high - part.low
         if width <= edge_relative * part.low:
-            found.append(Interval(low=part.high, high=part.high))
+            at_an_end = part.low <= min(seen) or part.high >= max(seen)
+            found.append(part if at_an_end else Interval(low=part.high, high=part.high, alone=True))
             continue
         inside = [
             _typed(part.low + (_GOLDEN * k % 1.0) * width, width / _INSIDE)

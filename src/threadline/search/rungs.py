@@ -28,6 +28,11 @@ class Rung:
     duration_s: float | None
     contour_m: float | None = None
 
+    @property
+    def alone(self) -> bool:
+        """Whether its neighbours are out of specification."""
+        return self.found.fastest is not None and self.found.fastest.alone
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
