@@ -17,6 +17,9 @@ from typing import Any, TypeVar
 import numba
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
+from numba.core.event import Event, Listener, register
+
+from threadline.compiling import COMPILING
 
 __all__ = ["njit"]
 
@@ -45,6 +48,22 @@ class CacheFile(IndexDataCacheFile):
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
             if file.name not in kept:
                 file.unlink(missing_ok=True)
+
+
+class _Clock(Listener):
+    """Tells ``COMPILING`` when functions are compiled that are not on disk yet."""
+
+    def on_start(self, event: Event) -> None:  # noqa: ARG002
+        """Note the start."""
+        COMPILING.begin()
+
+    def on_end(self, event: Event) -> None:  # noqa: ARG002
+        """Note the end, with or without success."""
+        COMPILING.end()
+
+
+_register: Any = register  # numba has no types for it
+_register("numba:compile", _Clock())
 
 
 def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:

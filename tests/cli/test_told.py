@@ -10,10 +10,12 @@ import tempfile
 import time
 from pathlib import Path
 
+import numba
 import pytest
 
 from threadline.cli import output, prove, told
 from threadline.cli.main import main
+from threadline.compiling import COMPILING
 from threadline.errors import PlanError
 from threadline.kinds import ticks, watched
 
@@ -118,6 +120,30 @@ def test_a_long_run_says_a_word_every_minute(
         while ": simulating" not in heard:
             heard += capsys.readouterr().err
     assert re.search(r"still at work after \d+ s: simulating\n", heard)
+
+
+def test_the_first_run_on_a_computer_says_once_that_it_compiles(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A function without a cache stands for those of a new computer; the seconds are none here."""
+    monkeypatch.setattr(told, "_LOOK_S", 0.01)
+    monkeypatch.setattr(told, "_COMPILING_S", 0.0)
+    before_s = COMPILING.lasted_s()
+    with told.telling():
+        time.sleep(0.1)
+        assert not capsys.readouterr().err  # nothing is compiled yet
+
+        assert numba.njit(lambda x: x + 1)(1) == 2
+        heard = ""
+        while not heard:
+            heard += capsys.readouterr().err
+        assert numba.njit(lambda x: x - 1)(1) == 0
+        time.sleep(0.1)
+    assert heard + capsys.readouterr().err == (
+        "compiling machine code, once on this computer: later runs begin at once\n"
+    )
+    assert COMPILING.depth == 0
+    assert 0.0 < COMPILING.lasted_s() - before_s < 60.0
 
 
 def test_the_word_of_each_minute_says_how_long_it_will_be(

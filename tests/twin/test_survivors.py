@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from threadline.machine import load_machine
+from threadline.plant.network import piecewise_linear
+from threadline.plant.values import Values
 from threadline.twin import simulate
+from threadline.twin.kernel.piece import prepared
 
 from .test_reference import OUT_AND_BACK, check
 
@@ -35,3 +39,23 @@ def test_a_clamped_filter_remembers_what_it_put_out(table) -> None:
     check(machine, rows, table, True)
     # The first row asks for more than the word has, for one period of the filter.
     assert all(c.gain.si * 400 > 127 for c in machine.controllers.values())
+
+
+@pytest.mark.parametrize("rate", [190.0, 700.0, 9000.0])
+def test_advances_are_as_short_as_what_escapes_a_guard_is_stated_for(rate: float) -> None:
+    """``mode_changes.py``: the fastest rate times an advance is 1 at most, times a cell 1/2.
+
+    Longer ones hide larger excursions of a guard, with the fourth power, and no figure of a job
+    need show it. A tick of the winder is 5 ms; ``rate`` is that of its fastest variant.
+    """
+    machine = load_machine("lathe-winder+stiction")
+    values = Values.of(machine)
+    for piece in piecewise_linear(machine, values, np.zeros(len(machine.axes))):
+        ready = prepared(machine, piece, values, least_rate=rate)
+        assert ready.plant.guards.sum() > 0 and ready.rate == rate
+        lengths_s = np.array(ready.steps.lengths_s)
+        assert (rate * lengths_s).max() <= 1.0 + 1e-12
+        assert (rate * lengths_s / ready.steps.cells).max() <= 0.5 + 1e-12
+        # They add up to a tick all the same, and are no finer than that asks for.
+        assert lengths_s[ready.steps.length].sum() == pytest.approx(0.005, rel=1e-12)
+        assert len(ready.steps.length) == np.ceil(0.005 * rate)

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
+from threadline.compiling import COMPILING
 from threadline.escaping import plain
 from threadline.foreign_messages import grouped
 
@@ -23,6 +24,8 @@ STDOUT = "standard output"
 _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: what is left then is no measure of the time
 _EVERY_S = 50.0  # a minute without a word is too long
+_LOOK_S = 1.0
+_COMPILING_S = 4.0  # of compiling, after which it is said what takes so long
 
 
 @dataclass(slots=True)
@@ -109,7 +112,10 @@ def _two_digits(value: float) -> str:
 
 @contextmanager
 def telling() -> Iterator[Telling]:
-    """Collect the warnings of the block; print every minute that the command is still at work."""
+    """Collect the warnings of the block; print every minute that the command is still at work.
+
+    That machine code is compiled, which happens once on a computer, is printed once.
+    """
     held = Telling()
     before = _TELLING.set(held)
     ended = threading.Event()
@@ -122,11 +128,18 @@ def telling() -> Iterator[Telling]:
 
 
 def _beat(held: Telling, ended: threading.Event) -> None:
-    began = time.monotonic()
-    while not ended.wait(_EVERY_S):
+    began = told = time.monotonic()
+    compiled_s: float | None = COMPILING.lasted_s()
+    while not ended.wait(min(_LOOK_S, _EVERY_S)):
+        if compiled_s is not None and COMPILING.lasted_s() - compiled_s > _COMPILING_S:
+            compiled_s = None
+            note("compiling machine code, once on this computer: later runs begin at once")
+        if time.monotonic() - told < _EVERY_S:
+            continue
+        told = time.monotonic()
         if not held.shown:
             doing = held.doing()
-            note(f"still at work after {time.monotonic() - began:.0f} s{doing and ': '}{doing}")
+            note(f"still at work after {told - began:.0f} s{doing and ': '}{doing}")
 
 
 def tell_warnings(warnings: Iterable[str]) -> None:

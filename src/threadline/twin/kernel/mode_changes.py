@@ -6,7 +6,7 @@ them inside is taken at once. Otherwise it is made cell by cell: within a cell t
 polynomials, Taylor's series with a remainder below 1e-17 of the state, whose first exit is found
 to rounding. A guard that turns, is left and entered again within a watched interval h escapes only
 when it goes beyond its bound by less than the error of the interpolant, ``h^4 max|g''''| / 384``;
-h times the fastest rate is at most 1, within a cell 1/4.
+h times the fastest rate is at most 1, within a cell 1/2.
 """
 
 from __future__ import annotations
