@@ -258,6 +258,40 @@ def test_shared_addresses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "contacts.z_is_down.address: %IX0.5 is that of z_is_up already" in err
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "always"),
+    [
+        ('"6 mm +- 2 mm, assumed", beyond = "below"', '"206 mm", beyond = "below"', "on"),
+        ('"6 mm +- 2 mm, assumed", beyond = "below"', '"200 mm", beyond = "below"', "on"),
+        ('"194 mm +- 2 mm, assumed", beyond = "above"', '"201 mm", beyond = "above"', "off"),
+    ],
+)
+def test_an_end_switch_beyond_the_stroke_is_refused(
+    old: str, new: str, always: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Always on at X: the way home would end, and the cycle begin, with X anywhere."""
+    text = (LIBRARY / "letter-placer.toml").read_text(encoding="utf-8")
+    machine = tmp_path / "beyond.toml"
+    new = new.replace(" mm", " mm exact, assumed")
+    machine.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["compile", str(CYCLE), "-m", str(machine), "--target", "st", "-o", "out.st"])
+    err = capsys.readouterr().err
+    assert (ended.value.code, err.count("\n")) == (2, 1)
+    assert (
+        f"is not within the stroke of X, 200 mm, so that the switch would always be {always}" in err
+    )
+    assert "beyond.toml:11" in err
+
+
+def test_a_miss_that_two_moves_share_is_told_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = compiled(CYCLE.read_text(encoding="utf-8"), tmp_path, capsys)
+    assert (code, err.count("is told 202.10 mm instead of 200.00 mm")) == (0, 1)
+    assert "list.toml:50, 89: X is told" in err
+
+
 def test_times_of_the_way_home_hold_over_the_tolerances(tmp_path: Path) -> None:
     """A soft start of 3.2 s +- 30 % lasts 4.16 s, and X at its slowest 1.86 s.
 

@@ -108,6 +108,8 @@ def test_interlocks_that_cannot_be_are_refused(
         ("0 for 50 ms, 1 for 460 ms", "'0 for 50 ms' is the level that was there"),
         ("1 for 100 ms, 1 for 360 ms", "'1 for 360 ms' is the level that was there"),
         ("1 for 460 ms, 0 for 50 ms", "they end with 0"),
+        ("1 for -30 ms, 0 for 20 ms, 1 for 490 ms", "-30 ms is no time that a level can last"),
+        ("1 for 0 s", "0 s is no time that a level can last"),
         ("1 for 455 ms", "no whole number of scans of 10 ms"),
         ("2 for 230 ms", "passes through level 2.000, outside the unshaped 0 ... 1"),
         ("1 for 400 ms", "levels cover 172.00 mm of 200.00 mm"),

@@ -51,9 +51,11 @@ def to_nearest(shaper: Shaper, tick_s: float) -> Shaper:
     ("kind", "damping", "tick_s", "before", "nearest", "most", "width"),
     [
         # What a search for the modelled frequency alone left, and what the nearest ticks leave.
-        ("um-ei", 0.17, 0.001, 0.115, 0.057, 0.0515, 0.0),
-        ("um-2ei", 0.17, 0.001, 0.075, 0.062, 0.055, 0.80),
+        ("um-ei", 0.17, 0.001, 0.115, 0.057, 0.0555, 0.43),
+        ("um-2ei", 0.17, 0.001, 0.075, 0.062, 0.055, 0.81),
         ("um-2ei", 0.0089, 0.010, 0.243, 0.157, 0.125, 0.1),
+        # Its best train has a hump a little above the tolerance at the modelled frequency.
+        ("3hump-ei", 0.0089, 0.010, 0.15, 0.096, 0.069, 0.82),
     ],
 )
 def test_rounding_keeps_the_band(

@@ -28,7 +28,7 @@ from threadline.machine.parts import (
     Sensor,
     Tool,
 )
-from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc, check_interlocks
+from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc, check_contacts
 from threadline.machine.program_rules import Programs
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.sources import (
@@ -232,7 +232,7 @@ class Machine:
             if contact.cylinder is not None:
                 at = f"contacts.{name}.cylinder"
                 _known([contact.cylinder], self.cylinders, at, "cylinder")
-        check_interlocks(self.cylinders, self.outputs, self.contacts)
+        check_contacts(self.cylinders, self.outputs, self.contacts)
         taken: dict[str, str] = {}
         for table, parts in (("outputs", self.outputs), ("contacts", self.contacts)):
             for name, part in parts.items():

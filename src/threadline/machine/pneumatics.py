@@ -207,18 +207,29 @@ class Plc:
     never_over: bool
 
 
-def check_interlocks(
+def check_contacts(
     cylinders: Mapping[str, Cylinder],
     outputs: Mapping[str, Output],
     contacts: Mapping[str, Contact],
 ) -> None:
-    """Check that every interlock names end switches, and that of a cylinder those of others.
+    """Check that every end switch goes on and off, and that interlocks name end switches.
 
     Raises
     ------
     ValueError
-        If one does not.
+        If a switch is on, or off, wherever its cylinder stands; if an interlock names no end
+        switch, or that of a cylinder one of its own.
     """
+    for name, contact in contacts.items():
+        if contact.cylinder is None or contact.at is None:
+            continue
+        stroke, at = cylinders[contact.cylinder].stroke.si, contact.at.si
+        if at > stroke or (at == stroke and contact.beyond == "below"):
+            raise ValueError(
+                f"contacts.{name}.at: {at * 1e3:g} mm is not within the stroke of "
+                f"{contact.cylinder}, {stroke * 1e3:g} mm, so that the switch would always be "
+                f"{'on' if contact.beyond == 'below' else 'off'}"
+            )
     told = [(f"cylinders.{name}", name, one.needs) for name, one in cylinders.items()]
     told += [(f"outputs.{name}", "", one.needs) for name, one in outputs.items()]
     for where, own, needs in told:

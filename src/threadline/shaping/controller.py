@@ -214,8 +214,8 @@ def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: Controll
         raise OptionError(
             f"controller: the valves need {limits.dwell_s:g} s between two switchings, and the "
             f"whole shaper takes {shaper.duration_s:.4g} s",
-            remedy="So far apart its impulses add to the vibration: take quicker valves, a longer "
-            "shaper, or leave --dwell out.",
+            remedy="So far apart its impulses add to the vibration: take quicker valves (a shorter "
+            "dwell) or a longer shaper.",
         )
     if longest_s / limits.tick_s > _MOST_TICKS:
         raise OptionError(
@@ -265,13 +265,26 @@ def _widest(
     within = min(most, least + _ABOUT * max(1.0, least))
     order = [k for k in kept if shares[k] <= within]
     floor = [_width(nearest, band) for band in bands]
+    if len(order) > _LOOKED_AT:
+        about = {
+            k: min(_width_on_samples(trains[k], band, nearest) for band in bands) for k in order
+        }
+        order = sorted(sorted(order, key=lambda k: -about[k])[:_LOOKED_AT])
     best, widest = nearest, 0.0
-    for k in order[:_LOOKED_AT]:
+    for k in order:
         widths = [_width(trains[k], band) for band in bands]
         as_wide = all(a >= b * (1.0 - 1e-9) for a, b in zip(widths, floor, strict=True))
         if as_wide and (best is nearest or min(widths) > widest + _WIDER):
             best, widest = trains[k], min(widths)
     return best
+
+
+def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
+    """Return about how wide a band keeps its tolerance around its mode, as a share of it."""
+    f = band.samples_hz(nearest.duration_s, finer=_FINER)
+    loud = f[_over(train, band, nearest.duration_s) > band.tolerance]
+    own = band.mode.frequency_hz
+    return float(min(loud[loud >= own], default=f[-1]) - max(loud[loud <= own], default=f[0])) / own
 
 
 def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:

@@ -5,7 +5,10 @@ slope and its humps are all seen there. What is searched for are therefore train
 the least worst V over that band, and of trains that do alike those with the least mean square,
 which is what tells a zero or a flat foot from a hump. The search starts from the nearest ticks and,
 of short trains, from the best of the ticks to either side; it moves impulses one by one and in
-pairs by one or two ticks, and makes no train longer than two ticks beyond its design.
+pairs by one or two ticks, and makes no train longer than two ticks beyond its design. Of short
+trains every one within a few ticks is looked at. A hump that rises a little above its tolerance at
+the modelled frequency leaves no band around it at all, so that trains without such a hump are kept
+beside the best.
 """
 
 from __future__ import annotations
@@ -30,6 +33,9 @@ _STARTS = 8
 _PAIRS_OF = 40  # impulses: beyond it one impulse at a time is moved, not two
 _LONGER = 2  # ticks that a train may end later than designed
 _KEPT = 40
+_EVERY = 20000  # trains about the start of which every one is looked at
+_FARTHEST = 8  # ticks from the start, at most, for trains of two or three impulses
+_AT_ONCE = 2000
 _FEWEST, _MOST = 17, 257
 _PER_RIPPLE = 16
 
@@ -88,6 +94,21 @@ class TickGrid:
             [np.full(len(f), b.tolerance / largest) for f, b in zip(samples, bands, strict=True)]
         )
 
+        # The sample of each band that is nearest to the modelled frequency, and its tolerance.
+        begins = np.cumsum([0, *(len(f) for f in samples)])
+        self._own = np.array(
+            [
+                begin + int(np.argmin(np.abs(f - band.mode.frequency_hz)))
+                for begin, f, band in zip(begins[:-1], samples, bands, strict=True)
+            ]
+        )
+        self._allowed = largest
+
+    def keeps_its_mode(self, vibration: FloatArray) -> NDArray[np.bool_]:
+        """Return whether V (..., frequencies) is within the tolerance at the modelled ones."""
+        found: NDArray[np.bool_] = np.all(vibration[..., self._own] <= self._allowed, axis=-1)
+        return found
+
     def impulses(self, ticks: IntArray) -> ComplexArray:
         """Return what a unit impulse at each of ``ticks`` (...,) leaves, (..., frequencies)."""
         found: ComplexArray = np.exp(self._turn * (np.asarray(ticks)[..., None] - self._last))
@@ -134,13 +155,19 @@ def on_ticks(
         search = _Search(amplitudes, gap, grid, weight, latest)
         for begin in itertools.chain([start], search.either_side(exact)):
             search.improve(begin)
+        search.every_one_about(start)
         ranked = sorted(search.seen.items(), key=lambda pair: (pair[1], pair[0]))
         seen |= dict.fromkeys(ticks for ticks, _ in ranked[:_KEPT])
+        sound = (ticks for ticks, _ in ranked if ticks in search.sound)
+        seen |= dict.fromkeys(itertools.islice(sound, _KEPT))
     return [np.array(ticks, dtype=np.int64) for ticks in seen]
 
 
 class _Search:
-    """Descends from one start after the other; ``seen`` has what it passed, by cost."""
+    """Descends from one start after the other; ``seen`` has what it passed, by cost.
+
+    ``sound`` are those of them that leave no more than the tolerance at the modelled frequencies.
+    """
 
     def __init__(
         self, amplitudes: FloatArray, gap: int, grid: TickGrid, mean_weight: float, latest: int
@@ -148,6 +175,36 @@ class _Search:
         self._amplitudes, self._gap, self._grid = amplitudes, gap, grid
         self._weight, self._latest = mean_weight, latest
         self.seen: dict[tuple[int, ...], float] = {}
+        self.sound: set[tuple[int, ...]] = set()
+
+    def every_one_about(self, start: IntArray) -> None:
+        """Look at every train with each impulse within a few ticks of its start."""
+        free = len(start) - 1
+        reach = (
+            _FARTHEST if free == 1 else min(int((_EVERY ** (1.0 / free) - 1.0) / 2.0), _FARTHEST)
+        )
+        if reach < 1:
+            return
+        shifts = np.array(list(itertools.product(range(-reach, reach + 1), repeat=free)))
+        trains = start + np.pad(shifts, ((0, 0), (1, 0)))
+        fits = np.all(np.diff(trains, axis=1) >= self._gap, axis=1)
+        trains = trains[fits & (trains[:, -1] <= self._latest)]
+        best: list[tuple[float, bool, tuple[int, ...]]] = []
+        for some in np.array_split(trains, max(1, len(trains) // _AT_ONCE)):
+            response = np.zeros((len(some), len(self._grid.frequency_hz)), dtype=np.complex128)
+            for amplitude, at in zip(self._amplitudes, some.T, strict=True):
+                of_one, place = np.unique(at, return_inverse=True)
+                response += (amplitude * self._grid.impulses(of_one))[place]
+            vibration = self._grid.vibration(response, some[:, -1])
+            values, keeps = cost(vibration, self._weight), self._grid.keeps_its_mode(vibration)
+            for chosen in (keeps, ~keeps):
+                of_these = np.flatnonzero(chosen)
+                for k in of_these[np.argsort(values[of_these], kind="stable")[:_KEPT]]:
+                    best.append((float(values[k]), bool(keeps[k]), tuple(some[k].tolist())))
+        for value, keeps_its_mode, ticks in best:
+            self.seen.setdefault(ticks, value)
+            if keeps_its_mode:
+                self.sound.add(ticks)
 
     def _cost(self, response: ComplexArray, last: IntArray) -> FloatArray:
         return cost(self._grid.vibration(response, last), self._weight)

@@ -30,7 +30,7 @@ from threadline.targets.schedule_checks import (
     check_air,
     check_interlocks,
     check_wait,
-    distance_told,
+    tell_distance,
 )
 from threadline.targets.schedule_moves import (
     AxisShaping,
@@ -324,9 +324,8 @@ class _Builder:
                 levels=levels,
             )
         )
-        self.warnings += distance_told(
-            levels, axis, float(self.clock.period_s), source, written="levels" in how
-        )
+        period_s = float(self.clock.period_s)
+        tell_distance(self.warnings, levels, axis, period_s, source, written="levels" in how)
         return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
 
     def _levels(

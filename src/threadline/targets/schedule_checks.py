@@ -107,24 +107,37 @@ def check_interlocks(
                 )
 
 
-def distance_told(
-    levels: Levels, axis: str, tick_s: float, source: Source, *, written: bool
-) -> list[str]:
-    """Return a warning where whole scans do not meet a distance; none where they do.
+def tell_distance(
+    warnings: list[str],
+    levels: Levels,
+    axis: str,
+    tick_s: float,
+    source: Source,
+    *,
+    written: bool,
+) -> None:
+    """Add a warning where whole scans do not meet a distance; none where they do.
 
     Levels that the list writes out itself are what it means, to a quarter of a scan: those of a
-    robust search trade a fifth of one for less ringing.
+    robust search trade a fifth of one for less ringing. Moves that miss alike share a warning.
     """
     off_m = abs(levels.commanded_m - levels.wanted_m)
     if off_m <= (_MEANT * tick_s * levels.speed_m_s if written else _SEEN_M):
-        return []
+        return
     told = (
-        f"{source.place}: {axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
-        f"{levels.wanted_m * 1e3:.2f} mm"
+        f"{axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
+        f"{levels.wanted_m * 1e3:.2f} mm: "
     )
     if written:
-        return [f"{told}: so much its levels cover"]
-    return [
-        f"{told}: whole scans of {tick_s * 1e3:g} ms at {levels.speed_m_s:g} m/s; set the flow to "
-        f"{levels.speed_m_s * levels.wanted_m / levels.commanded_m:.6g} m/s to meet it"
-    ]
+        told += "so much its levels cover"
+    else:
+        meets_m_s = levels.speed_m_s * levels.wanted_m / levels.commanded_m
+        told += (
+            f"whole scans of {tick_s * 1e3:g} ms at {levels.speed_m_s:g} m/s; set the flow to "
+            f"{meets_m_s:.6g} m/s to meet it"
+        )
+    for index, one in enumerate(warnings):
+        if one.endswith(f": {told}"):
+            warnings[index] = f"{one.removesuffix(f': {told}')}, {source.line}: {told}"
+            return
+    warnings.append(f"{source.place}: {told}")

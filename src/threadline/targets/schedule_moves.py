@@ -187,6 +187,10 @@ def written_levels(
         except UnitError as error:
             raise PlanError(f"levels: {error.message}", place=place, remedy=example) from error
         scans = round(span_s / tick_s)
+        if span_s <= 0.0:
+            raise PlanError(
+                f"levels: {match[2]} is no time that a level can last", place=place, remedy=example
+            )
         if scans < 1 or abs(span_s - scans * tick_s) > 1e-6 * tick_s:
             raise PlanError(
                 f"levels: {match[2]} is no whole number of scans of {tick_s * 1e3:g} ms",

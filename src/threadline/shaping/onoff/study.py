@@ -15,6 +15,8 @@ from threadline.shaping.types import UNSHAPED, Shaper
 
 WITHIN = 1.1
 """An on/off command is searched for up to so many times the robust optimum."""
+_SEARCH = 30.0
+"""Effort of an integer program over that of a linear one, about: for the progress alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,9 +111,12 @@ def study_move(
                 remedy="A command needs room for two stretches: take quicker valves or leave "
                 "--dwell out.",
             )
+        # Up to the bound a point is one linear program; beyond it an integer program follows.
+        effort = [1.0 if ticks < bound else _SEARCH for ticks in durations]
         for done, ticks in enumerate(durations):
             if progress is not None:
-                progress(f"searching on/off commands of {ticks} ticks", done / len(durations))
+                share = sum(effort[:done]) / sum(effort)
+                progress(f"searching on/off commands of {ticks} ticks", share)
             front += residual_front(
                 move,
                 relative=relative,
