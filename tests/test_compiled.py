@@ -55,6 +55,24 @@ def test_who_reads_while_another_writes_never_gets_the_code_of_an_older_file(
     assert len(list(tmp_path.glob("*.nbc"))) == 1
 
 
+def test_an_interrupt_leaves_no_half_of_machine_code(tmp_path: Path) -> None:
+    """numba's own cache removes its unfinished file at an error, and leaves it at an interrupt."""
+
+    class Cut:
+        def __reduce__(self) -> str:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cache(tmp_path, "file").save("a float", ["code", Cut()])
+    with (
+        pytest.raises(KeyboardInterrupt),
+        cache(tmp_path, "file")._open_for_write(str(tmp_path / "half")) as file,
+    ):
+        file.write(b"half")
+        raise KeyboardInterrupt
+    assert not list(tmp_path.glob("*tmp*"))
+
+
 def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:
     """numba's own cache gives the code of both the same name; one that is lost is compiled anew."""
     turns = []

@@ -9,10 +9,12 @@ machine code is written first and named by what it was made from, called functio
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable
+import uuid
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numba
 from numba.core.caching import IndexDataCacheFile
@@ -42,6 +44,17 @@ class CacheFile(IndexDataCacheFile):
         known[key] = name
         inherited._save_index(known)
         self._forget(set(known.values()))
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
+        """Write beside the file, then take its place; an interrupt leaves no half of it."""
+        part = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
+        try:
+            with part.open("wb") as file:
+                yield file
+            part.replace(filepath)
+        finally:
+            part.unlink(missing_ok=True)
 
     def _forget(self, kept: set[str]) -> None:
         """Remove machine code of files as they were; who still wants it compiles once more."""

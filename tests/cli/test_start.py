@@ -83,6 +83,25 @@ def test_an_interrupt_after_the_line_of_another_says_nothing() -> None:
     assert done.stderr == "error: interrupted; nothing was left half-written\n"
 
 
+@pytest.mark.parametrize("then", ["time.sleep(60)", "raise RuntimeError('no object')"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interrupt_that_a_call_of_machine_code_drops_is_answered(name: str, then: str) -> None:
+    """As numba's compiler does: it calls Python, which drops what is raised there, and fails."""
+    done = run(
+        "import ctypes, os, signal, sys, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from threadline.cli import main, start\n"
+        f"def called():\n    os.kill(os.getpid(), signal.{name})\n    time.sleep(60)\n"
+        f"def work(*_, **__):\n    ctypes.CFUNCTYPE(None)(called)()\n    {then}\n"
+        "main.app = work\n"
+        "sys.argv = ['threadline', 'law', 'cubic']\n"
+        "start.run()\n"
+    )
+    status, said = {"SIGINT": (130, "interrupted"), "SIGTERM": (143, "terminated")}[name]
+    assert (done.returncode, done.stdout) == (status, "")
+    assert done.stderr == f"error: {said}; nothing was left half-written\n"
+
+
 def test_help_imports_nothing_heavy() -> None:
     """``threadline --help`` needs typer and no array: that is what makes it answer at once."""
     done = run(

@@ -9,16 +9,22 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
 _told = threading.Lock()  # taken when the line of an interrupt is written
 _SAME_S = 1.0
+_AGAIN_S = 0.01
 _ENDS = {
     number: (128 + number, f"error: {said}; nothing was left half-written\n")
     for number, said in (
@@ -36,7 +42,10 @@ class Termination:
 
     def __init__(self) -> None:
         self.number = signal.SIGINT
+        self.was_lost = False
+        """Whether an interrupt came where nobody could be told: what failed since failed of it."""
         self._came_s = -math.inf
+        self._again: threading.Timer | None = None
 
     def answer(self, number: int, _frame: FrameType | None) -> None:
         """Raise ``KeyboardInterrupt`` in the running command, which removes its unfinished files.
@@ -48,6 +57,22 @@ class Termination:
             return
         self.number, self._came_s = signal.Signals(number), now_s
         raise KeyboardInterrupt
+
+    def repeat(self) -> None:
+        """Send the signal once more in a moment: where it was raised, it could not be told."""
+        self.was_lost, self._came_s = True, -math.inf
+        self._again = threading.Timer(
+            _AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, self.number)
+        )
+        self._again.daemon = True
+        self._again.start()
+
+    def over(self) -> None:
+        """Answer no signal any more, and send none."""
+        self._came_s = math.inf
+        if self._again is not None:
+            self._again.cancel()
+            self._again.join()
 
     def end(self) -> tuple[int, str]:
         """Return the exit status and the line of the signal; no other signal is told after it."""
@@ -68,12 +93,29 @@ def leaving_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def terminating() -> Iterator[Termination]:
-    """Treat SIGTERM and SIGHUP as interrupts within the block; yield the signal that came."""
+    """Treat SIGTERM and SIGHUP as interrupts within the block; yield the signal that came.
+
+    Python drops an exception that is raised in a function that machine code calls (numba's compiler
+    does), or while an object is deleted. An interrupt that is lost there is raised once more.
+    """
     termination = Termination()
     if _told.locked():  # by an earlier command in this process
         _told.release()
+    dropped = sys.unraisablehook
+
+    def repeated(what: UnraisableHookArgs) -> None:
+        if issubclass(what.exc_type, KeyboardInterrupt):
+            termination.repeat()
+        else:
+            dropped(what)
+
     with _answering(dict.fromkeys(_ENDS, termination.answer)):
-        yield termination
+        sys.unraisablehook = repeated
+        try:
+            yield termination
+        finally:
+            sys.unraisablehook = dropped
+            termination.over()
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typer.exceptions import TyperException
 
 from threadline import __version__
 from threadline.cli.crash import EXIT_DEFECT, keep_traceback
-from threadline.cli.interrupt import EXIT_INTERRUPTED, terminating
+from threadline.cli.interrupt import EXIT_INTERRUPTED, Termination, terminating
 from threadline.cli.lazy import LazyGroup
 from threadline.cli.told import STDOUT, note, tell_warnings, telling
 from threadline.errors import (
@@ -69,14 +69,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the program; an error that the package raises becomes one line and an exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     with terminating() as termination:
-        status = _run(given)
+        status = _run(given, termination)
         if status == EXIT_INTERRUPTED:
             status, said = termination.end()
             note(said.rstrip())
     sys.exit(status)
 
 
-def _run(given: list[str]) -> int:
+def _run(given: list[str], termination: Termination) -> int:
     """Return the exit status of a command; end the program with one line at an error."""
     try:
         _refuse_undecodable(given)
@@ -118,6 +118,8 @@ def _run(given: list[str]) -> int:
             EXIT_WRONG_INPUT,
         )
     except Exception as error:
+        if termination.was_lost:  # in the middle of machine code, which failed of it
+            return EXIT_INTERRUPTED
         _stop(keep_traceback(error, given), EXIT_DEFECT)
     return status
 
