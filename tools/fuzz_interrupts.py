@@ -3,7 +3,7 @@
     python tools/fuzz_interrupts.py --cases 300 --seed 1
 
 Every case is a process of its own, forked from this one, that runs one command in a folder of its
-own. One in ten is forked before anything else ran and has to import and load what its command
+own. One in eleven is forked before anything else ran and has to import and load what its command
 needs, which is most of its time; the others find all that loaded and spend theirs at work. It is
 sent SIGINT, SIGTERM or SIGHUP, once or often, at a random moment of the time that the command
 takes; or no file of it may be longer than so many bytes. What ends by a signal or by the disk says
@@ -73,7 +73,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 _SHOWN = 20
-_COLD = 10  # one case of so many begins with nothing loaded
+_COLD = 11  # one case of so many begins with nothing loaded; every command in its turn
 
 
 def lay_out(folder: Path) -> None:

@@ -14,7 +14,7 @@ from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.follower import MOST_WAITING, Follower, sample_interval_s
 from threadline.verdict.progress import chords_under_way
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, samples_of_lag
 from threadline.verdict.window import PathWindow
 
 _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)
@@ -79,6 +79,8 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
     ------
     RecordingError
         If the recording holds no position of any axis of the plan.
+    BudgetError
+        If the lag has more samples than can be held.
     """
     axes = plan.motion.programmed.axes
     interval_s = sample_interval_s(master_channel(recording, axes))
@@ -88,7 +90,7 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
         axes=axes,
         radius_m=plan.motion.programmed.radius_m,
         interval_s=interval_s,
-        lag_samples=int(np.floor(lag_s / interval_s + 1e-9)),
+        lag_samples=samples_of_lag(lag_s, interval_s, recording.runs),
     )
 
 

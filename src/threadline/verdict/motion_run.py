@@ -24,7 +24,7 @@ from threadline.verdict.follower import sample_interval_s
 from threadline.verdict.fork import Branch, Fork
 from threadline.verdict.intended import as_intended
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, samples_of_lag
 from threadline.verdict.window import PathWindow
 
 _ROUNDING = 1e-9
@@ -251,7 +251,7 @@ def _beside(
         axes=axes,
         radius_m=plan.motion.programmed.radius_m,
         interval_s=interval_s,
-        lag_samples=int(np.floor(lag_s / interval_s + _ROUNDING)),
+        lag_samples=samples_of_lag(lag_s, interval_s, judged.runs),
         lag_s=lag_s,
         by_time=by_time,
         coverage=coverage,

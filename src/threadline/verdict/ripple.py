@@ -10,7 +10,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, Option
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, enough_of
 
 OPTIONS = {"over": Option(unit="s", default=0.02)}
 _SAME = 1e-6  # relative: two speeds, or two directions
@@ -65,8 +65,9 @@ class _Ripple:
 
     def __init__(self, setting: Setting, over_s: float) -> None:
         self._radius_m = setting.radius_m
-        self._interval_s = setting.interval_s
-        self._span = max(round(over_s / setting.interval_s), 1)
+        self._every = enough_of(over_s, setting.interval_s)
+        self._interval_s = self._every * setting.interval_s
+        self._span = max(round(over_s / self._interval_s), 1)
         self._runs = setting.runs
         self._tail: FloatArray = np.empty((0, len(setting.axes), setting.runs))
         self._worst = Worst(
@@ -74,6 +75,9 @@ class _Ripple:
         )
 
     def feed(self, block: Block) -> None:
+        block = block.every(self._every)
+        if not len(block):
+            return
         path, begin, end = block.window()
         points = np.concatenate([self._tail, block.at_tool])
         known = len(self._tail)

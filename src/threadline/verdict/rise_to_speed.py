@@ -12,7 +12,7 @@ from threadline.arrays import FloatArray
 from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
-from threadline.verdict.samples import Block, Setting, lanes
+from threadline.verdict.samples import Block, Setting, enough_of, lanes
 
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed
@@ -42,8 +42,10 @@ class _Rise:
     def __init__(self, setting: Setting, over_s: float) -> None:
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
         self._radius_m = setting.radius_m[self._columns, None]
-        self._span = max(round(over_s / setting.interval_s), 1)
-        self._over_s = self._span * setting.interval_s
+        self._every = enough_of(over_s, setting.interval_s)
+        interval_s = self._every * setting.interval_s
+        self._span = max(round(over_s / interval_s), 1)
+        self._over_s = self._span * interval_s
         self._source: Iterator[Stitches] = (
             planned_stitches(setting.plan) if has_stitches(setting.plan.job) else iter(())
         )
@@ -53,8 +55,9 @@ class _Rise:
         self._legs = [_Legs() for _ in range(setting.runs)]
 
     def feed(self, block: Block) -> None:
+        block = block.every(self._every)
         assert block.actual is not None
-        if block.commanded is None or not self._sews:
+        if block.commanded is None or not self._sews or not len(block):
             return
         taken = (block.commanded[:, :, None], lanes(block.actual))
         points = [p[:, self._columns] * self._radius_m for p in taken]

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.errors import BudgetError
 from threadline.plan import Plan
 from threadline.signals import Recording
 from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.window import PathWindow
+
+MOST_HELD = 2_000_000  # samples of all runs in the lag: some 600 MB
+_ROUNDING = 1e-9  # of a sample
+PARTS_OF_MEAN = 4096  # samples in the time over which a mean is taken, at most twice as many
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +139,32 @@ class Block:
         path, begin, end = self.window()
         return nearest_chords(self.at_tool, begin, end, path.vertices, self.shares)
 
+    def every(self, count: int) -> Block:
+        """Return each ``count``-th sample of the recording, without the peaks between them."""
+        if count == 1:
+            return self
+        rows = slice(-self.first % count, None, count)
+
+        def those(values: Any) -> Any:
+            return None if values is None else values[rows]
+
+        return replace(
+            self,
+            first=-(-self.first // count),
+            time_s=self.time_s[rows],
+            commanded=those(self.commanded),
+            actual=those(self.actual),
+            own=those(self.own),
+            voltage=those(self.voltage),
+            current=those(self.current),
+            current_peak=None,
+            operation=those(self.operation),
+            chord=those(self.chord),
+            begin=those(self.begin),
+            end=those(self.end),
+            torque_share=None,
+        )
+
     def operations_at(self, index: IntArray) -> IntArray | None:
         """Return the operations under way at some samples."""
         return None if self.operation is None else self.operation[index]
@@ -140,6 +172,36 @@ class Block:
     def positions_at(self, index: IntArray) -> FloatArray | None:
         """Return the commanded positions at some samples; NaN where one is not known."""
         return None if self.commanded is None else self.commanded[index]
+
+
+def samples_of_lag(lag_s: float, interval_s: float, runs: int) -> int:
+    """Return how many samples the lag has; so many of each run are held before and after a sample.
+
+    Raises
+    ------
+    BudgetError
+        If those of all runs are more than ``MOST_HELD``.
+    """
+    count = int(np.floor(lag_s / interval_s + _ROUNDING))
+    if count * runs > MOST_HELD:
+        of_runs = f" of {runs} runs" if runs > 1 else ""
+        raise BudgetError(
+            f"the lag of {1e3 * lag_s:.4g} ms has {count} samples{of_runs}, one every "
+            f"{1e9 * interval_s:.4g} ns, and the judge holds {MOST_HELD} at most",
+            remedy="Give the machine a longer clock, the specification a shorter lag, or record "
+            "fewer samples.",
+        )
+    return count
+
+
+def enough_of(over_s: float, interval_s: float) -> int:
+    """Return of how many samples one is enough for means over ``over_s``.
+
+    At ticks of a nanosecond a mean over 2 ms would hold two million samples. From one sample that
+    is looked at to the next a mean changes by a part in ``PARTS_OF_MEAN`` of the difference
+    between the speeds at its ends.
+    """
+    return max(int(over_s / interval_s / PARTS_OF_MEAN), 1)
 
 
 def lanes(values: FloatArray) -> FloatArray:
