@@ -12,6 +12,7 @@ from threadline.jobs import read_job
 from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.machine import load_machine
 from threadline.machine.firmware import machine_text, parse_answers, read_settings
+from threadline.machine.radii import with_radii
 
 Mutate = Callable[[random.Random, bytes], bytes]
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]
@@ -31,17 +32,125 @@ def fuzz_programs(mutate: Mutate) -> dict[str, Target]:
     }
     found["x-winder"] = ("a.X4G", _cases(x_winder_program, mutate), reader_of("x-winder"), 6)
     found["settings"] = ("settings.txt", _cases(settings_file, mutate), read_machine, 3)
+    found["planner"] = ("mine.toml", _cases(planner_file, mutate), load_machine, 3)
+    found["radii"] = ("radii.txt", _cases(radii, mutate), read_radii, 3)
     return found
 
 
 _SETTINGS = (
-    b"$100=250.000 (x, step/mm)\n$103=26.6\n$110=500.000\n$113=36000\n$120=10\n$123=9\n$130=2\nok",
-    b"echo:  M92 X80.00 A26.67\necho:  M203 X300.00 A400.00\necho:  M201 X3000.00 A1500.00\nok",
-    b"axes:\n  x:\n    steps_per_mm: 80.0\n    max_rate_mm_per_min: 5000\n    max_travel_mm: 9\n"
-    b"  a:\n    steps_per_mm: 26.667\n    acceleration_mm_per_sec2: 200.000\n",
-    b"[stepper_x]\nmicrosteps: 16\nrotation_distance: 40\nposition_max: 895\ngear_ratio: 60:20\n"
-    b"[stepper_a]\nmicrosteps = 16\nrotation_distance = 360\n[printer]\nmax_velocity: 300\n",
-)
+    b"""\
+$100=250.000 (x, step/mm)
+$103=26.6
+$110=500.000
+$113=36000
+$120=10
+$123=9
+$130=2
+ok""",
+    b"""\
+echo:  M92 X80.00 A26.67
+echo:  M203 X300.00 A400.00
+echo:  M201 X3000.00 A1500.00
+ok""",
+    b"""\
+axes:
+  x:
+    steps_per_mm: 80.0
+    max_rate_mm_per_min: 5000
+    max_travel_mm: 9
+  a:
+    steps_per_mm: 26.667
+    acceleration_mm_per_sec2: 200.000
+""",
+    b"""\
+$$
+$0=10
+$11=0.010
+$100=80
+$103=26.667
+$110=6000
+$113=36000
+$120=500
+$123=2000
+$130=900
+$133=360
+ok
+""",
+    b"""\
+echo:  M92 X80.00 Y80.00 A26.67
+echo:  M203 X300.00 Y300.00 A400.00
+echo:  M201 X3000 Y3000 A1500
+echo:  M204 P500.00 R500.00 T500.00
+echo:  M205 B20000.00 S0.00 T0.00 J0.01
+echo:  M593 X F12.50 D0.15
+ok
+""",
+    b"""\
+M669 K0
+M92 X80 Y80 A26.67
+M203 X18000 Y18000 A36000
+M201 X500 Y500 A2000
+M566 X900 Y900 A600 P1
+M204 P500 T2000
+M208 X0 Y0 S1
+M208 X900 Y200 S0
+M350 X16 Y16 A16 I1
+M593 P"zvd" F40
+""",
+    b"""\
+[stepper_x]
+step_pin: PA1
+microsteps: 16
+rotation_distance: 40
+position_min: 0
+position_max: 895
+[manual_stepper a]
+microsteps: 16
+rotation_distance: 360
+velocity: 50
+accel: 500
+[input_shaper]
+shaper_freq_x: 40
+shaper_type: mzv
+[printer]
+kinematics: cartesian
+max_velocity: 300
+max_accel: 3000
+square_corner_velocity: 5
+#*# <--- SAVE_CONFIG --->
+#*# [input_shaper]
+#*# shaper_freq_x = 41
+""",
+    b"""\
+name: w
+board: x
+axes:
+  shared_stepper_disable_pin: NO_PIN
+  x:
+    steps_per_mm: 80
+    max_rate_mm_per_min: 5000
+    acceleration_mm_per_sec2: 100
+    max_travel_mm: 300
+    homing:
+      cycle: 1
+  a:
+    steps_per_mm: 26.667
+    max_rate_mm_per_min: 9000
+junction_deviation_mm: 0.01
+""",
+    b"""\
+[stepper_x]
+microsteps: 16
+rotation_distance: 40
+position_max: 895
+gear_ratio: 60:20
+[stepper_a]
+microsteps = 16
+rotation_distance = 360
+[printer]
+max_velocity: 300
+""",
+)  # fmt: skip
 _ANSWERS = parse_answers(
     [
         "rotary=A", "torque=1 N m", "current=2 A", "resistance=1 ohm", "inductance=2 mH",
@@ -60,6 +169,81 @@ def settings_file(rng: random.Random, mutate: Mutate) -> bytes:
         lines.insert(rng.randrange(len(lines)), rng.choice(lines))
         return b"\n".join(lines)
     return mutate(rng, data)
+
+
+_MACHINE = """base = "lathe-winder"
+name = "mine"
+[axes.A.profile]
+along = "X"
+at = ["0 mm exact, measured", "100 mm +- 1 mm, measured"]
+radius = ["10 mm exact, measured", "50 mm exact, measured"]
+[programs]
+dialect = "grbl"
+feed_mode = "grbl"
+[planner]
+"""
+_PLANNERS = (
+    """\
+kind = "grbl"
+junction_deviation = "0.01 mm exact, printed"
+blocks = "16 exact, printed"
+""",
+    """\
+kind = "marlin"
+junction_deviation = "0.013 mm exact, printed"
+acceleration = "500 mm/s^2 exact, printed"
+""",
+    """\
+kind = "marlin"
+jump = { X = "10 mm/s exact, printed", A = "9 deg/s exact, printed" }
+""",
+    """\
+kind = "klipper"
+velocity = "300 mm/s exact, printed"
+acceleration = "3 m/s^2 exact, printed"
+square_corner_velocity = "5 mm/s exact, printed"
+minimum_cruise_ratio = "0.5 exact, printed"
+""",
+    """\
+kind = "reprapfirmware"
+jump = { X = "15 mm/s exact, printed" }
+policy = "1 exact, printed"
+""",
+)
+
+
+def planner_file(rng: random.Random, mutate: Mutate) -> bytes:
+    """A machine file with a planner, a profile and rules, of which a line or some bytes change."""
+    lines = (_MACHINE + rng.choice(_PLANNERS)).split("\n")
+    at = rng.randrange(2, len(lines))
+    kind = rng.randrange(4)
+    if kind == 0:
+        return mutate(rng, "\n".join(lines).encode())
+    if kind == 1:
+        lines.insert(rng.randrange(2, len(lines)), lines[at])
+    elif kind == 2:
+        del lines[at]
+    else:
+        data = mutate(rng, lines[at].encode())
+        lines[at] = data.decode("utf-8", "surrogateescape")
+    return "\n".join(lines).encode("utf-8", "surrogateescape")
+
+
+_RADII = (
+    b"A=40 mm, B=2 mm", b"A=20 mm at X 0 mm; 50 mm at X 100 mm", b"A=mandrel.csv",
+    b"A=0.1 in at Y -1 mm; 3 mm at Y 1 in; 2 cm at Y 1 m, B = 4 mm",
+)  # fmt: skip
+
+
+def radii(rng: random.Random, mutate: Mutate) -> bytes:
+    """What is written behind --radius."""
+    return mutate(rng, rng.choice(_RADII))
+
+
+def read_radii(path: Path) -> object:
+    """Read a text of --radius."""
+    text = path.read_bytes().decode("utf-8", "replace")
+    return with_radii(MACHINE, text)
 
 
 def read_machine(path: Path) -> object:

@@ -28,6 +28,7 @@ from threadline.signals import Commands, Recording
 from threadline.signals.files.common import Written
 from threadline.targets.write import Target
 from threadline.verdict import Judge, Spec, Status, Verdict
+from threadline.verdict.deviation import measure_motion_deviation
 from threadline.verdict.types import REPEATED_RUNS, Level, level_of
 from threadline.writing import together
 
@@ -262,7 +263,18 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
     chosen = target_of(target, plan.machine)
     kind_of(plan.machine).release(plan)
     with together():
-        return chosen.write(plan, Path(out))
+        files = chosen.write(plan, Path(out))
+    if chosen.takes_shaped or not files:
+        return files
+    # What is written was held against the plan; the plan itself leaves the program, too.
+    return [replace(files[0], facts=(*files[0].facts, _off_program(plan))), *files[1:]]
+
+
+def _off_program(plan: Plan) -> str:
+    (found,) = measure_motion_deviation(plan)
+    where = "" if found.job_line is None else f" (job line {found.job_line})"
+    off_mm = 1e3 * (found.value or 0.0)
+    return f"the plan itself leaves the program by {off_mm:.2g} mm at most, at the tool{where}"
 
 
 def prove(

@@ -16,6 +16,8 @@ SLOW: dict[str, dict[str, str]] = {
             "beside the others; tests/search/test_fastest.py"
         ),
         "threadline fastest examples/cone-dome-cylinder.prg -m lathe-winder": "51 s",
+        "python tools/long_winding.py LONG.nc": "writes the job of the command beside it",
+        "threadline fastest LONG.nc -m lathe-winder": "a minute; tests/search/test_long_jobs.py",
         "make demo": "the command beside it is quick",
         "make bench": BENCH,
         "make fuzz": "hours",

@@ -69,8 +69,8 @@ def blocks(text: str) -> list[tuple[dict[str, float], float]]:
 def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str) -> None:
     """There and back in steps of 1 mm at one feed: a block each way, F as programmed.
 
-    Where it turns, a block of a thousandth of a millimetre may stand between them; the planner's
-    tolerance cuts 0.1 mm off the turning point.
+    Where it turns no block of a thousandth of a millimetre stands between them; the planner's
+    tolerance cuts 0.1 mm off the turning point, and that is said.
     """
     lines = [f"X{x}" for x in [*range(1, 31), *range(29, -1, -1)]]
     halt = ["M0"] if BOARDS[target].stops else []
@@ -84,7 +84,10 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
     ]
     assert [end for end, _ in long] == pytest.approx([30.0, 0.0], abs=0.1)
     assert [f for _, f in long] == pytest.approx([1200.0, 1200.0], rel=1e-3)
-    assert len(found) <= 3
+    assert len(found) == 2
+    (told,) = [fact for fact in file.facts if "leaves the program" in fact]
+    cut_mm = 30.0 - found[0][0]["X"]
+    assert 0.0 < float(told.split(" by ")[1].split(" mm")[0]) == pytest.approx(cut_mm, abs=0.006)
     assert max(map(len, out.read_text().splitlines())) < 80
     assert f"{len(found)} blocks, read back" in file.warnings[0]
     text = out.read_text()

@@ -36,7 +36,7 @@ from threadline.cli.shared_options import (
 )
 from threadline.errors import OptionError
 from threadline.machine.radii import with_radii
-from threadline.option_words import parse_margin
+from threadline.option_words import parse_margin, parse_number
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.verdict import load_spec
@@ -85,6 +85,13 @@ def fastest(
     nominal: NominalOption = False,
     tolerances: TolerancesOption = False,
     wished: YieldOption = None,
+    within: Annotated[
+        str | None,
+        typer.Option(
+            help='Of a part program: how long the search may take, "5 min"; then the best so far '
+            "is told. Ctrl-C asks for it at once."
+        ),
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -137,7 +144,12 @@ def fastest(
         radius=radius,
         contour=contour,
     )
+    within_s = None if within is None else parse_number("--within", within, "s", "5 min")
+    if within_s is not None and not within_s > 0.0:
+        raise OptionError(f"--within {within!r} must be greater than 0")
     read = open_job(job, chosen, options)
+    if read.paced_by != "feed":
+        _refuse_within(within)
     other = None if actual is None else machine_from(actual, par)
     names: dict[str, str | Path | None] = {
         "-m": machine,
@@ -203,8 +215,13 @@ def fastest(
         "--smoothing": smoothing,
         "--contour": contour,
     }
-    search = fastest_optimal if options.interpolation == OPTIMAL else fastest_by_feed
-    search(
+    if options.interpolation != OPTIMAL:
+        fastest_by_feed(
+            job, read, chosen, asked, kept_free, options, other, (low, high), mismatch, report,
+            words, trials, within_s, json,
+        )  # fmt: skip
+    _refuse_within(within)
+    fastest_optimal(
         job,
         read,
         chosen,
@@ -219,6 +236,14 @@ def fastest(
         trials,
         json,
     )
+
+
+def _refuse_within(within: str | None) -> None:
+    if within is not None:
+        raise OptionError(
+            f"--within {within!r} is of searches for a feed",
+            remedy="Leave it out; this search takes a few plans.",
+        )
 
 
 def register(app: typer.Typer) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.controller_settings import settings_words
 from threadline.cli.found import (
     alone_words,
     command_line,
@@ -41,6 +43,7 @@ from threadline.search import (
     feed_range_m_s,
 )
 from threadline.search.mismatch import FEED
+from threadline.search.until import Until
 from threadline.verdict import Spec, closing, criteria_json, verdict_rows
 
 
@@ -57,6 +60,7 @@ def fastest_by_feed(
     report: Path | None,
     asked: dict[str, str | Path | None],
     trials: Trials,
+    within_s: float | None,
     json: bool,
 ) -> NoReturn:
     """Search the feed and the share of the limits, print the result, and end the program.
@@ -67,6 +71,8 @@ def fastest_by_feed(
         Texts of the lowest and the highest feed to try.
     asked
         Options of the command that proves the answer, but for those that were found.
+    within_s
+        How long the search may take; None is as long as it takes.
     """
     check_mismatch(mismatch, actual is not None, report)
     low, high = (None if text is None else metres_per_second(text) for text in span)
@@ -82,6 +88,7 @@ def fastest_by_feed(
             progress=progress,
             actual=actual,
             trials=trials,
+            until=Until.within(within_s),
         )
         best = result.best
         cells: list[Mismatch] = []
@@ -107,6 +114,8 @@ def fastest_by_feed(
         ahead = ", feed-forward" if options.following is Following.LOAD else ""
         how = f"{options.interpolation}{ahead}"
         _show(result, f"{read.name} on {machine.name}, {how}{margin_words(margin)}")
+        for line in settings_words(machine, best, limits=len(result.rungs) > 1):
+            say(line)
         if again is not None:
             say(f"To prove it: {again}")
         if cells:
@@ -176,6 +185,11 @@ def _content(result: FastestJob) -> dict[str, Any]:
         "step": found.step,
         "step_at_edges": found.near_step,
         "tried": sum(rung.found.tried for rung in result.rungs),
+        "moves": result.moves,
+        "judged_moves": result.judged_moves,
+        "parts": result.parts,
+        "whole_job_judged": result.whole,
+        "ended": result.ended,
         "verdict": _verdict_content(found),
         "rungs": [
             {
@@ -208,6 +222,8 @@ def _show(result: FastestJob, title: str) -> None:
     best = result.best
     tried = sum(rung.found.tried for rung in result.rungs)
     head, body = verdict_rows(best.found.verdict)
+    for line in _how_judged(result):
+        say(line)
     if best.found.best is None:
         say(f"no feed is in spec ({tried} tried): {best.found.limited_by} fails at all")
         print_table("verdict where the search came closest", head, body)
@@ -222,6 +238,20 @@ def _show(result: FastestJob, title: str) -> None:
         say(alone_words(best.found, "mm/s", 1e3))
     print_table("verdict at the fastest", head, body)
     say(closing(best.found.verdict))
+
+
+def _how_judged(result: FastestJob) -> Iterator[str]:
+    """Yield lines on what the answer does not say of itself."""
+    if result.parts:
+        parts = "one stretch" if result.parts == 1 else f"{result.parts} stretches"
+        yield (
+            f"judged by {result.judged_moves} of {result.moves} moves, {parts}: the others repeat "
+            "them"
+        )
+        if not result.whole:
+            yield "the whole job was not judged: prove it by the command below"
+    if result.ended:
+        yield f"{result.ended}: this is the best of what was tried so far"
 
 
 def _verdict_content(found: Fastest) -> dict[str, Any]:

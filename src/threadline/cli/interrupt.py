@@ -37,6 +37,10 @@ _ENDS = {
 _Answer = Callable[[int, FrameType | None], None]
 
 
+class TerminatedError(KeyboardInterrupt):
+    """A signal that ends the program, whatever it could still answer: not from the keyboard."""
+
+
 class Termination:
     """The signal that ends the program: SIGINT until another one comes."""
 
@@ -56,7 +60,7 @@ class Termination:
         if now_s - self._came_s < _SAME_S:
             return
         self.number, self._came_s = signal.Signals(number), now_s
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt if number == signal.SIGINT else TerminatedError
 
     def repeat(self) -> None:
         """Send the signal once more in a moment: where it was raised, it could not be told."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-import time
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -109,19 +109,27 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
         transient=True,
     )
     task = bar.add_task("starting", total=1.0)
-    began = time.monotonic()
-    shown = False
+    shown, over, lock = threading.Event(), threading.Event(), threading.Lock()
+
+    def show() -> None:
+        with lock:
+            if not over.is_set():
+                bar.start()
+                shown.set()
 
     def update(what: str, fraction: float) -> None:
-        nonlocal shown
-        if not shown and time.monotonic() - began > _SHOW_AFTER_S:
-            bar.start()
-            shown = True
-        at_work(what, fraction, shown=shown)
+        at_work(what, fraction, shown=shown.is_set())
         bar.update(task, description=what, completed=fraction)
 
+    # A single step may take minutes: the bar does not wait for the next one to be told.
+    timer = threading.Timer(_SHOW_AFTER_S, show)
+    timer.daemon = True
+    timer.start()
     try:
         yield update
     finally:
-        if shown:
-            bar.stop()
+        timer.cancel()
+        with lock:
+            over.set()
+            if shown.is_set():
+                bar.stop()

@@ -17,6 +17,7 @@ import numpy as np
 
 from threadline.errors import OptionError
 from threadline.pipeline import Progress
+from threadline.search.until import HaltError, Until
 from threadline.verdict import Status, Verdict
 
 Judged = Callable[[float], Verdict]
@@ -72,6 +73,9 @@ class Fastest:
         Where the scan began: whether feeds below it pass is not known.
     edge
         Relative distance of pass and fail at the edges of intervals.
+    complete
+        Whether the search came to its end. Where it did not, intervals reach from one feed that
+        was tried to another, and nothing is known of what lies between.
     """
 
     intervals: tuple[Interval, ...]
@@ -82,6 +86,7 @@ class Fastest:
     near_step: float = 0.0
     low: float = 0.0
     edge: float = EDGE_RELATIVE
+    complete: bool = True
 
     @property
     def fastest(self) -> Interval | None:
@@ -109,6 +114,7 @@ def find_fastest(
     near: int = 0,
     progress: Progress | None = None,
     unit: str = "m/s",
+    until: Until | None = None,
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
 
@@ -128,11 +134,16 @@ def find_fastest(
         Feeds tried within each gap of the scan between pass and fail, and in the gaps beside it.
     unit
         Of the feeds, for an error.
+    until
+        When the search has to come to an answer. With it, an interrupt ends the search and not the
+        program, once a feed was judged.
 
     Raises
     ------
     OptionError
         If the range is empty.
+    HaltError
+        If the time is over before a feed was judged.
     """
     if points < 2:
         raise ValueError(f"nothing to scan with {points} points, two are the least")
@@ -150,19 +161,18 @@ def find_fastest(
     def verdict_at(feed: float) -> Verdict:
         nonlocal told
         if feed not in seen:
+            if until is not None:
+                until.check()
             seen[feed] = judged(feed)
             if progress is not None:
                 told = max(told, min(len(seen) / expected, _UNDER_WAY))
                 progress("searching", told)
         return seen[feed]
 
-    feeds = _spaced(low, high, points)
-    passes = [verdict_at(feed).passed for feed in feeds]
-    if near:
-        feeds = _finer(feeds, passes, near)
-        passes = [verdict_at(feed).passed for feed in feeds]
-    edges = sum(before != after for before, after in pairwise(passes))
-    expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
+    def expects(edges: int) -> None:
+        nonlocal expected
+        expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
+
     step = (high / low) ** (1.0 / (points - 1))
     steps = {
         "step": step - 1.0,
@@ -170,6 +180,75 @@ def find_fastest(
         "low": low,
         "edge": edge_relative,
     }
+    complete = True
+    try:
+        intervals = _searched(verdict_at, seen, (low, high), points, near, edge_relative, expects)
+    except KeyboardInterrupt as signal:
+        if until is None or not seen or not until.interrupted(signal):
+            raise
+        complete = False
+    except HaltError:
+        if not seen:
+            raise
+        complete = False
+    if not complete:
+        intervals = _between_tried(seen)
+    intervals.reverse()
+    if not intervals:
+        closest = min(seen.values(), key=lambda verdict: worst_criterion(verdict)[1])
+        return Fastest(
+            intervals=(),
+            limited_by=worst_criterion(closest)[0],
+            verdict=closest,
+            tried=len(seen),
+            complete=complete,
+            **steps,
+        )
+    best = _first(intervals).high
+    above = [feed for feed in seen if feed > best]
+    limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
+    return Fastest(
+        intervals=tuple(intervals),
+        limited_by=limited_by,
+        verdict=seen[best],
+        tried=len(seen),
+        complete=complete,
+        **steps,
+    )
+
+
+def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
+    """Return the stretches of feeds of which every one that was tried passes, the lowest first."""
+    intervals: list[Interval] = []
+    below = False
+    for feed in sorted(seen):
+        passed = seen[feed].passed
+        if passed:
+            low = intervals.pop().low if below else feed
+            intervals.append(Interval(low=low, high=feed))
+        below = passed
+    return intervals
+
+
+def _searched(
+    verdict_at: Judged,
+    seen: Mapping[float, Verdict],
+    span: tuple[float, float],
+    points: int,
+    near: int,
+    edge_relative: float,
+    expects: Callable[[int], None],
+) -> list[Interval]:
+    """Return every interval that passes, the lowest first.
+
+    ``expects`` is told how many edges between pass and fail are refined, once that is known.
+    """
+    feeds = _spaced(*span, points)
+    passes = [verdict_at(feed).passed for feed in feeds]
+    if near:
+        feeds = _finer(feeds, passes, near)
+        passes = [verdict_at(feed).passed for feed in feeds]
+    expects(sum(before != after for before, after in pairwise(passes)))
     intervals: list[Interval] = []
     start: float | None = None
     for index, feed in enumerate(feeds):
@@ -187,26 +266,7 @@ def find_fastest(
             for interval in intervals
             for part in _held(verdict_at, seen, interval, edge_relative)
         ]
-    intervals.reverse()
-    if not intervals:
-        closest = min(seen.values(), key=lambda verdict: worst_criterion(verdict)[1])
-        return Fastest(
-            intervals=(),
-            limited_by=worst_criterion(closest)[0],
-            verdict=closest,
-            tried=len(seen),
-            **steps,
-        )
-    best = _first(intervals).high
-    above = [feed for feed in seen if feed > best]
-    limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
-    return Fastest(
-        intervals=tuple(intervals),
-        limited_by=limited_by,
-        verdict=seen[best],
-        tried=len(seen),
-        **steps,
-    )
+    return intervals
 
 
 def _first(intervals: Sequence[Interval]) -> Interval:

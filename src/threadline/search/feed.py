@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from threadline.errors import LimitError
@@ -20,6 +20,7 @@ from threadline.search.fastest import (
     find_fastest,
 )
 from threadline.search.refused import beyond
+from threadline.search.until import Until
 from threadline.verdict import Spec, Verdict
 
 
@@ -55,6 +56,8 @@ def fastest_feed(
     actual: Machine | None = None,
     edge_relative: float = EDGE_RELATIVE,
     trials: Trials = NOMINAL,
+    parts: Sequence[Job] = (),
+    until: Until | None = None,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
 
@@ -69,13 +72,27 @@ def fastest_feed(
         The machine that does the job, where it isn't the one that plans are made for.
     trials
         Which runs a feed is judged by.
+    parts
+        Jobs that are judged in the place of this one: its distinct stretches.
+    until
+        When the search has to come to an answer.
     """
+    judged_jobs = list(parts or (job,))
     lowest, highest = feed_range_m_s(machine)
 
     def judged(feed_m_s: float) -> Verdict:
+        for at, part in enumerate(judged_jobs):
+            verdict = judged_part(part, feed_m_s)
+            if not verdict.passed:
+                # What fails at one feed most likely fails at the next: it is judged first.
+                judged_jobs.insert(0, judged_jobs.pop(at))
+                return verdict
+        return verdict
+
+    def judged_part(part: Job, feed_m_s: float) -> Verdict:
         feed = Feed(FeedMode.FASTEST_AXIS, feed_m_s)
         try:
-            plan = plan_job(job, machine, replace(options, feed=feed))
+            plan = plan_job(part, machine, replace(options, feed=feed))
         except LimitError as error:
             # What is programmed outside the travel is so at every feed.
             if options.following is Following.MOTOR or error.quantity == "travel":
@@ -91,4 +108,5 @@ def fastest_feed(
         near=near,
         edge_relative=edge_relative,
         progress=progress,
+        until=until,
     )

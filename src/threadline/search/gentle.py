@@ -7,23 +7,29 @@ share of the limits are searched together, and the shortest job wins.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.errors import OptionError
+from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job
+from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job, try_plan
 from threadline.search.allowance import fastest_allowed
-from threadline.search.fastest import NEAR_POINTS, Fastest
+from threadline.search.distinct import distinct_parts
+from threadline.search.fastest import NEAR_POINTS, Fastest, Interval, worst_criterion
 from threadline.search.feed import fastest_feed
 from threadline.search.rungs import FastestJob, Rung
+from threadline.search.until import HaltError, Until
 from threadline.trajectory import Pace
 from threadline.verdict import Spec
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
 _STEP = 2.0**0.25  # from rung to rung once the best of the ladder is known
 _SCAN_POINTS = 20
+_LOWERED = 8  # feeds that the whole job is tried at
+_LOWER = 0.98
 
 
 def fastest_job(
@@ -37,6 +43,7 @@ def fastest_job(
     progress: Progress | None = None,
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 
@@ -51,13 +58,23 @@ def fastest_job(
         The machine that does the job, where it isn't the one that plans are made for.
     trials
         Which runs a feed is judged by.
+    until
+        When the search has to come to an answer; not of ``optimal``.
+
+    Notes
+    -----
+    Where most of a job repeats what was met before, tries are judged by its distinct stretches, and
+    the best by the whole job; where that is out of spec, the feed is lowered until it is not.
     """
     check_loops(machine)
     if options.interpolation == OPTIMAL:
         return fastest_allowed(
             job, machine, spec, options, high=high, progress=progress, actual=actual, trials=trials
         )
-    by_feed = ignores_limits(job, machine, options)
+    if progress is not None:
+        progress("looking for what repeats", 0.0)
+    parts = distinct_parts(job, machine)
+    by_feed = ignores_limits(parts[0], machine, options)
     rungs: dict[float, Rung] = {}
     expected = 1 if by_feed else len(_LADDER) + 4
 
@@ -77,15 +94,52 @@ def fastest_job(
                 near=near,
                 actual=actual,
                 trials=trials,
+                parts=parts,
+                until=until,
             )
             rungs[share] = Rung(
                 share=share, found=found, duration_s=_duration_s(job, machine, chosen, found)
             )
+            if not found.complete:
+                raise HaltError
         return rungs[share]
 
-    if by_feed:
-        best = tried(1.0, 48, NEAR_POINTS)
-        return FastestJob(best=best, rungs=(best,))
+    try:
+        if by_feed:
+            tried(1.0, 48, NEAR_POINTS)
+        else:
+            _climb(tried, rungs)
+    except HaltError as halt:
+        if not rungs:
+            raise OptionError(
+                "no plan could be judged in that time", remedy="Give --within a longer time."
+            ) from halt
+    except KeyboardInterrupt as signal:
+        if until is None or not rungs or not until.interrupted(signal):
+            raise
+    best = min(rungs.values(), key=_order)
+    ended = "" if until is None else until.ended
+    if parts == (job,):
+        return FastestJob(best=best, rungs=_ordered(rungs), ended=ended)
+    whole = not ended
+    if whole and best.duration_s is not None:
+        if progress is not None:
+            progress("the whole job", 0.0)
+        best = _of_whole(best, job, machine, spec, options, actual, trials)
+        rungs[best.share] = best
+    return FastestJob(
+        best=best,
+        rungs=_ordered(rungs),
+        moves=_moves_in(job),
+        judged_moves=sum(map(_moves_in, parts)),
+        parts=len(parts),
+        whole=whole,
+        ended=ended,
+    )
+
+
+def _climb(tried: Callable[..., Rung], rungs: Mapping[float, Rung]) -> None:
+    """Try shares of the limits until none beside the best is better."""
     best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
     if best.duration_s is not None:
         for factor in (_STEP, 1.0 / _STEP):
@@ -98,8 +152,46 @@ def fastest_job(
         finer.add(best.share)
         tried(best.share, _SCAN_POINTS, NEAR_POINTS)
         best = min(rungs.values(), key=_order)
-    ordered = tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
-    return FastestJob(best=min(ordered, key=_order), rungs=ordered)
+
+
+def _ordered(rungs: Mapping[float, Rung]) -> tuple[Rung, ...]:
+    return tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
+
+
+def _moves_in(job: Job) -> int:
+    return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
+
+
+def _of_whole(
+    best: Rung,
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    actual: Machine | None,
+    trials: Trials,
+) -> Rung:
+    """Return ``best`` as the whole job has it, with the highest feed at which that is in spec."""
+    interval = best.found.fastest
+    assert interval is not None
+    feed_m_s = interval.high
+    chosen = replace(options, limit_share=best.share)
+    for _ in range(_LOWERED):
+        feed = Feed(FeedMode.FASTEST_AXIS, feed_m_s)
+        plan = plan_job(job, machine, replace(chosen, feed=feed))
+        verdict = try_plan(plan, spec, trials, actual).verdict
+        if verdict.passed:
+            kept = best.found.intervals
+            if feed_m_s < interval.high:
+                # What was found by parts alone, above this feed, does not hold for the whole.
+                own = Interval(low=min(interval.low, feed_m_s), high=feed_m_s)
+                kept = (own, *(i for i in kept if i.high < own.low))
+            found = replace(best.found, intervals=kept, verdict=verdict)
+            return replace(best, found=found, duration_s=plan.duration_s)
+        feed_m_s = float(f"{feed_m_s * _LOWER:.6g}")
+    limited_by = worst_criterion(verdict)[0]
+    found = replace(best.found, intervals=(), verdict=verdict, limited_by=limited_by)
+    return replace(best, found=found, duration_s=None)
 
 
 def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:

@@ -58,8 +58,20 @@ class FastestJob:
     ----------
     bounds
         With ``optimal``: lower bounds on the time of the best plan; otherwise empty.
+    moves, judged_moves, parts
+        How many moves the job has, and how many of them in how many distinct stretches every try
+        was judged by; 0 where it was judged by all of them.
+    whole
+        Whether the best plan of the whole job was judged, too, where tries were judged by parts.
+    ended
+        Why the search stopped before its end; empty where it did not.
     """
 
     best: Rung
     rungs: tuple[Rung, ...]
     bounds: tuple[Bound, ...] = ()
+    moves: int = 0
+    judged_moves: int = 0
+    parts: int = 0
+    whole: bool = True
+    ended: str = ""

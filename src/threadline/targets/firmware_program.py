@@ -30,15 +30,14 @@ from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import FIRMWARE
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.boards import BOARDS, dialect_of
+from threadline.targets.merged_chords import CLOSE_M, merged
 from threadline.targets.nc_blocks import operation_words
 from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
 from threadline.trajectory import plan_trajectory
 from threadline.trajectory.types import Trajectory
 
 _DECIMALS = 4  # of a millimetre or a degree
-_ROUNDED_M = 1e-7  # by how far an end that is so rounded lies off, and a little
 _MOST_POINTS = 100_000
-_RISE = 1e-3  # of a speed
 
 
 class Chord(NamedTuple):
@@ -160,66 +159,14 @@ class _Stretch:
             # Into a faster move the plan speeds up on the last of a slower one: F does not.
             speeds = np.minimum(speeds, self.feed.value)
         at_tool = points * self._radius_m
-        first = 0
-        for last in _humps(speeds):
-            while first < last:
-                count = _longest(at_tool[first : last + 1])
-                part = slice(first, first + count)
-                yield Chord(
-                    points[first : first + count + 1],
-                    float(speeds[part].max()),
-                    float(seconds[part].sum()),
-                )
-                first += count
+        for part in merged(at_tool, speeds):
+            yield Chord(
+                points[part.first : part.stop + 1],
+                part.speed,
+                float(seconds[part.first : part.stop].sum()),
+            )
         self._start = points[-1]
         self.ends, self.durations_s = [], []
-
-
-def _humps(speeds: FloatArray) -> Iterator[int]:
-    """Yield where each stretch of (n,) speeds ends that rises and then falls once at most.
-
-    What is less than ``_RISE`` of a speed is none: ends of moves are rounded.
-    """
-    highest = lowest = float(speeds[0])
-    for at, speed in enumerate(speeds.tolist()):
-        fallen = lowest < highest * (1.0 - _RISE)
-        if fallen and speed > lowest * (1.0 + _RISE):
-            yield at
-            highest = lowest = speed
-        elif speed > highest:
-            highest = lowest = speed
-        else:
-            lowest = min(lowest, speed)
-    yield len(speeds)
-
-
-def _longest(points: FloatArray) -> int:
-    """Return how many moves from the first of (n, axes) points on make a chord, 1 at least."""
-    most = len(points) - 1
-    good = 1
-    while good < most and _within(points[: min(2 * good, most) + 1], CHORD_TOLERANCE_M):
-        good = min(2 * good, most)
-    bad = min(2 * good, most + 1)
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        if middle <= most and _within(points[: middle + 1], CHORD_TOLERANCE_M):
-            good = middle
-        else:
-            bad = middle
-    return good
-
-
-def _within(points: FloatArray, most_m: float) -> bool:
-    """Say whether (n, axes) points lie along the line from first to last, in their order."""
-    way = points[-1] - points[0]
-    length = float(np.linalg.norm(way))
-    if length == 0.0:
-        return False
-    along = (points - points[0]) @ (way / length)
-    if (np.diff(along) < -_ROUNDED_M).any():
-        return False
-    away = points - points[0] - along[:, None] * (way / length)
-    return bool(float(np.sqrt((away**2).sum(axis=1).max())) <= most_m)
 
 
 class _Lines:
@@ -337,7 +284,7 @@ def _read_back(merged: Chords, path: Path, planned_s: float) -> str:
             away_m = _away_m(chord.points * radius_m, before * radius_m, at * radius_m)
             end_m = float(np.linalg.norm((at - chord.points[-1]) * radius_m))
             worst_m = max(worst_m, away_m, end_m)
-        if worst_m > 2.0 * CHORD_TOLERANCE_M + _ROUNDED_M:
+        if worst_m > 2.0 * CHORD_TOLERANCE_M + CLOSE_M:
             raise _not_the_plan(target, "leaves it by", worst_m)
     if next(moves, None) is not None:
         raise _not_the_plan(target, "goes on behind it", 0.0)

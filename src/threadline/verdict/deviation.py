@@ -38,7 +38,7 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
 def measure_shaping_deviation(plan: Plan) -> list[Finding]:
     """Return how far the shaper takes the motion from the planned path, at the tool."""
     if plan.motion.of_loads is not None:
-        return _smoothing_deviation(plan)
+        return measure_motion_deviation(plan, curved=1)
     planned, text = plan.motion.timed, plan.options.get("shaper")
     if planned is None or text is None:
         return [Finding(value=0.0, note="the motion is not shaped")]
@@ -54,10 +54,15 @@ def measure_shaping_deviation(plan: Plan) -> list[Finding]:
     ]
 
 
-def _smoothing_deviation(plan: Plan) -> list[Finding]:
-    """Return how far the motion of the loads leaves the programmed path, as it is intended."""
+def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Finding]:
+    """Return how far the intended motion leaves the programmed path, smoothing in time included.
+
+    Where loads follow, it is the motion of the loads. ``curved`` points are taken on a piece.
+    """
     contour = Contour(plan.motion.programmed.radius_m)
-    pieces = (_points(b.coefficients, b.operation, 1) for b in plan.motion.trajectory if len(b))
+    pieces = (
+        _points(b.coefficients, b.operation, curved) for b in plan.motion.trajectory if len(b)
+    )
     for block in _blocks(pieces, PathWindow(plan.motion.programmed), _SMOOTHED):
         contour.feed(block)
     return [replace(found.worst(), time_s=None) for found in contour.finish()]

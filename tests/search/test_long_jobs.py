@@ -1,0 +1,194 @@
+"""Searches over long jobs: what repeats is judged once, and an answer comes when it is wanted."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.jobs.made_machines import made_machine
+from tests.search.test_fastest import verdict
+
+from threadline.cli.controller_settings import settings_words
+from threadline.cli.main import main
+from threadline.jobs import Job, read_job
+from threadline.jobs.operations import Move, MoveRun, move_runs
+from threadline.machine import Machine
+from threadline.machine.motion_planner import GrblPlanner
+from threadline.machine.quantity import parse_machine_quantity
+from threadline.options import Options
+from threadline.search import fastest_job
+from threadline.search.distinct import distinct_parts
+from threadline.search.fastest import Fastest, Interval, find_fastest
+from threadline.search.rungs import Rung
+from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
+from threadline.verdict import Verdict, load_spec
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return made_machine(tmp_path_factory.mktemp("long"), "X", "A")
+
+
+def winding_blocks(moves: int) -> list[str]:
+    """Of the tool that writes the benchmark."""
+    named = importlib.util.spec_from_file_location("long_winding", ROOT / "tools/long_winding.py")
+    assert named is not None and named.loader is not None
+    tool = importlib.util.module_from_spec(named)
+    named.loader.exec_module(tool)
+    return list(islice(tool.blocks(), moves))
+
+
+def written(folder: Path, blocks: list[str], machine: Machine) -> Job:
+    """The blocks as a job."""
+    path = folder / "job.nc"
+    path.write_text("\n".join(["G21 G90 G94 F6000", *blocks, "M30"]) + "\n")
+    return read_job(path, machine)
+
+
+def moves_in(job: Job) -> int:
+    return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
+
+
+def test_circuits_are_met_once(tmp_path: Path, machine: Machine) -> None:
+    """3800 moves are a hundred circuits; roundings to 0.001 mm and degrees are no difference.
+
+    The end of the job is new, too: nothing follows it.
+    """
+    job = written(tmp_path, winding_blocks(3800), machine)
+    parts = distinct_parts(job, machine)
+    assert len(parts) == 2
+    assert 38 + 4 <= sum(map(moves_in, parts)) < 120
+    whole = [item.target for item in job if isinstance(item, Move)]
+    first = [item.target for item in parts[0] if isinstance(item, Move)]
+    last = [item.target for item in parts[1] if isinstance(item, Move)]
+    assert first == whole[: len(first)] and last == whole[-len(last) :]
+    assert parts[1].start == whole[-len(last) - 1]
+
+
+def test_one_move_that_is_new_is_kept_with_what_is_beside_it(
+    tmp_path: Path, machine: Machine
+) -> None:
+    """A cut of a degree somewhere in the middle of a hundred circuits, at one of its moves."""
+    blocks = winding_blocks(3800)
+    x, a = blocks[2000].split()[1:]
+    blocks[2000] = f"G1 {x} A{float(a[1:]) - 1.0:.3f}"
+    job = written(tmp_path, blocks, machine)
+    parts = distinct_parts(job, machine)
+    assert len(parts) == 3
+    lines = [item.source.line for item in parts[1] if isinstance(item, Move)]
+    assert lines[0] <= 2002 - 4 and lines[-1] >= 2002 + 4
+
+
+def test_feeds_and_dwells_tell_moves_apart(tmp_path: Path, machine: Machine) -> None:
+    """A slower move in one circuit, and a dwell in another."""
+    blocks = winding_blocks(3800)
+    blocks[1000] += " F3000"
+    blocks[1001] += " F6000"
+    blocks.insert(3000, "G4 P0.5")
+    parts = distinct_parts(written(tmp_path, blocks, machine), machine)
+    assert len(parts) == 4
+    assert [type(item).__name__ for item in parts[2]].count("Dwell") == 1
+
+
+def test_a_job_that_repeats_nothing_is_one_part(tmp_path: Path, machine: Machine) -> None:
+    rng = np.random.default_rng(5)
+    blocks = [f"G1 X{x:.3f} A{a:.3f}" for x, a in rng.uniform(0.0, 300.0, (200, 2))]
+    job = written(tmp_path, blocks, machine)
+    assert distinct_parts(job, machine) == (job,)
+
+
+def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
+    """Tries are of parts alone, and the verdict at the end of every move of the job."""
+    job = written(tmp_path, winding_blocks(400), machine)
+    spec_file = tmp_path / "spec.toml"
+    spec_file.write_text(
+        'name = "any"\n[[criteria]]\nname = "contour_error"\nlimit = "1 mm"\nrequired = true\n'
+    )
+    spec = load_spec(spec_file, machine)
+    found = fastest_job(job, machine, spec, Options(interpolation="linear"), low=0.02, high=0.04)
+    assert found.whole and found.moves == 400 and found.judged_moves < 130
+    assert found.best.duration_s is not None and found.best.found.verdict.passed
+    parts = distinct_parts(job, machine)
+    assert found.parts == len(parts)
+
+
+def test_time_that_is_over_gives_the_best_so_far() -> None:
+    until = Until()
+
+    def judged(feed: float) -> Verdict:
+        if feed > 0.5:
+            until.ended = OUT_OF_TIME
+        return verdict_at(feed)
+
+    found = find_fastest(judged, 0.1, 10.0, points=9, near=4, until=until)
+    assert not found.complete and found.best is not None and 0.1 < found.best <= 1.0
+    assert found.intervals == (Interval(low=0.1, high=found.best),)
+
+
+def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> None:
+    class OtherError(KeyboardInterrupt):
+        pass
+
+    for signal_, answers in ((KeyboardInterrupt, True), (OtherError, False)):
+
+        def judged(feed: float, raised: type[KeyboardInterrupt] = signal_) -> Verdict:
+            if feed > 0.5:
+                raise raised
+            return verdict_at(feed)
+
+        until = Until()
+        if answers:
+            found = find_fastest(judged, 0.1, 10.0, points=9, until=until)
+            assert not found.complete and found.best is not None and found.best < 0.5
+            assert until.ended == INTERRUPTED
+        else:
+            with pytest.raises(OtherError):
+                find_fastest(judged, 0.1, 10.0, points=9, until=until)
+    with pytest.raises(KeyboardInterrupt):
+        find_fastest(
+            lambda feed: (_ for _ in ()).throw(KeyboardInterrupt()), 0.1, 1.0, until=Until()
+        )
+
+
+def verdict_at(feed: float) -> Verdict:
+    """A verdict that passes below 1."""
+    return verdict(0.5 if feed < 1.0 else 2.0)
+
+
+def test_no_time_at_all_is_refused(
+    tmp_path: Path, machine: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = written(tmp_path, winding_blocks(60), machine)
+    spec = tmp_path / "spec.toml"
+    spec.write_text('name = "any"\n[[criteria]]\nname = "contour_error"\n')
+    for text, said in (
+        ("1 ns", "no plan could be judged"),
+        ("0 s", "greater than 0"),
+        ("5", "unit"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(["fastest", job.file, "-m", str(machine.file), "-s", str(spec), "--within", text])
+        assert end.value.code == 2
+        assert said in capsys.readouterr().err
+
+
+def test_settings_are_in_the_words_of_the_controller(machine: Machine) -> None:
+    """A quarter of the limits: 5 m/s^2 of X and 200 rad/s^2 of A, as grbl counts."""
+    best = Interval(low=0.1, high=0.5)
+    found = Fastest(intervals=(best,), limited_by="x", verdict=verdict_at(0.5), tried=3)
+    grbl = GrblPlanner(
+        kind="grbl", junction_deviation=parse_machine_quantity("0.01 mm exact, assumed", ("m",))
+    )
+    rung = Rung(share=0.25, found=found, duration_s=1.0)
+    told = list(settings_words(replace(machine, planner=grbl), rung, limits=True))
+    x, a = (machine.axes[name].acceleration.si * 0.25 for name in "XA")
+    assert told[0].startswith("to set: F 30000 ")
+    assert f"$120={1e3 * x:.3f} (X, mm/s^2)" in told[1]
+    assert f"$123={math.degrees(a):.3f} (A, deg/s^2)" in told[1]
