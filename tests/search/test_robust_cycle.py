@@ -105,6 +105,17 @@ def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Pat
     assert rows["found for the band"]["over_passed"]
 
 
+def test_its_report_has_what_was_printed(robust: tuple[dict[str, Any], Path, Path]) -> None:
+    found, file, _ = robust
+    page = (file.parent / "report" / "report.html").read_text(encoding="utf-8")
+    assert "commands for modes within 20 %, move by move" in page
+    assert "cycles side by side, one run each" in page
+    assert all(row["name"] in page for row in found["beside"])
+    assert "Step by step, as the list has it" in page
+    assert "no shaper" not in page
+    assert "job sha256" not in page
+
+
 def test_it_is_near_the_bound_of_all_valves(robust: tuple[dict[str, Any], Path, Path]) -> None:
     found, file, _ = robust
     for move in found["robust"]["moves"]:

@@ -9,9 +9,10 @@ import typer
 
 from threadline.cli.fastest_robust import (
     beside_json,
+    beside_table,
     parse_band,
     robust_json,
-    show_beside,
+    robust_table,
     show_robust,
 )
 from threadline.cli.found import command_line, limit_words, margin_words
@@ -24,6 +25,7 @@ from threadline.errors import OptionError
 from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.pipeline import Trials
+from threadline.report.document import Printed
 from threadline.report.mismatch import write_mismatch
 from threadline.report.switching import write_switching
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
@@ -92,10 +94,12 @@ def fastest_moves(
         )
     title = f"{read.name} on {machine.name}{margin_words(margin)}"
     fastest = found.proof if robust is None else robust.proof
+    moves, cycles = moves_table(found, title), beside_table(beside, title, band)
+    banded = None if robust is None or band is None else robust_table(robust, title, band)
     drawn = None
     if report is not None:
         mapped = write_mismatch(cells, title, CYCLE, report) if mismatch else None
-        drawn = mapped or write_switching(fastest, report)
+        drawn = mapped or write_switching(fastest, report, [banded or moves, cycles])
     chosen = found.job if robust is None else robust.job
     written = None
     if out is not None and chosen is not None:
@@ -117,10 +121,10 @@ def fastest_moves(
         told |= {} if robust is None else {"robust": robust_json(robust)}
         print_json(told | mismatch_json(cells, drawn))
     else:
-        _show(found, title)
-        if robust is not None and band is not None:
-            show_robust(robust, title, band)
-        show_beside(beside, title, band)
+        _show(found, moves)
+        if robust is not None and banded is not None:
+            show_robust(robust, banded)
+        print_table(*cycles)
         if chosen is not None:
             say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
         if cells:
@@ -186,7 +190,8 @@ def _content(found: FastestCycle) -> dict[str, Any]:
     }
 
 
-def _show(found: FastestCycle, title: str) -> None:
+def moves_table(found: FastestCycle, title: str) -> Printed:
+    """Return the moves of the fastest cycle, each beside its unshaped and its shortest command."""
     header = ["step", "axis", "mm", "unshaped s", "optimal s", "found s", "wait s", "how"]
     rows = [_row(move) for move in found.moves]
     sums = [
@@ -196,7 +201,11 @@ def _show(found: FastestCycle, title: str) -> None:
         sum(move.wait_s for move in found.moves),
     ]
     rows.append(["all moves", "", "", *(f"{value:.3f}" for value in sums), ""])
-    print_table(f"{title}: commands, move by move", header, rows)
+    return f"{title}: commands, move by move", header, rows
+
+
+def _show(found: FastestCycle, table: Printed) -> None:
+    print_table(*table)
     for move in found.moves:
         if " for " in move.how:
             say(f"{move.step}, {move.axis}: {move.how}")

@@ -8,6 +8,7 @@ from typing import Any
 from threadline.cli.output import print_table, say
 from threadline.errors import OptionError
 from threadline.option_words import parse_number
+from threadline.report.document import Printed
 from threadline.search.cycle import cycle_s
 from threadline.search.cycle_beside import BesideRow
 from threadline.search.cycle_robust import RobustCycle
@@ -31,8 +32,8 @@ def parse_band(text: str) -> float:
     return value
 
 
-def show_robust(robust: RobustCycle, title: str, band: float) -> None:
-    """Print the cycle found for the band ``band`` (half width, a share), move by move."""
+def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
+    """Return the moves of the cycle found for the band ``band`` (half width, a share)."""
     header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over the bound"]
     rows = [
         [
@@ -52,7 +53,12 @@ def show_robust(robust: RobustCycle, title: str, band: float) -> None:
     )
     sums = [f"{unshaped:.3f}", f"{bound:.3f}", f"{found:.3f}", f"{found / bound - 1.0:.1%}"]
     rows.append(["all moves", "", "", *sums])
-    print_table(f"{title}: commands for modes within {band * 100:g} %, move by move", header, rows)
+    return f"{title}: commands for modes within {band * 100:g} %, move by move", header, rows
+
+
+def show_robust(robust: RobustCycle, table: Printed) -> None:
+    """Print the cycle that was found for a band: ``robust_table`` and what holds over it."""
+    print_table(*table)
     say(
         "bound: the shortest on the same scan with levels free between 0 and 1, this move alone "
         "and all that may ring its own; no valves are faster"
@@ -78,8 +84,8 @@ def show_robust(robust: RobustCycle, title: str, band: float) -> None:
     say(closing(robust.proof.verdict))
 
 
-def show_beside(rows: Sequence[BesideRow], title: str, band: float | None) -> None:
-    """Print one table of several cycles: a row each, with the verdicts of both machines."""
+def beside_table(rows: Sequence[BesideRow], title: str, band: float | None) -> Printed:
+    """Return one table of several cycles: a row each, with the verdicts of both machines."""
     header = ["cycle", "s", "rings mm", "as typed"]
     if band is not None:
         header += [f"rings mm, +-{band * 100:g} %", "all over it"]
@@ -89,7 +95,7 @@ def show_beside(rows: Sequence[BesideRow], title: str, band: float | None) -> No
         if row.over_m is not None and row.over_passed is not None:
             cells += [f"{row.over_m * 1e3:.3f}", _words(row.over_passed)]
         table.append(cells)
-    print_table(f"{title}: cycles side by side, one run each", header, table)
+    return f"{title}: cycles side by side, one run each", header, table
 
 
 def _words(passed: bool) -> str:

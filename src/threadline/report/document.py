@@ -138,7 +138,9 @@ def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list
     """Return the facts that every report begins with: versions, and the files it was made from."""
     facts = [("threadline", __version__), ("Python", platform.python_version())]
     if job is not None:
-        facts += [("job", job.name), ("job sha256", job.sha256)]
+        facts.append(("job", job.name))
+        if job.sha256:  # a list that a search has made is no file yet
+            facts.append(("job sha256", job.sha256))
     if machine is not None:
         facts += [
             ("machine", f"{machine.name} ({machine.title})"),

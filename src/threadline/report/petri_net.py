@@ -15,8 +15,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PLACES_IN_ROW, _ROWS_ON_PAGE = 4, 6  # room of a page of paper at a readable size
+_PLACES_IN_ROW = 4
+_INCH = 1.3  # of the unit of heights
+_PAGE = 7.0  # units: a page of paper
+_TOP = 0.65  # place 0, from the upper edge
 _SMALL, _PLAIN = 7.0, 8.0  # points
+_LINE = 1.2 * _SMALL / 72.0 / _INCH  # units
+_HALF_BAR, _LABEL, _OUTPUTS, _GAP = 0.14, 0.18, 0.2, 0.06
+"""Half of a bar; where its label and the outputs of a place begin; what is left between rows."""
 _BREAK = "#B00000"
 
 
@@ -27,6 +33,24 @@ class _Bar:
     place: NetPlace
     label: str
     then: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """Bars beside each other; ``step`` is empty where the row above has its name."""
+
+    step: str
+    bars: Sequence[_Bar]
+
+    @property
+    def above(self) -> float:
+        """Height over its places that its labels need."""
+        return _LABEL + _LINE * max(bar.label.count("\n") + 1 for bar in self.bars) + _GAP
+
+    @property
+    def below(self) -> float:
+        """Height under its places that their outputs need."""
+        return _OUTPUTS + _LINE * max(len(bar.place.on) for bar in self.bars) + _GAP
 
 
 def petri_figures(scheduled: Scheduled) -> list[Figure]:
@@ -41,14 +65,18 @@ def petri_figures(scheduled: Scheduled) -> list[Figure]:
     home = _home(scheduled, len(net.places), net.scan_ms)
     bars = _bars(net.places, "back to 0, or to 1\nif continuous") + _bars(home, "back to 0")
     begins = f"home leads to {home[0].number}, and then start to 1" if home else "start leads to 1"
-    rows: list[tuple[str, list[_Bar]]] = []
+    pages: list[list[_Row]] = []
+    full = _PAGE
     for step in dict.fromkeys(bar.place.step for bar in bars):
         own = [bar for bar in bars if bar.place.step == step]
         for first in range(0, len(own), _PLACES_IN_ROW):
-            named = not first or len(rows) % _ROWS_ON_PAGE == 0
-            rows.append((step if named else "", own[first : first + _PLACES_IN_ROW]))
-    pages = range(0, len(rows), _ROWS_ON_PAGE)
-    return [_page(rows[n : n + _ROWS_ON_PAGE], begins) for n in pages]
+            row = _Row("" if first else step, own[first : first + _PLACES_IN_ROW])
+            if full + row.above + row.below > _PAGE:
+                pages.append([])
+                full, row = _TOP, replace(row, step=step)
+            pages[-1].append(row)
+            full += row.above + row.below
+    return [_page(rows, begins) for rows in pages]
 
 
 def _home(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlace, ...]:
@@ -75,34 +103,40 @@ def _bars(places: Sequence[NetPlace], then: str) -> list[_Bar]:
     return [*bars[:-1], *(replace(last, then=then) for last in bars[-1:])]
 
 
-def _page(rows: Sequence[tuple[str, Sequence[_Bar]]], begins: str) -> Figure:
+def _page(rows: Sequence[_Row], begins: str) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 1.3 * (len(rows) + 1)))
+    high = _TOP + sum(row.above + row.below for row in rows)
+    figure = Figure(figsize=(7.2, _INCH * high))
     panel = figure.subplots()
     _place(panel, 0, 0, "0", "white")
     panel.text(0.25, 0.0, f"every output off; {begins}", va="center", fontsize=_PLAIN)
-    for number, (step, bars) in enumerate(rows, start=1):
-        panel.text(-0.75, -number, step, ha="right", va="center", weight="bold", fontsize=_PLAIN)
-        for column, bar in enumerate(bars):
+    at = 0.4 - _TOP
+    for row in rows:
+        at -= row.above
+        panel.text(-0.75, at, row.step, ha="right", va="center", weight="bold", fontsize=_PLAIN)
+        for column, bar in enumerate(row.bars):
             place = bar.place
             face = "white" if place.wait is None else "#E8E8E8"
-            _place(panel, column, -number, str(place.number), face)
-            panel.plot([column + 0.5] * 2, [-number - 0.14, -number + 0.14], "k-", linewidth=2.4)
-            panel.annotate("", (column + 0.8, -number), (column + 0.16, -number), zorder=1,
+            _place(panel, column, at, str(place.number), face)
+            panel.plot([column + 0.5] * 2, [at - _HALF_BAR, at + _HALF_BAR], "k-", linewidth=2.4)
+            panel.annotate("", (column + 0.8, at), (column + 0.16, at), zorder=1,
                            arrowprops={"arrowstyle": "->", "linewidth": 0.9})  # fmt: skip
-            panel.text(column + 0.5, -number + 0.18, bar.label, ha="center", va="bottom",
+            panel.text(column + 0.5, at + _LABEL, bar.label, ha="center", va="bottom",
                        fontsize=_SMALL)  # fmt: skip
             if bar.then:
-                panel.text(column + 0.85, -number, bar.then, va="center", fontsize=_SMALL)
-            panel.text(column, -number - 0.2, "\n".join(place.on), ha="center", va="top",
+                panel.text(column + 0.85, at, bar.then, va="center", fontsize=_SMALL)
+            panel.text(column, at - _OUTPUTS, "\n".join(place.on), ha="center", va="top",
                        fontsize=_SMALL)  # fmt: skip
-        _arc(panel, [(-0.16, -number), (-0.55, -number), (-0.55, 0.0)])
+        _arc(panel, [(-0.16, at), (-0.55, at)])
+        last, at = at, at - row.below
+    # One line for all rows: a dashed one drawn again for each of them would look solid.
+    _arc(panel, [(-0.55, last), (-0.55, 0.0)])
     _arc(panel, [(-0.55, 0.0), (-0.17, 0.0)], arrow=True)
     panel.text(-0.62, 0.0, "any fault\nat any place", ha="right", va="center", fontsize=_SMALL,
                color=_BREAK)  # fmt: skip
     panel.set_xlim(-1.75, _PLACES_IN_ROW + 0.55)
-    panel.set_ylim(-len(rows) - 0.75, 0.4)
+    panel.set_ylim(0.4 - high, 0.4)
     panel.set_axis_off()
     return figure
 

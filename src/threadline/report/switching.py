@@ -28,6 +28,7 @@ from threadline.report.switching_figures import (
     frame_figure,
     residual_figure,
     residuals_figure,
+    shaper_words,
 )
 from threadline.targets.schedule_moves import shaping_words
 from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
@@ -37,10 +38,10 @@ if TYPE_CHECKING:
 
 _DRAWN = ("residual_vibration",)
 _CAPTIONS = {
-    "residual": "What rings in the frame once each step has brought its cylinder to rest, as "
-    "planned and without a shaper; dotted: the limit.",
+    "residual": "What rings in the frame once each step has brought its cylinder to rest"
+    "{beside}; dotted: the limit.",
     "cycle": "Pistons, and what was switched on, over the cycle; dotted lines part the steps.",
-    "frame": "The frame over the cycle, as planned and without a shaper.",
+    "frame": "The frame over the cycle{beside}.",
     "broken-beam": "A beam of the light grid is broken at each instant of the longest move and all "
     "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
     "circles at the scans that shut the valves; then every kind of shaper, made for "
@@ -56,8 +57,10 @@ _CAPTIONS = {
 }
 
 
-def write_switching(proof: Proof, folder: Path) -> Path:
+def write_switching(proof: Proof, folder: Path, tables: Sequence[Printed] = ()) -> Path:
     """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+
+    ``tables`` come behind those of the proof: of the search that found its job.
 
     Raises
     ------
@@ -70,7 +73,8 @@ def write_switching(proof: Proof, folder: Path) -> Path:
     if shaper is not None:
         unshaped = prove_plan(plan_job(plan.job, plan.machine, Options()), proof.spec)
     header, rows = verdict_rows(proof.verdict, every_axis=False)
-    steps = [_step_table(proof, f"shaper {shaper or 'none'}")]
+    how = shaper_words(plan) if shaper is None else f"shaper {shaper}"
+    steps = [_step_table(proof, how)]
     if unshaped is not None:
         steps.append(_step_table(unshaped, "without a shaper"))
     run = drawn_run(proof, _DRAWN)
@@ -88,6 +92,9 @@ def write_switching(proof: Proof, folder: Path) -> Path:
             sweeps = [sweep, *break_sweeps(plan.machine, longest.axis)]
             figures["broken-beam"] = break_figure(sweeps, twin)
         captions = dict(_CAPTIONS)
+        beside = "" if unshaped is None else ", as planned and without a shaper"
+        for name in ("residual", "frame"):
+            captions[name] = captions[name].format(beside=beside)
         for name in ("frame", "cycle"):
             captions[name] += run.words(proof)
         for number, figure in enumerate(petri_figures(plan.scheduled), start=1):
@@ -99,13 +106,17 @@ def write_switching(proof: Proof, folder: Path) -> Path:
             subtitle="; ".join(
                 [
                     plan.machine.title,
-                    f"shaper {shaper or 'none'}",
+                    how,
                     *(f"{axis} {words}" for axis, words in shaping_rows(plan)),
                 ]
             ),
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
             warnings=grouped(doubts(proof)),
-            tables=[Table(title="Criteria", header=header, rows=rows), *steps],
+            tables=[
+                Table(title="Criteria", header=header, rows=rows),
+                *steps,
+                *(Table(title=t, header=h, rows=r) for t, h, r in tables),
+            ],
             figures=figures,
             captions=captions,
             facts=_facts(proof),

@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.pipeline import Proof
+from threadline.plan import Plan
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED
 from threadline.report.thinning import extremes
 from threadline.signals import Recording
@@ -26,6 +27,14 @@ _READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
 """Behind a number that a limit would strike out."""
 _LEAST_UM = 1.0
 """Lower end of the logarithmic scale of residual vibration, micrometres."""
+
+
+def shaper_words(plan: Plan) -> str:
+    """Return the shaper of a plan in words; a list may have shapers or levels of its own."""
+    own = any(
+        m.levels.realised is not None or len(m.levels.levels) > 2 for m in plan.scheduled.moves
+    )
+    return plan.options.get("shaper", "as the list has it" if own else "no shaper")
 
 
 def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
@@ -98,7 +107,7 @@ def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> 
     for panel, axis in zip(panels, axes, strict=True):
         for other, look, label in (
             (None if unshaped is None else unshaped.recording, PLANNED, "without a shaper"),
-            (recording, ACTUAL, proof.plan.options.get("shaper", "no shaper")),
+            (recording, ACTUAL, shaper_words(proof.plan)),
         ):
             if other is not None:
                 time_s, values = _thinned(*other.samples(f"{axis}.frame"))
@@ -118,7 +127,7 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
     figure = Figure(figsize=(7.2, 2.1 * len(axes) + 0.4))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=True):
-        cases = [(proof, "#0072B2", "", proof.plan.options.get("shaper", "no shaper"))]
+        cases = [(proof, "#0072B2", "", shaper_words(proof.plan))]
         if unshaped is not None:
             cases.append((unshaped, "0.75", "//", "without a shaper"))
         names: list[str] = []
@@ -166,7 +175,7 @@ def residuals_figure(proofs: Sequence[Proof]) -> Figure:
                 if r.name == "residual_vibration" and r.axis == axis and r.step
             ]
             sizes = [(r.measured or 0.0) * MICRO for r in rows]
-            label = proof.plan.options.get("shaper", "no shaper")
+            label = shaper_words(proof.plan)
             panel.plot(range(len(rows)), sizes, marker=marker, label=label, **look)
             limits = [r.limit for r in rows]
         for place, limit in enumerate(limits):

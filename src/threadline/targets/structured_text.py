@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from threadline import __version__
 from threadline.errors import PlanError
 from threadline.escaping import st_comment
 from threadline.machine import Machine
@@ -139,9 +140,12 @@ def _dwell_ms(machine: Machine) -> int:
 
 def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
     assert scheduled.machine.plc is not None
+    cycle_s = scheduled.commands.duration_ticks * net.scan_ms / 1000.0
     return (
+        f"Written by Threadline {__version__}",
         f"Job {scheduled.job.name}, sha256 {scheduled.job.sha256[:16]}",
         f"Machine {scheduled.machine.name}, sha256 {scheduled.machine.sha256[:16]}",
+        f"A cycle takes {cycle_s:.3f} s where every input comes as soon as it is waited for.",
         f"Call it every {net.scan_ms} ms from a timed task. Place idle has every output off.",
         "A broken light grid, a missing enable, a late scan, or a contact that cannot be believed",
         "switches all outputs off in the same scan. Then: acknowledge, home, start.",

@@ -1,0 +1,32 @@
+"""Random breaks, with somebody who presses what there is: no output stays on."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+
+import pytest
+
+from tests.plc.breaks import KINDS, breaks, broken
+from tests.plc.driving import Bench, homed
+from tests.plc.texts import controller
+
+
+def test_no_random_break_leaves_an_output_on() -> None:
+    """A break from each scan of the way home and of the begin of a cycle."""
+    counts = Counter(breaks(controller, 1200))
+    assert sum(counts.values()) == 1200
+    assert min(counts[kind] for kind in KINDS) > 300
+
+
+def test_an_output_that_stays_on_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = homed(controller())
+    bench.press("start_button")
+    whole = Bench.scan
+
+    def leaking(self: Bench, **given: bool | int) -> set[str]:
+        return whole(self, **given) | {"main_air"}
+
+    monkeypatch.setattr(Bench, "scan", leaking)
+    with pytest.raises(AssertionError, match="in its first scan"):
+        broken(bench.fork(), random.Random(1))
