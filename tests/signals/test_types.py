@@ -16,6 +16,7 @@ from threadline.errors import RecordingError
 from threadline.signals import (
     ChannelKind,
     Clock,
+    KeptStream,
     Stream,
     SwitchSchedule,
     TickBlock,
@@ -133,6 +134,28 @@ def test_streams_begin_anew() -> None:
     stream = Stream(noted, calls, upto=3)
     assert (list(stream), list(stream)) == ([0, 1, 2], [0, 1, 2])
     assert len(calls) == 2
+
+
+def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
+    calls: list[int] = []
+    blocks = [b"ab", b"", b"cde"]
+    stream = KeptStream(noted_blocks, calls, blocks)
+    next(iter(stream))  # a reading that ends early keeps nothing
+    assert list(stream) == list(stream) == list(stream) == blocks
+    assert len(calls) == 2
+    travelled = pickle.loads(pickle.dumps(stream))
+    assert travelled._items is None and list(travelled) == blocks  # read anew there
+
+    calls.clear()
+    long = [b"x" * KeptStream.MOST_KEPT, b"y"]
+    stream = KeptStream(noted_blocks, calls, long)
+    assert list(stream) == list(stream) == long
+    assert len(calls) == 2 and stream._items is None
+
+
+def noted_blocks(calls: list[int], blocks: list[bytes]) -> Iterator[bytes]:
+    calls.append(0)
+    return iter(blocks)
 
 
 def noted(calls: list[int], upto: int) -> Iterator[int]:

@@ -10,7 +10,7 @@ import pytest
 
 from threadline.errors import RecordingError
 from threadline.signals import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
-from threadline.verdict import Criterion, Status, judge
+from threadline.verdict import Criterion, Status, blocks, judge
 
 from .builders import SERVO, TICK_S, follow, plan_through, record, spec_of
 
@@ -85,6 +85,49 @@ def test_residual_vibration_is_half_the_peak_to_peak() -> None:
     windowed = Criterion(name="residual_vibration", options={"after": 0.1, "window": 0.15})
     verdict = judged({K.COMMANDED: commanded, K.LOAD: load}, operation, windowed)
     assert verdict.result("residual_vibration", "X").measured == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("per_block", [1, 7, 1000])
+def test_residual_vibration_is_told_at_the_instant_that_completes_the_swing(per_block: int) -> None:
+    """The later of highest and lowest sample, wherever blocks begin; told sample by sample here."""
+    commanded, load, operation, since, swing = ringing(decay_s=0.5)
+    channels = {K.COMMANDED: commanded, K.LOAD: load}
+    for sign in (1.0, -1.0):
+        channels[K.LOAD] = np.where(since[:, None] < 0, load, commanded + sign * (load - commanded))
+        verdict = judged(
+            channels, operation, Criterion(name="residual_vibration"), per_block=per_block
+        )
+        after = np.flatnonzero((since > 0) & (since <= 1.0))
+        last = max(after[swing[after].argmax()], after[swing[after].argmin()])
+        told = verdict.result("residual_vibration", "X").time_s
+        assert told == pytest.approx(TICK_S * last, abs=1e-9)
+
+
+@pytest.mark.parametrize("per_block", [1, 17, 90, 1000])
+def test_short_blocks_are_joined_and_measure_the_same(
+    per_block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commanded, load, operation, _, _ = ringing(standstill=3000)
+    names = ("contour_error", "turning_point_error", "tracking_error", "residual_vibration",
+             "settling_time")  # fmt: skip
+    criteria = [Criterion(name=name) for name in names]
+    fed: list[int] = []
+    one = blocks._block
+
+    def counted(part, *rest):
+        fed.append(len(part))
+        return one(part, *rest)
+
+    monkeypatch.setattr(blocks, "_block", counted)
+    found = []
+    for few, copied in ((0, 0), (1024, 60_000)):
+        monkeypatch.setattr(blocks, "_FEW", few)
+        monkeypatch.setattr(blocks, "_COPIED", copied)
+        fed.clear()
+        channels = {K.COMMANDED: commanded, K.LOAD: load}
+        found.append(judged(channels, operation, *criteria, per_block=per_block).results)
+    assert found[0] == found[1]
+    assert sum(fed) == len(commanded) and min(fed[:-1]) >= 1024
 
 
 @pytest.mark.parametrize("per_block", [1, 7, 1000])

@@ -18,7 +18,7 @@ from threadline.path.pulled import PULLS, Pull
 from threadline.path.smoothing import smoothing_for, smoothing_share
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
-from threadline.signals import Stream
+from threadline.signals import KeptStream
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
@@ -111,7 +111,7 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
         interpolation=interpolation,
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=Stream(straight.chords, programmed),
+        blocks=KeptStream(straight.chords, programmed),
     )
 
 
@@ -128,7 +128,7 @@ def interpolation_names() -> tuple[str, ...]:
 def _historical(
     name: str,
     programmed: ProgrammedPath,
-    blocks: Stream[PieceBlock],
+    blocks: KeptStream[PieceBlock],
     summary: Mapping[str, float],
 ) -> PlannedPath:
     return PlannedPath(
@@ -145,7 +145,7 @@ def _historical(
 def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     del options
     return _historical(
-        "linear", programmed, Stream(straight.linear_pieces, programmed, machine), {}
+        "linear", programmed, KeptStream(straight.linear_pieces, programmed, machine), {}
     )
 
 
@@ -156,7 +156,7 @@ def _point_to_point(
     return _historical(
         "point-to-point",
         programmed,
-        Stream(straight.point_to_point_pieces, programmed, machine),
+        KeptStream(straight.point_to_point_pieces, programmed, machine),
         {},
     )
 
@@ -177,7 +177,7 @@ def _spline(
     return _historical(
         name,
         programmed,
-        Stream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
+        KeptStream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
         {"interval_s": interval_s},
     )
 
@@ -193,7 +193,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
         interpolation="auto",
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=Stream(auto_pieces, programmed, cut_m),
+        blocks=KeptStream(auto_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
     return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
@@ -211,7 +211,7 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
         interpolation=OPTIMAL,
         timing=Timing.FASTEST,
         historical=False,
-        blocks=Stream(auto_pieces, programmed, cut_m, near_m),
+        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m),
     )
     return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
 
@@ -231,7 +231,7 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
         interpolation=FIRMWARE,
         timing=Timing.FIRMWARE,
         historical=True,
-        blocks=Stream(straight.chords, programmed),
+        blocks=KeptStream(straight.chords, programmed),
     )
 
 
@@ -248,7 +248,7 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
         interpolation="parabolic",
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=Stream(blended_pieces, programmed, cut_m),
+        blocks=KeptStream(blended_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
     return replace(path, summary=LazySummary(deviation_summary, programmed, path))
@@ -276,7 +276,7 @@ def _polynomial(name: str) -> Planner:
             interpolation=name,
             timing=Timing.TIME,
             historical=False,
-            blocks=Stream(polynomial_pieces, programmed, bounds, quintic=quintic),
+            blocks=KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic),
             smoothing_m=0.0 if quintic else options.tolerance_m,
         )
         return replace(path, summary=LazySummary(deviation_summary, programmed, path))

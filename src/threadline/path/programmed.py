@@ -13,7 +13,7 @@ from threadline.jobs.feed_times import check_feed, nominal_time_s, wanted_feed
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.path.types import ProgrammedPath, VertexBlock
-from threadline.signals import Stream
+from threadline.signals import KeptStream
 
 BLOCK = 4096
 _NONE_YET = Feed(FeedMode.RAPID, 0.0)
@@ -56,7 +56,7 @@ def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> Pro
     return ProgrammedPath(
         axes=job.axes,
         radius_m=machine.radius_m[column],
-        blocks=Stream(_blocks, job, machine, feed),
+        blocks=KeptStream(_blocks, job, machine, feed),
         local=machine.local_radii(job.axes),
     )
 

@@ -14,7 +14,7 @@ from threadline.signals.event import Event, EventKind
 from threadline.signals.outcome import Ended, Outcome
 from threadline.signals.recording import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.signals.step_play import StepPlay, StepTable, StitchBlock
-from threadline.signals.stream import Stream
+from threadline.signals.stream import KeptStream, Stream
 
 __all__ = [
     "Channel",
@@ -24,6 +24,7 @@ __all__ = [
     "Ended",
     "Event",
     "EventKind",
+    "KeptStream",
     "Outcome",
     "Recording",
     "RecordingBlock",

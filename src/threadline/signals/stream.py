@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from functools import partial
 from types import FunctionType, MethodType
-from typing import Generic, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 T = TypeVar("T")
+SizedT = TypeVar("SizedT", bound=Sized)
 P = ParamSpec("P")
 
 
@@ -58,6 +59,49 @@ class Stream(Generic[T]):
     def of(cls, items: Iterable[T]) -> Stream[T]:
         """Return a stream over ``items``, which are kept in memory."""
         return Stream(_kept, tuple(items))
+
+
+class KeptStream(Stream[SizedT]):
+    """A stream of blocks that will be read many times: a short one is worked out once and kept.
+
+    The first reading that comes to the end keeps its blocks, unless they have more than
+    ``MOST_KEPT`` rows in all. What is kept does not travel: another process reads anew. Whoever
+    reads gets the same blocks, so they must be locked.
+
+    >>> lengths = KeptStream(iter, ("abc", "de"))
+    >>> list(lengths) == list(lengths) == ["abc", "de"]
+    True
+    """
+
+    MOST_KEPT = 16_384
+
+    __slots__ = ("_items",)
+
+    def __init__(
+        self, function: Callable[P, Iterator[SizedT]], *arguments: P.args, **keywords: P.kwargs
+    ) -> None:
+        super().__init__(function, *arguments, **keywords)
+        self._items: tuple[SizedT, ...] | None = None
+
+    def __iter__(self) -> Iterator[SizedT]:
+        return self._reading() if self._items is None else iter(self._items)
+
+    def __getstate__(self) -> tuple[None, dict[str, Any]]:
+        names = Stream.__slots__
+        return None, {"_items": None} | {name: getattr(self, name) for name in names}
+
+    def _reading(self) -> Iterator[SizedT]:
+        items: list[SizedT] = []
+        rows = 0
+        for item in super().__iter__():
+            rows += len(item)
+            if rows <= self.MOST_KEPT:
+                items.append(item)
+            else:
+                items.clear()
+            yield item
+        if rows <= self.MOST_KEPT:
+            self._items = tuple(items)
 
 
 def _kept(items: tuple[T, ...]) -> Iterator[T]:

@@ -13,7 +13,7 @@ from threadline.laws import Law
 from threadline.machine import Machine
 from threadline.path.interpolations import CHORDS, on_chords
 from threadline.path.types import PieceBlock, PlannedPath, Timing
-from threadline.signals import Stream
+from threadline.signals import KeptStream, Stream
 from threadline.trajectory.as_programmed import as_programmed
 from threadline.trajectory.by_law import breaks_jerk, by_law
 from threadline.trajectory.firmware import firmware_blocks
@@ -94,20 +94,20 @@ def plan_trajectory(
             )
         timed = Stream(as_programmed, path, machine)
         path = replace(path, blocks=timed, timing=Timing.TIME, historical=True)
-    path = replace(path, blocks=Stream(_within_budget, path, machine))
+    path = replace(path, blocks=KeptStream(_within_budget, path, machine))
     if path.timing is Timing.TIME and path.smoothing_m > 0:
-        return Trajectory(axes=path.axes, blocks=Stream(smoothed_blocks, path, machine))
+        return Trajectory(axes=path.axes, blocks=KeptStream(smoothed_blocks, path, machine))
     if path.timing is Timing.TIME:
         return Trajectory(
             axes=path.axes,
             historical=path.historical,
-            blocks=Stream(timed_blocks, path),
+            blocks=KeptStream(timed_blocks, path),
         )
     if path.timing is Timing.FIRMWARE and machine.planner is not None:
         return Trajectory(
             axes=path.axes,
             historical=True,
-            blocks=Stream(firmware_blocks, path, machine, machine.planner),
+            blocks=KeptStream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
         blocks = Stream(fastest_blocks, path, machine, contour_m, of_loads=of_loads)
@@ -115,7 +115,7 @@ def plan_trajectory(
         return Trajectory(
             axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks
         )
-    return Trajectory(axes=path.axes, blocks=Stream(followed_blocks, path, machine))
+    return Trajectory(axes=path.axes, blocks=KeptStream(followed_blocks, path, machine))
 
 
 def _short(path: PlannedPath) -> bool:

@@ -31,6 +31,8 @@ _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: a sample beyond it is no measurement
 _CHORDS = ("low", "high", "safe")
+_FEW = 1024  # samples: fewer wait for more, as every block costs each measure its calls
+_COPIED = 60_000  # values of a column
 
 
 def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) -> Channel | None:
@@ -111,6 +113,24 @@ class _Held:
             {k: v[begin:end] for k, v in self.columns.items()},
             {k: v[begin:end] for k, v in self.whole.items()},
         )
+
+    def short_with(self, after: _Held) -> bool:
+        """Say whether copying both into one costs less than measuring one block more."""
+        return sum(max(v.size for v in one.columns.values()) for one in (self, after)) <= _COPIED
+
+    def joined(self, after: _Held) -> _Held:
+        """Return these samples and those ``after`` them as one."""
+        return _Held(
+            np.concatenate([self.time_s, after.time_s]),
+            {k: _behind(v, after.columns[k]) for k, v in self.columns.items()},
+            {k: np.concatenate([v, after.whole[k]]) for k, v in self.whole.items()},
+        )
+
+
+def _behind(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return both in a row; the runs of one axis at one instant stay side by side."""
+    sides = [np.swapaxes(part, 1, -1) for part in (first, second)]
+    return np.swapaxes(np.concatenate(sides), 1, -1)
 
 
 def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
@@ -240,7 +260,9 @@ def _refuse_absurd(block: RecordingBlock) -> None:
     Runs side by side come from the simulation itself, which looks at what it gives.
     """
     for name, samples in block.samples.items():
-        if samples.ndim > 1:
+        if samples.ndim > 1 or not len(samples):
+            continue
+        if -_MOST <= samples.min() <= samples.max() <= _MOST:
             continue
         if np.isinf(samples).any():
             raise RecordingError(
@@ -261,6 +283,7 @@ def judged_blocks(
     """Yield every sample once, in order, with the chords within the lag before and after it.
 
     Memory holds one block of the recording, twice the lag, and the programmed path about them.
+    Blocks of few samples are joined.
 
     Parameters
     ----------
@@ -282,8 +305,12 @@ def judged_blocks(
             fresh.whole |= _chords(fresh, path, last)
             commanded = fresh.columns.get("commanded")
             last = None if commanded is None else commanded[-1] * path.radius_m
+        if waiting and waiting[-1].short_with(fresh):
+            fresh = waiting.pop().joined(fresh)  # noqa: PLW2901
         waiting.append(fresh)
         ready = sum(map(len, waiting)) - lag_samples
+        if ready < _FEW:
+            continue
         chords = _joined([past, *(one.whole for one in waiting)])
         at = len(past.get("low", ()))
         while waiting and ready > 0:

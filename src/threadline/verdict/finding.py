@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
@@ -251,17 +252,18 @@ class Worst:
 
     def of(self, run: int) -> Finding:
         """Return the worst of one run."""
-        note = str(self._note[run])
-        if np.isneginf(self.value[run]):
+        note, value = str(self._note[run]), float(self.value[run])
+        if value == -math.inf:
             return Finding(value=None, axis=self.axis, note=note)
-        position = self._position[run]
+        time_s, position = float(self._time_s[run]), self._position[run].tolist()
+        operation, line = int(self._operation[run]), int(self._line[run])
         return Finding(
-            value=float(self.value[run]),
+            value=value,
             axis=self.axis,
-            time_s=None if np.isnan(self._time_s[run]) else float(self._time_s[run]),
-            operation=None if self._operation[run] < 0 else int(self._operation[run]),
-            job_line=None if self._line[run] < 0 else int(self._line[run]),
-            position=tuple(position.tolist()) if np.isfinite(position).all() else None,
+            time_s=None if math.isnan(time_s) else time_s,
+            operation=None if operation < 0 else operation,
+            job_line=None if line < 0 else line,
+            position=tuple(position) if all(map(math.isfinite, position)) else None,
             note=note,
         )
 

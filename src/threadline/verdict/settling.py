@@ -75,9 +75,12 @@ class _Residual:
             return
         part, time_s = block.actual[inside], block.time_s[inside]
         low, high = part.min(axis=0), part.max(axis=0)
-        grown = (low < self._low) | (high > self._high)
-        far = np.where(high > self._high, part.argmax(axis=0), part.argmin(axis=0))
-        self._time_s = np.where(grown, time_s[far], self._time_s)
+        # The instant at which the whole swing has been seen, wherever blocks begin.
+        for grown, far in (
+            (low < self._low, part.argmin(axis=0)),
+            (high > self._high, part.argmax(axis=0)),
+        ):
+            self._time_s = np.where(grown, np.maximum(time_s[far], self._time_s), self._time_s)
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
 
     def finish(self) -> Sequence[Found]:
