@@ -10,6 +10,7 @@ import pytest
 
 import threadline as tl
 from threadline.cli.main import main
+from threadline.cli.runs_ import listed
 from threadline.errors import OptionError
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
@@ -26,6 +27,7 @@ from threadline.pipeline import (
 )
 from threadline.plan import Plan
 from threadline.signals import tick_table
+from threadline.store.index import RunRecord
 from threadline.twin import simulate
 from threadline.verdict import Criterion, Spec, Status, closing, judge, load_spec
 
@@ -134,3 +136,27 @@ def test_the_default_is_repeated_and_levels_exclude_each_other(
         main(["prove", *job, "--nominal", "--tolerances"])
     assert ended.value.code == 2
     assert "--nominal and --tolerances ask for different levels" in capsys.readouterr().err
+
+
+def test_the_list_of_runs_says_how_far_each_proof_reaches() -> None:
+    """A run is one run; what it was proved by may be one, twenty, or other machines as well."""
+    record = RunRecord(
+        run="a",
+        started="2026-11-23T04:00:00+00:00",
+        job="x.prg",
+        machine="lathe-winder",
+        link="sim",
+        speed=0.0,
+        level="nominal",
+        proof_passed=True,
+        job_sha256="",
+        machine_sha256="",
+        commands_sha256="",
+        proof_sha256="",
+        threadline="",
+        ended="done",
+        passed=True,
+    )
+    assert listed(record)[4:6] == ["in spec", "in spec (nominal)"]
+    other = replace(record, proof_passed=False, level="over tolerances", passed=False)
+    assert listed(other)[4:6] == ["not in spec", "not in spec (over tolerances)"]

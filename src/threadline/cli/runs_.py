@@ -31,16 +31,18 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
     elif not records:
         say(f"There are no runs in {str(store)!r}; threadline run makes one.")
     else:
-        header = ["run", "machine", "link", "ended", "verdict", "late", "note"]
-        print_table(f"Runs in {store}", header, [_row(record) for record in records])
+        header = ["run", "machine", "link", "ended", "this run", "proof", "late", "note"]
+        print_table(f"Runs in {store}", header, [listed(record) for record in records])
 
 
-def _row(record: RunRecord) -> list[str]:
+def listed(record: RunRecord) -> list[str]:
+    """Return the row of a run: its own verdict, and that of its proof with the level of it."""
     verdict = {True: "in spec", False: "not in spec", None: "-"}[record.passed]
     ended = "not told" if record.ended == RUNNING else record.ended
     note = f"override: {record.override}" if record.override else record.text
     late = str(record.late_ticks)
-    return [record.run, record.machine, record.link, ended, verdict, late, note]
+    proof = f"{'in spec' if record.proof_passed else 'not in spec'} ({record.level})"
+    return [record.run, record.machine, record.link, ended, verdict, proof, late, note]
 
 
 def register(app: typer.Typer) -> None:
