@@ -236,4 +236,22 @@ QUICK = [
         ],
         instead=[*AS_OPTIMAL, "--feed-forward"],
     ),
+    Quick(
+        DOCUMENT,
+        OPTIMAL,
+        [Figures("| 0.845 | 0.312 | 0.312 | 0.011 | in spec | out, {} mm |", [contour])],
+        instead=[*AS_OPTIMAL, "--tolerances"],
+        status=1,
+    ),
+    Quick(
+        DOCUMENT,
+        OPTIMAL,
+        [
+            Figures(
+                "| 0.896 (motion 0.791) | 0.110 | 0.110 | 0.011 | in spec | out, {} mm |", [contour]
+            )
+        ],
+        instead=[*AS_OPTIMAL, "--feed-forward", "--tolerances"],
+        status=1,
+    ),
 ]

@@ -12,8 +12,11 @@ BENCH = "ratios of one run of one machine; benchmarks/results.json has them"
 
 SLOW: dict[str, dict[str, str]] = {
     "results.md": {
-        "threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear": (
+        "threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear --nominal": (
             "beside the others; tests/search/test_fastest.py"
+        ),
+        "threadline fastest examples/x-180.prg -m lathe-winder --interpolation NAME": (
+            "a quarter of a minute to a minute each"
         ),
         "threadline fastest examples/cone-dome-cylinder.prg -m lathe-winder": "51 s",
         "python tools/long_winding.py LONG.nc": "writes the job of the command beside it",
@@ -50,6 +53,8 @@ SLOW: dict[str, dict[str, str]] = {
         'threadline fastest SEAM -m stitcher --feed-forward --low "20 stitch/s" --mismatch '
         "--report DIR": "nine searches",
         "threadline prove SEAM -m found.toml": "of what design found",
+        "threadline prove examples/stitcher-75-rigid.seam.toml -m examples/stitcher-75-rigid.toml "
+        '--feed-forward --smoothing "20 ms" --tolerances': "half a minute, 220 runs",
         "threadline prove examples/stitcher-steep.seam.toml -m stitcher --feed-forward "
         '--smoothing "42 ms"': "its file is changed by hand for each needle speed",
     },
