@@ -162,6 +162,23 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
     assert not capsys.readouterr().err
 
 
+def test_a_stage_that_names_what_it_is_at_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half done in an hour: an hour is left, though the last part has only just begun."""
+    now_s = time.monotonic()
+    with told.telling() as telling:
+        told.at_work("commands of 90 ticks", 0.0, shown=False)
+        monkeypatch.setattr(time, "monotonic", lambda: now_s + 3600.0)
+        told.at_work("commands of 100 ticks", 0.5, shown=False)
+        assert telling.doing() in {
+            "commands of 100 ticks, 50 % done, about 60 min more",
+            "commands of 100 ticks, 50 % done, about 1 h more",
+        }
+        told.at_work("cycles side by side", 0.0, shown=False)
+        monkeypatch.setattr(time, "monotonic", lambda: now_s + 3610.0)
+        told.at_work("cycles side by side", 0.5, shown=False)
+        assert telling.doing() == "cycles side by side, 50 % done, about 10 s more"
+
+
 def test_a_run_without_a_terminal_says_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -94,7 +94,8 @@ def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
     telling = _TELLING.get()
     if telling is None:
         return
-    if stage != telling.stage:
+    # A stage that names what it is at (a duration, a limit) goes on; a new one begins low.
+    if stage != telling.stage and fraction <= telling.fraction:
         telling.since_s = time.monotonic()
     telling.stage, telling.fraction, telling.shown = stage, fraction, shown
 

@@ -10,7 +10,8 @@ from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, plan_job, prove_plan
 from threadline.search.cycle import FastestCycle, cycle_s
-from threadline.search.cycle_robust import MEASURE, BandRun, RobustCycle, band_machines, over_band
+from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
+from threadline.search.cycle_robust import RobustCycle
 from threadline.search.move_list import overlapped, with_choices
 from threadline.verdict import Spec, Verdict
 

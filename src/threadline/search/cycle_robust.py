@@ -9,7 +9,7 @@ and where it finds more than the closed form did, less is left to the move that 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,9 +20,10 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import mode_off
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, simulate, try_plan
+from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_plan
 from threadline.plan import Plan
 from threadline.plant.pneumatic import flow_mode, step_ringing
+from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
 from threadline.search.move_list import levels_of_operations, overlapped, with_choices
 from threadline.shaping.onoff.flow_levels import (
     FlowCommand,
@@ -32,42 +33,17 @@ from threadline.shaping.onoff.flow_levels import (
 )
 from threadline.targets.schedule import ScheduledMove
 from threadline.targets.schedule_moves import levels_text, valves_of
-from threadline.verdict import Criterion, Judge, Spec, Status, Verdict
+from threadline.verdict import Criterion, Spec, Status
 
-MEASURE = "residual_vibration"
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
 """Shares of the limit that a command of a move may use alone: earlier moves may use up the rest."""
-_FREQUENCIES = 33
-_MACHINES = 17
-"""Frequencies of the band in the closed form, and machines on the twin."""
+_FREQUENCIES = 33  # of the band in the closed form
 _LONGEST_PERIODS = 1.5
 _LONGER = 3  # scans over the bound, for symmetric commands that valves can make
 _ROUNDS = 10
 _BEAM = 200
 _LESS = 0.97
 _HOPED = 1.6  # of the limit, at first: amplitudes seldom add up in full
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BandRun:
-    """What one machine of the band made of a cycle.
-
-    Parameters
-    ----------
-    relative
-        By how much its modes are off, -0.2 ... 0.2 for instance.
-    verdict
-        Of one run.
-    """
-
-    relative: float
-    verdict: Verdict
-
-    @property
-    def worst_m(self) -> float:
-        """The largest residual vibration."""
-        found = [r.measured for r in self.verdict.results if r.name == MEASURE]
-        return max((value for value in found if value is not None), default=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,37 +99,6 @@ class RobustCycle:
     tried: int
 
 
-def band_machines(machine: Machine, band: float) -> tuple[tuple[float, Machine], ...]:
-    """Return machines all over the band, each with by how much its modes are off.
-
-    Raises
-    ------
-    OptionError
-        If the band is not above 0 and below 1.
-    """
-    if not 0.0 < band < 1.0:
-        raise OptionError(
-            f"a band of +-{band * 100:g} % must be above 0 % and below 100 %",
-            remedy='A fifth to either side is "20 %".',
-        )
-    parts = np.linspace(-band, band, _MACHINES).tolist()
-    return tuple((part, mode_off(machine, part)) for part in parts)
-
-
-def over_band(
-    plan: Plan, spec: Spec, machines: Sequence[tuple[float, Machine]]
-) -> tuple[BandRun, ...]:
-    """Return what each machine of a band makes of a plan, in one run each."""
-    return tuple(
-        BandRun(
-            relative=part,
-            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
-            verdict=Judge(replace(plan, machine=one), spec).verdict([simulate(plan.commands, one)]),
-        )
-        for part, one in machines
-    )
-
-
 def robust_cycle(
     job: Job,
     machine: Machine,
@@ -184,7 +129,7 @@ def robust_cycle(
     machines = band_machines(machine, band)
     free = overlapped(with_choices(job, {}, {}), machine)
     plain = plan_job(free, machine, Options())
-    search = _Search(free, machine, spec, band, plain)
+    search = _Search(free, machine, spec, band, plain, progress)
     watched = replace(spec, criteria=(*spec.criteria, *search.by_step()))
     for tried in range(1, _ROUNDS + 1):
         if progress is not None:
@@ -213,7 +158,15 @@ def robust_cycle(
 class _Search:
     """One search of ``robust_cycle``: the commands of each move, and how much each may ring."""
 
-    def __init__(self, job: Job, machine: Machine, spec: Spec, band: float, plain: Plan) -> None:
+    def __init__(
+        self,
+        job: Job,
+        machine: Machine,
+        spec: Spec,
+        band: float,
+        plain: Plan,
+        progress: Progress | None,
+    ) -> None:
         self._job, self._machine, self._spec = job, machine, spec
         self._base = plain.scheduled
         self._scan_s = float(self._base.commands.clock.period_s)
@@ -231,10 +184,15 @@ class _Search:
         self.frequencies_hz = {
             a: (flow_mode(family[0], a)[0], flow_mode(family[-1], a)[0]) for a in axes
         }
+        self._rests = [
+            machine.cylinders[m.axis].rest_s(m.forward) / self._scan_s for m in self._base.moves
+        ]
         self._share = [_HOPED] * len(self._base.moves)
         made: dict[tuple[object, ...], tuple[int, list[FlowCommand]]] = {}
         self._made: list[tuple[int, list[FlowCommand]]] = []
         for index, move in enumerate(self._base.moves):
+            if progress is not None:
+                progress("commands for the band", index / len(self._base.moves))
             valves = valves_of(machine.cylinders[move.axis].way(move.forward), self._scan_s)
             key = move.axis, valves, move.levels.wanted_m, self._limit_m(index)
             if key not in made:
@@ -301,20 +259,35 @@ class _Search:
 
     def next(self) -> list[FlowCommand]:
         """Return for every move the shortest command that keeps the limits in closed form."""
-        chosen: list[FlowCommand | None] = [None] * len(self._base.moves)
-        for axis in self._turns:
-            own = [i for i, move in enumerate(self._base.moves) if move.axis == axis]
-            for index, command in zip(own, self._next_of(axis, own), strict=True):
-                chosen[index] = command
-        return [command for command in chosen if command is not None]
+        moves = self._base.moves
+        chosen: dict[int, FlowCommand] = {}
+        for _ in range(2):  # again: an operation is as long as the longest of its moves
+            for axis in self._turns:
+                own = [i for i, move in enumerate(moves) if move.axis == axis]
+                chosen.update(zip(own, self._next_of(axis, own, chosen), strict=True))
+        return [chosen[i] for i in range(len(moves))]
 
-    def _next_of(self, axis: str, own: list[int]) -> tuple[FlowCommand, ...]:
+    def _free(self, index: int, chosen: Mapping[int, FlowCommand]) -> float:
+        """Return how many scans a command may take while another of its operation takes longer."""
+        mine = self._base.moves[index]
+        return max(
+            (
+                chosen[i].scans + self._rests[i] - self._rests[index]
+                for i, move in enumerate(self._base.moves)
+                if move.operation == mine.operation and i != index and i in chosen
+            ),
+            default=0.0,
+        )
+
+    def _next_of(
+        self, axis: str, own: list[int], chosen: Mapping[int, FlowCommand]
+    ) -> tuple[FlowCommand, ...]:
         still = np.zeros(len(self._turns[axis]))
         states: list[tuple[float, FloatArray, tuple[FlowCommand, ...]]] = [(0.0, still, ())]
         last = 0
         for index in own:
             move, after = self._base.moves[index], []
-            may = self._flow_move(index, self._share[index])
+            may, free = self._flow_move(index, self._share[index]), self._free(index, chosen)
             for cost, ringing, before in states:
                 for command in self._made[index][1]:
                     elapsed = move.first_tick - last + command.scans
@@ -322,7 +295,8 @@ class _Search:
                     rings = decayed + np.abs(may.left(command.ticks, command.levels))
                     # Where nothing is within the limit, what is least beyond it comes first.
                     over = max(float((rings / may.most).max()) - 1.0, 0.0)
-                    after.append((cost + command.scans + 1e3 * over, rings, (*before, command)))
+                    takes = max(command.scans, free) + 1e3 * over
+                    after.append((cost + takes, rings, (*before, command)))
             states = sorted(after, key=lambda s: (s[0], float(s[1].sum())))[:_BEAM]
             last = move.last_tick
         return states[0][2]

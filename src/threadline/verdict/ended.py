@@ -47,7 +47,9 @@ def told_end(outcome: Outcome) -> str:
         return ""
     assert outcome.ended is not None
     why = f": {outcome.text}" if outcome.text else ""
-    return f"the run ended in operation {outcome.operation}, {outcome.ended.value}{why}"
+    # A controller that tells of no operation leaves -1.
+    where = f" in operation {outcome.operation}" if outcome.operation >= 0 else ""
+    return f"the run ended{where}, {outcome.ended.value}{why}"
 
 
 def not_beyond(result: Result, why: str) -> Result:
