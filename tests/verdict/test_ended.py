@@ -72,6 +72,12 @@ def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
     assert verdict_json(verdict, plan)["incomplete"] == verdict.incomplete
 
 
+def test_a_run_that_ended_in_no_operation_names_none() -> None:
+    """A controller that says of itself that it stopped, and not where, leaves -1."""
+    verdict, _ = run(Event(tick=9, kind="stopped", operation=-1, name="asked"))
+    assert "the run ended, stopped: asked" in closing(verdict)
+
+
 def test_what_failed_before_the_end_has_failed() -> None:
     verdict, _ = run(Event(tick=9, kind="fault", operation=1), amperes=2.0)
     assert verdict.result("current_peak").status is Status.FAILED

@@ -48,7 +48,8 @@ def told_end(outcome: Outcome) -> str:
     assert outcome.ended is not None
     why = f": {outcome.text}" if outcome.text else ""
     # A controller that tells of no operation leaves -1.
-    where = f" in operation {outcome.operation}" if outcome.operation >= 0 else ""
+    told = outcome.operation is not None and outcome.operation >= 0
+    where = f" in operation {outcome.operation}" if told else ""
     return f"the run ended{where}, {outcome.ended.value}{why}"
 
 
