@@ -78,6 +78,7 @@ SLOW: dict[str, dict[str, str]] = {
         "pytest tests/onoff tests/plc": OF_TESTS,
         "python -m tests.plc.scan_table": "minutes",
         "python -m tests.plc.stuck": "tests/plc/test_stuck.py",
+        "python -m tests.plc.breaks --compiled FOLDER": "needs matiec; tests/plc/test_breaks.py",
         "python tools/onoff_results.py cycle": "a minute",
         "threadline compare examples/letter-cycle.toml -m letter-placer": "a minute",
         "threadline compile examples/letter-cycle.toml -m letter-placer --target st --shaper zv "
