@@ -49,7 +49,7 @@ fuzz: $(STAMP)  ## A million hostile inputs, two hours of hostile command lines,
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_interrupts.py --cases 400
 
 lock:  ## Renew the locked requirements (needs uv)
-	for name in run dev bench; do \
+	for name in run dev bench panel; do \
 	  uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 	    --custom-compile-command "make lock" requirements/$$name.in -o requirements/$$name.txt; \
 	done

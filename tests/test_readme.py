@@ -17,6 +17,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 OUTPUTS = ("-o", "--report", "--recording", "--proof")
 SLOW = {"design": "its search takes minutes; tests/cli/test_design.py runs the command"}
+SLOW["panel"] = "it serves until it is ended; tests/panel/test_panel_command.py runs it"
 
 
 def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(

@@ -12,6 +12,8 @@ from threadline.errors import CommandError
 from threadline.live.braking import CountLimits
 from threadline.live.jogging import JogAhead, manual_feed
 from threadline.live.states import Cause, State
+from threadline.live.wire import Message
+from threadline.signals import Ended
 
 MM = 1e3 / winder().counts_per_unit[1]
 FAST = 20 * MM / 1e3 / 0.005  # 72 mm/s, the manual feed
@@ -139,3 +141,78 @@ def test_what_is_no_jog_is_refused() -> None:
     bench.executor.start(table_of_counts(there_and_back(), start=stands))
     bench.go_on()
     assert bench.executor.state is State.IDLE
+
+
+def to_count(bench: Bench, axis: str, count: int) -> None:
+    bench.executor.move(axis, count)
+    while not bench.executor.over:
+        if bench.executor.state is State.JOGGING:
+            bench.executor.renew()
+        bench.executor.step()
+
+
+@pytest.mark.parametrize("count", [1, -3, 40, 2000, -2000])
+def test_a_move_ends_on_its_count(count: int) -> None:
+    bench = Bench().ready()
+    to_count(bench, "X", count)
+    assert bench.executor.state is State.IDLE
+    assert bench.wire.machine.position.tolist() == [0, count, 0]
+    to_count(bench, "X", 0)
+    bench.executor.start(table_of_counts(there_and_back()))  # it stands where that begins
+    bench.go_on()
+    assert bench.executor.state is State.IDLE
+
+
+@settings(max_examples=15)
+@given(st.integers(1, 120), st.sampled_from(["stop", "let go", "lease", "dead"]))
+def test_a_move_ends_as_a_jog_does(tick: int, how: str) -> None:
+    """By a stop, by letting go, by the tail, by its lease (18.1 + 1.8 + 0.43 mm): never later."""
+    bench = Bench().ready()
+    bench.executor.move("X", 3000)
+    while bench.executor.tick < tick:
+        bench.executor.renew()
+        bench.executor.step()
+    at = bench.wire.machine.position[1] * MM
+    if how == "dead":
+        bench.wire.mute = True
+        bench.wire.machine.play(400)
+    else:
+        if how == "stop":
+            bench.desk.ask(Cause.STOP)
+        elif how == "let go":
+            bench.executor.let_go()
+        bench.go_on()
+        assert bench.executor.state is State.IDLE
+    assert bench.wire.machine.standing
+    way = {"stop": 0.6, "let go": 0.6, "lease": 20.4, "dead": 7.7}[how]
+    assert bench.wire.machine.position[1] * MM - at <= way
+    assert bench.wire.machine.position[1] <= 3000
+
+
+def test_a_move_keeps_the_travel() -> None:
+    bench = Bench().ready()
+    with pytest.raises(CommandError, match=r"axis X: 0\.6 is beyond its travel, -0\.5 to 0\.5"):
+        bench.executor.move("X", round(600 / MM))
+    assert bench.executor.state is State.IDLE
+
+
+@pytest.mark.parametrize("tick", [15, 40, 65])
+@pytest.mark.parametrize("between", [False, True])
+def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
+    """Also where both come when the machine has gone on, which refuses what begins in its past."""
+    bench = jogged()
+    executor = bench.executor
+    while executor.tick < tick:
+        executor.renew()
+        executor.step()
+    if between:
+        executor.let_go()
+    if executor._owes_go:  # the machine goes on, and has not told yet
+        executor._owes_go = False
+        executor._link.send(Message("go"))
+    executor.let_go()
+    executor.let_go()
+    bench.go_on()
+    assert executor.state is State.IDLE
+    assert executor.ended == (Ended.COMPLETED, "")
+    assert bench.wire.machine.position[1] * MM <= 1e3 * FAST * 0.005 * (tick + 10) + 0.5

@@ -44,6 +44,7 @@ COMMANDS = {
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
     "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
+    "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
     "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
     "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),

@@ -59,7 +59,7 @@ class Ahead:
         self._given: list[tuple[int, Event]] = []  # events that were sent, and for which tick
         self._window.reach(MOST_PLACES)
         self.to_rest = False
-        self._before_cut: tuple[FloatArray, FloatArray, list[tuple[int, Event]]] | None = None
+        self._before_cut: tuple[int, FloatArray, FloatArray, list[tuple[int, Event]]] | None = None
 
     @property
     def end(self) -> int:
@@ -143,7 +143,7 @@ class Ahead:
     def cut(self, tick: int) -> Message:
         """Return the refill that brakes along the path from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
-        self._before_cut = (self._places, self._rising, self._given)
+        self._before_cut = (self._first, self._places, self._rising, self._given)
         self._places = self._places[: tick - self._first + 1]
         self._rising = np.empty(0)
         back = [event for at, event in self._given if at >= tick]
@@ -156,7 +156,7 @@ class Ahead:
         """Undo the last cut, which the machine refused; return whether there was one."""
         if self._before_cut is None:
             return False
-        self._places, self._rising, given = self._before_cut
+        self._first, self._places, self._rising, given = self._before_cut
         self._before_cut = None
         self._window.take_events(self.place)  # those that the cut had put back
         self._given = given

@@ -28,6 +28,10 @@ class Desk:
             self._stop = True
         else:
             self._asked.append(cause)
+        self.wake()
+
+    def wake(self) -> None:
+        """Wake an executor that waits, for something that is not in the queue."""
         with suppress(OSError):  # full: it is woken already
             self._writes.send(b"!")
 

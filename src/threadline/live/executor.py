@@ -14,9 +14,9 @@ import numpy as np
 from threadline.arrays import IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
 from threadline.live.ahead import ticks_in
+from threadline.live.at_rest import AtRest
 from threadline.live.desk import Desk
-from threadline.live.far_end import FarEnd
-from threadline.live.jogging import JogAhead
+from threadline.live.jogging import JogAhead, MoveAhead
 from threadline.live.kept import Sink
 from threadline.live.states import MOVING, Cause, State, next_state
 from threadline.live.ways import RunAhead, way_of
@@ -35,7 +35,7 @@ _STARVED = "refills came too late: the machine has braked by itself"
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
 
-class Executor:
+class Executor(AtRest):
     """Runs tables of counts on a machine at the end of a link.
 
     Parameters
@@ -55,20 +55,10 @@ class Executor:
     def __init__(
         self, link: Connection, machine: Machine, desk: Desk, sink: Sink, *, speed: float
     ) -> None:
-        self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
-        self.far_end = FarEnd(link, machine)
+        super().__init__(link, machine, desk, sink)
         self._real_time = speed == 1.0
         self._way = way_of(machine)
-        self.state = State.DISABLED
-        self.tick = 0  # of the machine, as it was last told
-        self.late_ticks = 0
-        self.ended: tuple[Ended, str] | None = None
-        self.over = False  # the run has ended and the machine has settled
-        self._homed = False
-        self._stands = np.zeros(len(machine.axes), dtype=np.int64)
-        self._began = self._stands  # where the run began
         self._ahead: RunAhead | JogAhead | None = None
-        self._number = 0  # of runs and jogs since the machine greeted
         self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
@@ -77,60 +67,12 @@ class Executor:
         self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
         self._rest: int | None = None  # the tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
+        self._braked = False  # what was sent ends in a braking that was asked for
 
-    # --- commands before a run -------------------------------------------------------------
-
-    def connect(self) -> None:
-        """Receive the greeting of the machine.
-
-        Raises
-        ------
-        LinkFaultError
-            If the machine does not answer.
-        CommandError
-            If it is another machine, or has another version of the protocol.
-        """
-        simulated = self.far_end.greet()
-        self._sink.begin(self.far_end.channels, simulated)
-
-    def enable(self) -> None:
-        """Switch the drives on."""
-        next_state(self.state, Cause.ENABLE)
-        self.far_end.enable()
-        self._go(Cause.ENABLE)
-
-    def disable(self) -> None:
-        """Switch the drives off, at rest only; the machine must be homed before the next run."""
-        self._go(Cause.DISABLE)
-        self._homed = False
-        self.far_end.disable()
-
-    def reset(self) -> None:
-        """Leave a fault, with the drives off; the machine must be homed then.
-
-        Raises
-        ------
-        CommandError
-            If there is no fault, the machine still brakes, or the link is gone.
-        """
-        if self._link.lost:
-            raise CommandError("the link is gone", remedy="Connect again.")
-        if self.state is State.FAULT and not self.over:
-            raise CommandError("the machine is still braking", remedy="Wait until it stands.")
-        self._go(Cause.RESET)
-        self._homed = False
-        self.far_end.disable()
-
-    def close(self) -> None:
-        """End the connection; a machine that moves plays its braking tail."""
-        self.far_end.leave()
-
-    def home(self) -> None:
-        """Home the machine."""
-        self._go(Cause.HOME)
-        self._stands = self.far_end.home()
-        self._homed = True
-        self._go(Cause.HOMED)
+    @property
+    def under_way(self) -> bool:
+        """Whether a run or a jog has begun and is not over: ``step`` is to be called."""
+        return self._ahead is not None and not self.over
 
     def start(
         self, commands: Commands, *, pass_stops: bool = False, hold_at_rest: bool = False
@@ -173,10 +115,31 @@ class Executor:
             If the machine is not idle, has no such axis, or the speed is above the manual feed.
         """
         next_state(self.state, Cause.JOG)
-        self._lease_until = self._lease
-        self._set_out(
-            Cause.JOG, JogAhead(self._machine, self._stands, axis, velocity), self._stands
+        self._set_out_by_hand(JogAhead(self._machine, self._stands, axis, velocity))
+
+    def move(self, axis: str, to_counts: int, lease_s: float = LEASE_S) -> None:
+        """Move an axis to a position at its manual feed, with the lease of a jog.
+
+        Parameters
+        ----------
+        axis, to_counts
+            Name of the axis, and the position in counts.
+        lease_s
+            What is left of the lease, where another move came before it.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle, has no such axis, or the position is beyond its travel.
+        """
+        next_state(self.state, Cause.JOG)
+        self._set_out_by_hand(
+            MoveAhead(self._machine, self._stands, axis, to_counts), min(lease_s, LEASE_S)
         )
+
+    def _set_out_by_hand(self, jog: JogAhead, lease_s: float = LEASE_S) -> None:
+        self._lease_until = ticks_in(lease_s, self._machine)
+        self._set_out(Cause.JOG, jog, self._stands)
 
     def renew(self) -> None:
         """Renew a jog for another ``LEASE_S`` from now.
@@ -200,6 +163,7 @@ class Executor:
     def _set_out(self, cause: Cause, ahead: RunAhead | JogAhead, stands: IntArray) -> None:
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
+        self._braked = self._brake_again = False
         self._guards = self._way.guards(self._machine)  # nothing of the motion before is remembered
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
         self._settle = ahead.settle_ticks
@@ -240,14 +204,6 @@ class Executor:
         elif self._link.lost:
             self._lost("the link is gone")
 
-    def obey(self) -> None:
-        """Execute the commands of the desk; one that is not possible is recorded and dropped."""
-        while (cause := self._desk.take()) is not None:
-            try:
-                self._command(cause)
-            except CommandError as error:
-                self._sink.state(self.tick, self.state, cause, error.message)
-
     def _command(self, cause: Cause) -> None:
         moving = self.state in MOVING
         self._go(cause)
@@ -263,20 +219,21 @@ class Executor:
         elif cause is Cause.RESUME:
             self._start_again()
 
-    def _go(self, cause: Cause, text: str = "") -> None:
-        self.state = next_state(self.state, cause)
-        self._sink.state(self.tick, self.state, cause, text)
-
     def _brake(self) -> None:
-        """Replace the rows that the machine holds by a braking along the path."""
+        """Replace the rows that the machine holds by a braking along the path, once.
+
+        What brakes already brakes on: a second cut behind one that is refused could not be undone.
+        """
         ahead = self._ahead
-        if ahead is not None and self._rest is None and ahead.end > self.tick:
-            self._link.send(ahead.cut(self.tick + self._lead))
+        if ahead is None or self._braked or self._rest is not None or ahead.end <= self.tick:
+            return
+        self._braked = True
+        self._link.send(ahead.cut(self.tick + self._lead))
 
     def _start_again(self) -> None:
         ahead = self._ahead
         assert not isinstance(ahead, JogAhead | None)  # a jog is not held
-        rested, ahead.to_rest = ahead.to_rest, False
+        rested, ahead.to_rest, self._braked = ahead.to_rest, False, False
         ahead.rest_until(self.tick + self._lead)
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
@@ -301,6 +258,7 @@ class Executor:
             why = _STARVED if head["starved"] else ""
             if not isinstance(self._ahead, JogAhead | None):
                 why = self._ahead.hear(head) or why
+            self._keep_latest(message)
             samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
             inputs = {name: values[-1] for name, values in samples.items() if len(values)}
             if why and self.state in _SENDING:
@@ -327,8 +285,10 @@ class Executor:
         if what == "refill" and self._ahead is not None and self._ahead.undo():
             # Braking was to begin at a tick that was past; the next report says which is not.
             self._lead, self._brake_again = max(2 * self._lead, 1), True
+            self._braked = False
         elif self.state is not State.FAULT:
             self._fault(f"the machine refused a {what}: {why}")
+            self.over = what == "begin"  # nothing moves, and nothing will be reported
 
     def _go_on(self, now: Mapping[str, float], *, standing: bool) -> None:
         """Act on a report: extend the rows, stand at a halt, or end the run."""
@@ -388,13 +348,5 @@ class Executor:
 
     def _fault(self, text: str) -> None:
         """Go to the state of a fault, and brake."""
-        self.ended = (Ended.FAULT, text)
-        self._homed = False
-        self._go(Cause.FAULT, text)
+        super()._fault(text)
         self._brake()
-
-    def _lost(self, text: str) -> None:
-        """Record that the link is lost; the machine plays its braking tail."""
-        self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
-        self._go(Cause.FAULT, text)
-        self._sink.block(self.far_end.lost(self.tick, text))

@@ -78,7 +78,7 @@ class JogAhead:
         self._stands = stands
         self._first = 0  # tick of the first state that is kept
         self._states = [_At(float(stands[self._column]), 0.0, 0.0)]
-        self._before_cut: tuple[list[_At], float] | None = None
+        self._before_cut: tuple[int, list[_At], float] | None = None
         self.why = ""
         """Reason of an end before the operator let go; empty where there is none."""
 
@@ -116,7 +116,7 @@ class JogAhead:
     def cut(self, tick: int) -> Message:
         """Return the refill that brakes from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
-        self._before_cut = (self._states, self._target)
+        self._before_cut = (self._first, self._states, self._target)
         kept = self._states[: tick - self._first + 1]
         self._target, self._states = 0.0, [*kept, *self._braking(kept[-1])[1:]]
         return self._refill(tick, [])
@@ -125,7 +125,7 @@ class JogAhead:
         """Undo the last cut, which the machine refused; return whether there was one."""
         if self._before_cut is None:
             return False
-        (self._states, self._target), self._before_cut = self._before_cut, None
+        (self._first, self._states, self._target), self._before_cut = self._before_cut, None
         return True
 
     def _trajectory(self, at: _At, target: float) -> Trajectory:
@@ -151,6 +151,7 @@ class JogAhead:
         return [at, *states]
 
     def _refill(self, begin: int, tail: list[_At]) -> Message:
+        """Return the refill from a tick on, with what brakes after it."""
         states = [*self._states[begin - self._first :], *tail]
         places = np.rint([state.position for state in states]).astype(np.int64)
         counts = np.zeros((len(places) - 1, len(self._stands)), dtype=np.int64)
@@ -160,6 +161,51 @@ class JogAhead:
         head = {"first": begin, "wanted": self.end - begin, "last": False, "events": []}
         arrays = {"at": at, "counts": counts, "operation": np.full(len(counts), -1)}
         return Message("refill", head, arrays)
+
+
+class MoveAhead(JogAhead):
+    """A jog that ends at a position, at the manual feed.
+
+    Parameters
+    ----------
+    machine, stands, axis
+        As in ``JogAhead``.
+    to_counts
+        Position at which it ends, in counts.
+
+    Raises
+    ------
+    CommandError
+        If there is no such axis, or the position lies beyond its travel.
+    """
+
+    def __init__(self, machine: Machine, stands: IntArray, axis: str, to_counts: int) -> None:
+        super().__init__(machine, stands, axis, 0.0)
+        if not self._low <= to_counts <= self._high:
+            to_unit = 1.0 / machine.counts_per_unit[self._column]
+            raise CommandError(
+                f"axis {axis}: {to_counts * to_unit:.5g} is beyond its travel, "
+                f"{self._low * to_unit:.5g} to {self._high * to_unit:.5g}",
+                remedy="Move the position where the job starts.",
+            )
+        asked = InputParameter(1)
+        asked.current_position = [self._states[0].position]
+        asked.target_position = [float(to_counts)]
+        asked.max_velocity = [float(manual_feed(machine)[self._column])]
+        asked.max_acceleration = self._asked.max_acceleration
+        asked.max_jerk = self._asked.max_jerk
+        self._way, self._ends = Trajectory(1), float(to_counts)
+        self._otg.calculate(asked, self._way)
+        self._target = self._ends - self._states[0].position  # not 0: it goes on
+
+    def _step(self, at: _At, target: float) -> _At:
+        tick = self.end + 1
+        if target == 0.0:  # it brakes, or has come to its end
+            return super()._step(at, 0.0)
+        if tick < self._way.duration:
+            return _state(self._way, float(tick))
+        self._target = 0.0
+        return _At(self._ends, 0.0, 0.0)
 
 
 def manual_feed(machine: Machine) -> FloatArray:

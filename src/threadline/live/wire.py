@@ -13,6 +13,7 @@ import select
 import socket
 import struct
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
@@ -182,6 +183,8 @@ class Connection:
         return bool(select.select([self._socket], [], [], waited)[0])
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket; a thread that waits in ``receive`` is woken."""
         self.lost = True
+        with suppress(OSError):  # the other side is gone already
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

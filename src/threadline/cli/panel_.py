@@ -1,0 +1,121 @@
+"""``threadline panel``: the operator's panel in a browser."""
+
+from __future__ import annotations
+
+import socket
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.output import say
+from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
+from threadline.cli.shared_options import MachineOption, ParOption, SpecOption, machine_from
+from threadline.cli.told import at_work
+from threadline.errors import OptionError
+from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
+from threadline.pipeline import check_machine
+from threadline.verdict import load_spec
+
+_MOST_SPEED = 100.0
+
+
+def panel(
+    machine: MachineOption,
+    folder: Annotated[
+        Path, typer.Argument(help="Project folder: its programs are those of the panel.")
+    ] = Path(),
+    spec: SpecOption = None,
+    link: Annotated[
+        str, typer.Option(help="Link to the machine: sim is a simulated one, in its own process.")
+    ] = "sim",
+    speed: Annotated[
+        float,
+        typer.Option(
+            min=LEAST_SPEED, max=_MOST_SPEED, help="Simulated seconds a second; 1 is real time."
+        ),
+    ] = REAL_TIME,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; any but 127.0.0.1 needs --token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8750,
+    token: Annotated[
+        str, typer.Option(help="Word that every client has to know; 16 characters or more.")
+    ] = "",
+    store: StoreOption = DEFAULT_STORE,
+    par: ParOption = None,
+) -> None:
+    """Serve the operator's panel: calculate, home, jog, run, watch, stop.
+
+    The machine belongs to a process of its own. Where the panel ends or hangs, that process stops
+    the machine along its path; where a browser is gone, a jog ends within 250 ms, and a run goes
+    on, for every other browser can stop it, and so can Ctrl-C here.
+
+    Example: threadline panel examples -m lathe-winder
+    """
+    if link != "sim":
+        raise OptionError(
+            f"the panel has no link {link[:40]!r}",
+            remedy="Use --link sim; threadline run drives a controller with grbl.",
+        )
+    if not folder.is_dir():
+        raise OptionError(f"{str(folder)!r} is no folder", remedy="Name the project folder.")
+    chosen = machine_from(machine, par)
+    check_machine(chosen)
+    load_spec(spec, chosen)
+    # Imported here, so that no other command waits for a web server.
+    import uvicorn
+
+    from threadline.panel.admission import Admission
+    from threadline.panel.calculation import Calculation
+    from threadline.panel.owner_link import OwnerLink
+    from threadline.panel.owner_process import Owned, start_owner
+    from threadline.panel.panel import Panel
+    from threadline.panel.protocol import MOST_TEXT
+    from threadline.panel.server import make_app
+
+    admission = Admission(host, token)
+    owned = Owned(chosen, spec, folder, store, speed)
+    with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept:
+        calculation = Calculation(chosen, spec, folder, Path(kept))
+        owner = OwnerLink(lambda: start_owner(owned))
+        app = make_app(Panel(chosen, owner, calculation), folder, admission)
+        listening = _listen(host, port)
+        say(f"The panel of {chosen.name} is at http://{host}:{port}/ (Ctrl-C stops and ends)")
+        at_work("serving", shown=True)  # what it does is seen in the browser
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            ws="websockets-sansio",
+            ws_max_size=MOST_TEXT,
+            timeout_graceful_shutdown=1,
+            access_log=False,
+        )
+        uvicorn.Server(config).run(sockets=[listening])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens at an address.
+
+    Raises
+    ------
+    OptionError
+        If that address cannot be had.
+    """
+    try:
+        return socket.create_server((host, port), family=_family(host), reuse_port=False)
+    except OSError as error:
+        raise OptionError(
+            f"cannot listen at {host}:{port}: {error.strerror or error}",
+            remedy="Give another --port, or end the program that has this one.",
+        ) from error
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("panel")(panel)

@@ -1,0 +1,178 @@
+"""What an executor does while nothing moves: connection, drives, homing, listening."""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Mapping
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import CommandError, LinkFaultError
+from threadline.live.desk import Desk
+from threadline.live.far_end import FarEnd
+from threadline.live.kept import Sink
+from threadline.live.states import Cause, State, next_state
+from threadline.live.wire import Connection, Message
+from threadline.machine import Machine
+from threadline.signals import Ended
+
+
+class AtRest:
+    """What an executor does between motions.
+
+    Parameters
+    ----------
+    link
+        The link to the machine, which has not greeted yet.
+    machine
+        The machine that the link must lead to.
+    desk
+        Queue of the operator's commands.
+    sink
+        Receiver of samples, events and changes of state.
+
+    Attributes
+    ----------
+    latest
+        Last sample of each channel that the machine has reported.
+    """
+
+    def __init__(self, link: Connection, machine: Machine, desk: Desk, sink: Sink) -> None:
+        self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
+        self.far_end = FarEnd(link, machine)
+        self.state = State.DISABLED
+        self.tick = 0  # of the machine, as it was last told
+        self.late_ticks = 0
+        self.ended: tuple[Ended, str] | None = None
+        self.over = False  # the run has ended and the machine has settled
+        self.latest: Mapping[str, float] = {}
+        self._homed = False
+        self._stands = np.zeros(len(machine.axes), dtype=np.int64)
+        self._began = self._stands  # where the run began
+        self._number = 0  # of runs and jogs since the machine greeted
+
+    @property
+    def stands(self) -> IntArray:
+        """Commanded position, (axes,) in the units of the commands; known once it is homed."""
+        return self._stands
+
+    def connect(self) -> None:
+        """Receive the greeting of the machine.
+
+        Raises
+        ------
+        LinkFaultError
+            If the machine does not answer.
+        CommandError
+            If it is another machine, or has another version of the protocol.
+        """
+        simulated = self.far_end.greet()
+        self._sink.begin(self.far_end.channels, simulated)
+
+    def enable(self) -> None:
+        """Switch the drives on."""
+        next_state(self.state, Cause.ENABLE)
+        self.far_end.enable()
+        self._go(Cause.ENABLE)
+
+    def disable(self) -> None:
+        """Switch the drives off, at rest only; the machine must be homed before the next run."""
+        self._go(Cause.DISABLE)
+        self._homed = False
+        self.far_end.disable()
+
+    def reset(self) -> None:
+        """Leave a fault, with the drives off; the machine must be homed then.
+
+        Raises
+        ------
+        CommandError
+            If there is no fault, the machine still brakes, or the link is gone.
+        """
+        if self._link.lost:
+            raise CommandError("the link is gone", remedy="Connect again.")
+        if self.state is State.FAULT and not self.over and self._number:
+            raise CommandError("the machine is still braking", remedy="Wait until it stands.")
+        self._go(Cause.RESET)
+        self._homed = False
+        self.far_end.disable()
+
+    def close(self) -> None:
+        """End the connection; a machine that moves plays its braking tail."""
+        self.far_end.leave()
+
+    def home(self) -> None:
+        """Home the machine.
+
+        Raises
+        ------
+        LinkFaultError
+            If it does not get home; it is in the state of a fault then.
+        """
+        self._go(Cause.HOME)
+        try:
+            self._stands = self.far_end.home()
+        except LinkFaultError as error:
+            self._fault(error.message)
+            self.over = True
+            raise
+        self._homed = True
+        self._go(Cause.HOMED)
+
+    def stand(self, patience_s: float) -> None:
+        """Listen to a machine at rest, for ``patience_s`` at most, and obey what is asked."""
+        gone = self._link.lost
+        waited = [self._desk.fileno(), *([] if gone else [self._link.fileno()])]
+        if not self._link.waiting:
+            ready, _, _ = select.select(waited, [], [], patience_s)
+            if self._desk.fileno() in ready:
+                self._desk.woken()
+        self.obey()
+        if gone:
+            return
+        try:
+            message = self._link.receive(0.0)
+        except LinkFaultError as error:
+            self._lost(error.message)
+            return
+        if message is not None and message.kind == "report":
+            self._keep_latest(message)
+            told = [one[3] for one in message.head["events"] if one[1] == "fault"]
+            if told and self.state is not State.FAULT:
+                self._fault(told[0])
+                self.over = True
+        elif message is None and self._link.lost:
+            self._lost("the link is gone")
+
+    def _keep_latest(self, report: Message) -> None:
+        found = {name: float(a[-1]) for name, a in report.arrays.items() if len(a)}
+        self.latest = {**self.latest, **found}
+
+    def obey(self) -> None:
+        """Execute the commands of the desk; one that is not possible is recorded and dropped."""
+        while (cause := self._desk.take()) is not None:
+            try:
+                self._command(cause)
+            except CommandError as error:
+                self._sink.state(self.tick, self.state, cause, error.message)
+
+    def _command(self, cause: Cause) -> None:
+        """Execute a command; at rest it changes the state alone."""
+        self._go(cause)
+
+    def _go(self, cause: Cause, text: str = "") -> None:
+        self.state = next_state(self.state, cause)
+        self._sink.state(self.tick, self.state, cause, text)
+
+    def _fault(self, text: str) -> None:
+        """Go to the state of a fault."""
+        self.ended = (Ended.FAULT, text)
+        self._homed = False
+        self._go(Cause.FAULT, text)
+
+    def _lost(self, text: str) -> None:
+        """Record that the link is lost; the machine plays its braking tail."""
+        self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
+        self._go(Cause.FAULT, text)
+        self._sink.block(self.far_end.lost(self.tick, text))

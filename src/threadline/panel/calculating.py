@@ -1,0 +1,133 @@
+"""A calculation of the panel, in a process of its own: plan, simulate, judge, write the proof.
+
+It reads one request as JSON from standard input and writes JSON lines to standard output: the share
+that is done, and at the end the figures, or why there are none.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.doubts import doubts
+from threadline.errors import ThreadlineError
+from threadline.input_files import noting_inputs
+from threadline.jobs.operations import Job, Move, MoveRun
+from threadline.live.ways import way_of
+from threadline.machine import Machine, load_machine
+from threadline.machine.par import read_parameters
+from threadline.panel.project_programs import planned
+from threadline.pipeline import NOMINAL, REPEATED, Proof, check_machine, prove_plan, with_shaping
+from threadline.proof_file import read_proof, write_proof
+from threadline.signals import ChannelKind
+from threadline.verdict import closing, load_spec
+from threadline.verdict.rendering import criteria_json
+
+_SHOWN = 2000  # points of a plot
+_NICE = 10  # the executor comes first
+_LEVELS = {"nominal": NOMINAL, "repeated": REPEATED}
+
+
+def machine_of(told: Mapping[str, Any]) -> Machine:
+    """Return the machine of a request."""
+    machine = load_machine(str(told["machine"]))
+    return machine if told["par"] is None else read_parameters(Path(told["par"]), machine)
+
+
+def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a program; write its proof into ``told["proof_file"]``.
+
+    Raises
+    ------
+    InputError
+        If the program cannot be read, planned or judged.
+    """
+    machine = machine_of(told)
+    check_machine(machine)
+    with noting_inputs():
+        plan, options = planned(Path(told["folder"]), told, machine)
+        asked = load_spec(None if told["spec"] is None else Path(told["spec"]), machine)
+        spec = with_shaping(asked, machine, options)
+        proof = prove_plan(plan, spec, _share, _LEVELS[told["level"]])
+        write_proof(proof, told["proof_file"])
+    starts = way_of(machine).start(plan.commands).tolist()
+    return {
+        **figures(proof),
+        "starts": starts,
+        "proof": read_proof(told["proof_file"]).content["sha256"],
+    }
+
+
+def figures(proof: Proof) -> dict[str, Any]:
+    """Return what the operator sees of a proof, SI units."""
+    plan, verdict = proof.plan, proof.verdict
+    circuits, points = circuits_and_points(plan.job)
+    ticks = plan.commands.tick_count()
+    times_s, planned_at = _commanded(proof)
+    return {
+        "program": plan.job.name,
+        "passed": verdict.passed,
+        "closing": closing(verdict),
+        "duration_s": plan.duration_s,
+        "ticks": ticks,
+        "circuits": circuits,
+        "ticks_per_circuit": None if not circuits or ticks is None else round(ticks / circuits),
+        "points": points,
+        "warnings": doubts(proof),
+        "criteria": criteria_json(verdict),
+        "times_s": [round(float(t), 6) for t in times_s],
+        "planned": {name: [round(float(p), 7) for p in at] for name, at in planned_at.items()},
+    }
+
+
+def circuits_and_points(job: Job) -> tuple[int | None, int]:
+    """Return how often the most repeated moves happen, None for once, and the number of moves."""
+    circuits, points = 1, 0
+    for item, times, _ in job.folded():
+        if isinstance(item, MoveRun):
+            circuits, points = max(circuits, times), points + times * len(item)
+        elif isinstance(item, Move):
+            circuits, points = max(circuits, times), points + times
+    return (circuits if circuits > 1 else None), points
+
+
+def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return instants, and the commanded position of every axis at them, ``_SHOWN`` at most."""
+    recording = proof.recording
+    found = {c.axis: c for c in recording.channels if c.kind is ChannelKind.COMMANDED}
+    if not found:
+        return np.empty(0), {}
+    parts: dict[str, list[FloatArray]] = {name: [] for name in found}
+    for block in recording:
+        for name, channel in found.items():
+            parts[name].append(block.samples[channel.name])
+    at = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    clock = next(iter(found.values())).clock
+    every = -(-len(next(iter(at.values()))) // _SHOWN)
+    times_s = float(clock.period_s) * np.arange(len(next(iter(at.values()))), dtype=np.float64)
+    return times_s[::every], {name: values[::every] for name, values in at.items()}
+
+
+def _share(_what: str, share: float) -> None:
+    _print({"share": round(share, 3)})
+
+
+def _print(content: Mapping[str, Any]) -> None:
+    sys.stdout.write(json.dumps(content, allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Answer the request on standard input."""
+    os.nice(_NICE)
+    try:
+        _print({"figures": calculate(json.loads(sys.stdin.read()))})
+    except (ThreadlineError, OSError) as error:
+        _print({"error": str(error)})

@@ -1,0 +1,145 @@
+"""The calculation of the panel that is under way, and what was proven last."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from threadline.errors import CommandError
+from threadline.machine import Machine
+from threadline.panel.protocol import Calculate, Figures, Proven
+
+_CHILD = "from threadline.panel.calculating import main; main()"
+_MOST_LINE = 32 << 20
+
+
+class Calculation:
+    """Calculates one program at a time, in a process of its own.
+
+    Parameters
+    ----------
+    machine, spec_file
+        The machine, and the specification; None is the machine's own.
+    folder, kept
+        Folder of the programs, and the one where the proof is kept.
+
+    Attributes
+    ----------
+    proven
+        What was calculated last, and not changed since; None where there is nothing.
+    share
+        Share that is done; None where nothing is calculated.
+    """
+
+    def __init__(self, machine: Machine, spec_file: Path | None, folder: Path, kept: Path) -> None:
+        self._machine, self._spec_file, self._folder = machine, spec_file, folder
+        self._kept = kept
+        self.proven: Proven | None = None
+        self.share: float | None = None
+        self.figures: Figures | None = None
+        self._words: Mapping[str, Any] = {}
+        self._starts: list[int] = []
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def starts(self) -> list[int]:
+        """Where the proven program begins, in counts of the axes."""
+        return self._starts
+
+    def begin(self, asked: Calculate, tell: Callable[[Figures | str], None]) -> None:
+        """Begin a calculation; what was proven before is forgotten.
+
+        Parameters
+        ----------
+        asked
+            What is calculated.
+        tell
+            Called with the figures, or with why there are none.
+
+        Raises
+        ------
+        CommandError
+            If one is under way.
+        """
+        if self.share is not None:
+            raise CommandError("a calculation is under way", remedy="Wait for it.")
+        self.forget()
+        self.share = 0.0
+        self._task = asyncio.create_task(self._run(asked, tell))
+
+    def forget(self) -> None:
+        """Forget what was proven: a program was changed."""
+        self.proven, self.figures, self._starts = None, None, []
+
+    def to_start(self, proof: str) -> Mapping[str, Any]:
+        """Return what the owner has to be told, so that it runs what was proven.
+
+        Raises
+        ------
+        CommandError
+            If that is not what the client was shown.
+        """
+        if self.proven is None or self.proven.proof != proof:
+            raise CommandError(
+                "this is not the program that was proven last", remedy="Calculate it again."
+            )
+        return {**self._words, "proof": proof}
+
+    async def _run(self, asked: Calculate, tell: Callable[[Figures | str], None]) -> None:
+        words = {**asked.model_dump(exclude={"what"}), "proof_file": str(self._kept / "proof.json")}
+        machine = self._machine
+        told = {
+            **words,
+            "folder": str(self._folder),
+            "machine": machine.reference,
+            "par": machine.parameters or None,
+            "spec": None if self._spec_file is None else str(self._spec_file),
+        }
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", _CHILD,
+            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+            limit=_MOST_LINE, start_new_session=True,
+        )  # fmt: skip
+        try:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            process.stdin.write(json.dumps(told).encode())
+            process.stdin.close()
+            why = "the calculation has ended without an answer"
+            async for line in process.stdout:
+                said = json.loads(line)
+                self.share = said.get("share", self.share)
+                why = said.get("error", why)
+                if "figures" in said:
+                    tell(self._taken(said["figures"], words))
+                    return
+            tell(why)
+        finally:
+            self.share = None
+            with suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+
+    def _taken(self, found: dict[str, Any], words: Mapping[str, Any]) -> Figures:
+        self._starts = found.pop("starts")
+        self._words = words
+        self.figures = Figures.model_validate(found)
+        self.proven = Proven(
+            program=str(words["program"]),
+            proof=self.figures.proof,
+            passed=self.figures.passed,
+            closing=self.figures.closing,
+        )
+        return self.figures
+
+    async def close(self) -> None:
+        """End a calculation that is under way."""
+        if self._task is not None:
+            self._task.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._task

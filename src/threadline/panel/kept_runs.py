@@ -1,0 +1,241 @@
+"""Runs of the panel: the check of the proof beforehand, the store, and the verdict afterwards.
+
+Check and verdict take seconds, and are threads: the executor goes on to listen. Nothing moves while
+they work.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from threadline.arrays import finite
+from threadline.errors import ProofError, ThreadlineError
+from threadline.input_files import inputs_read, noting_inputs
+from threadline.live.executor import Executor
+from threadline.live.hold_deviation import hold_limit_m
+from threadline.live.states import Cause, State
+from threadline.live.supervised import check_halts, check_override, check_runnable
+from threadline.live.ways import way_of
+from threadline.machine import Machine
+from threadline.panel.project_programs import planned
+from threadline.pipeline import with_shaping
+from threadline.plan import Plan
+from threadline.proof_file import ProofFile
+from threadline.signals import Channel, RecordingBlock
+from threadline.signals.files import read_recording
+from threadline.store.run_store import OpenRun, RunStore
+from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A run that may begin: its proof was compared with what is there now.
+
+    Parameters
+    ----------
+    number
+        Number of the request.
+    stops
+        How many stops had been heard when it was asked for.
+    """
+
+    number: int
+    stops: int
+    plan: Plan
+    spec: Spec
+    proof: ProofFile
+    override: str | None
+    inputs: tuple[Path, ...]
+    leaves_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Finished:
+    content: Mapping[str, Any]
+    closing: str
+
+
+class KeptRuns:
+    """Prepares, keeps and judges runs; the sink of the executor.
+
+    Parameters
+    ----------
+    folder
+        Folder of the programs.
+    machine, spec_file
+        The machine, and the specification; None is the machine's own.
+    store
+        Folder of the runs.
+    link, speed
+        As they are written into the index.
+    said
+        Called with what people have to know.
+
+    Attributes
+    ----------
+    why
+        The reason of the latest change of state, where there was one.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        machine: Machine,
+        spec_file: Path | None,
+        store: Path,
+        link: str,
+        speed: float,
+        said: Callable[[str], None],
+    ) -> None:
+        self._folder, self._machine, self._spec_file = folder, machine, spec_file
+        self._store, self._link, self._speed, self._said = store, link, speed, said
+        self._pool = ThreadPoolExecutor(1)
+        self._preparing: tuple[Future[Prepared], int, int] | None = None
+        self._judging: Future[_Finished] | None = None
+        self._channels: tuple[Channel, ...] = ()
+        self._simulated = True
+        self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
+        self._progress: dict[str, Any] | None = None
+        self.why = ""
+
+    # --- the sink of the executor ----------------------------------------------------------
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        """Keep the channels for the runs that follow."""
+        self._channels, self._simulated = channels, simulated
+
+    def block(self, block: RecordingBlock) -> None:
+        """Write a block into the open run."""
+        if self._open is not None:
+            self._open[0].block(block)
+
+    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
+        """Keep the reason of a change of state, and write the change into the open run."""
+        self.why = text
+        if self._open is not None:
+            self._open[0].state(tick, state, cause, text)
+
+    # --- a run -----------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run is prepared, open, or being judged."""
+        return not (self._preparing is None and self._open is None and self._judging is None)
+
+    def prepare(self, told: Mapping[str, Any], stops: int) -> None:
+        """Begin to check what a client wants to run; ``prepared`` has the answer."""
+        number = int(told["number"])
+        self._preparing = (self._pool.submit(self._prepared, told, stops), number, stops)
+
+    def prepared(self) -> Prepared | tuple[int, str] | None:
+        """Return what was prepared, or its number and why it is refused; None while it is not."""
+        if self._preparing is None or not self._preparing[0].done():
+            return None
+        future, number, _ = self._preparing
+        self._preparing = None
+        try:
+            return future.result()
+        except (ThreadlineError, OSError) as error:
+            return number, str(error)
+
+    def _prepared(self, told: Mapping[str, Any], stops: int) -> Prepared:
+        """Plan it anew, and compare that with the proof, hash by hash."""
+        proof_file = Path(str(told["proof_file"]))
+        override = None if told["override"] is None else str(told["override"])
+        check_override(override)
+        with noting_inputs():
+            plan, options = planned(self._folder, told, self._machine)
+            asked = load_spec(self._spec_file, self._machine)
+            spec = with_shaping(asked, self._machine, options)
+            check_halts(plan, answered=True)
+            proof = check_runnable(proof_file, plan, spec, override)
+            inputs = tuple(file for file in inputs_read() if not file.samefile(proof_file))
+        if proof.content["sha256"] != told["proof"]:
+            raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
+        leaves_m = way_of(self._machine).hold_deviation_m(plan)
+        return Prepared(int(told["number"]), stops, plan, spec, proof, override, inputs, leaves_m)
+
+    def set_out(self, ready: Prepared, executor: Executor) -> None:
+        """Open the run in the store, and begin it.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle, or the run begins elsewhere.
+        """
+        told = {"link": self._link, **({"override": ready.override} if ready.override else {})}
+        at_rest = ready.leaves_m > hold_limit_m(ready.spec) or not math.isfinite(ready.leaves_m)
+        way = way_of(self._machine)
+        way.ahead(ready.plan.commands, self._machine).refuse_elsewhere(executor.stands)
+        run = RunStore(self._store).begin(ready.plan, ready.proof, told, self._speed, ready.inputs)
+        stack = ExitStack()
+        stack.enter_context(run)
+        run.begin(self._channels, self._simulated)
+        self._open = (run, ready, stack)
+        self._progress = {
+            "run": run.path.name,
+            "program": ready.plan.job.name,
+            "time_s": 0.0,
+            "duration_s": ready.plan.duration_s,
+        }
+        try:
+            executor.start(ready.plan.commands, hold_at_rest=at_rest)
+        except ThreadlineError as error:
+            self._break_off(error)
+            raise
+
+    def end(self, executor: Executor) -> None:
+        """Close a run that is over, and let it be judged; take up the verdict of the last one."""
+        if self._open is not None:
+            run, ready, stack = self._open
+            self._open = None
+            stack.close()
+            assert executor.ended is not None
+            ended, why = executor.ended
+            assert self._progress is not None
+            self._progress |= {"time_s": executor.time_s, "ended": ended.value, "why": why}
+            self._judging = self._pool.submit(self._judged, run, ready, ended.value, why)
+        elif self._judging is not None and self._judging.done():
+            future, self._judging = self._judging, None
+            assert self._progress is not None
+            try:
+                self._progress["verdict"] = future.result().closing
+            except (ThreadlineError, OSError) as error:
+                self._said(f"the run could not be judged: {error}")
+
+    def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
+        verdict = judge([read_recording(run.trace)], ready.plan, ready.spec)
+        content = {
+            **verdict_json(verdict, ready.plan),
+            "link": self._link,
+            **({"override": ready.override} if ready.override else {}),
+            "run": run.path.name,
+            "trace": str(run.trace),
+            "ended": ended,
+            "hold_deviation_m": finite(ready.leaves_m),
+        }
+        run.judged(content, ended, why)
+        return _Finished(content, closing(verdict))
+
+    def progress(self, time_s: float) -> dict[str, Any] | None:
+        """Return how far the open run is, or how the last one ended; None where there was none."""
+        if self._progress is None:
+            return None
+        return {**self._progress, **({"time_s": time_s} if self._open is not None else {})}
+
+    def _break_off(self, error: BaseException | None) -> None:
+        if self._open is not None:
+            stack = self._open[2]
+            self._open = None
+            stack.__exit__(type(error) if error else None, error, None)
+
+    def close(self, error: BaseException | None) -> None:
+        """Close an open run, as one that ``error`` has ended; wait for what the threads do."""
+        self._break_off(error)
+        self._pool.shutdown(wait=True)

@@ -1,0 +1,263 @@
+"""The process that owns the machine: it has the executor and the link, and obeys the web server.
+
+It is below the web server, and does not need it to be safe. A stop of the server is taken up by a
+thread of its own, ahead of all that was asked. When the server is gone, or silent for
+``SILENT_S``, nobody could stop the machine any more; so it is stopped, along its path.
+"""
+
+from __future__ import annotations
+
+import select
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from threadline.errors import CommandError, LinkFaultError, ThreadlineError
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.states import TRANSITIONS, Cause, State
+from threadline.live.wire import Connection, Message
+from threadline.machine import Machine
+from threadline.panel.kept_runs import KeptRuns, Prepared
+from threadline.panel.move_sequence import MoveSequence
+
+SILENT_S = 1.0
+"""Silence of the server in s after which the machine is stopped."""
+TELL_S = 0.04
+"""Period of the reports to the server, s."""
+_PATIENCE_S = 0.02
+_BY_DESK = {"hold": Cause.HOLD, "resume": Cause.RESUME}
+_MOVES = frozenset({"zero", "zero-axis", "approach"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request of the server, and how many stops were heard before it."""
+
+    what: str
+    head: Mapping[str, Any]
+    stops: int
+
+
+class Owner:
+    """Owns a machine, and does what the web server asks.
+
+    Parameters
+    ----------
+    server
+        Connection to the web server.
+    link
+        Link to the machine.
+    machine
+        The machine.
+    speed
+        Seconds of the machine's time in a second; 1 is real time.
+    runs
+        Where runs are kept.
+    """
+
+    def __init__(
+        self, server: Connection, link: Connection, machine: Machine, speed: float, runs: KeptRuns
+    ) -> None:
+        self._server, self._machine, self._runs = server, machine, runs
+        self._desk = Desk()
+        self._executor = Executor(link, machine, self._desk, runs, speed=speed)
+        self._asked: deque[_Asked] = deque()
+        self._stops = 0
+        self._heard_s = time.monotonic()
+        self._leaving = False
+        self._moves = MoveSequence()
+        self._told_s, self._told = 0.0, State.DISABLED
+
+    def serve(self) -> None:
+        """Serve until the server leaves, and the machine stands."""
+        threading.Thread(target=self._listen, daemon=True).start()
+        executor = self._executor
+        failed: BaseException | None = None
+        try:
+            executor.connect()
+            while not (self._leaving and not executor.under_way):
+                if executor.under_way:
+                    executor.step()
+                else:
+                    executor.stand(_PATIENCE_S)
+                self._watch_server()
+                self._take_requests()
+                self._go_on()
+                self._tell()
+            self._runs.end(executor)
+        except (ThreadlineError, OSError) as error:
+            # Whatever it was: the link ends with this process, and the machine brakes by its tail.
+            failed = error
+            self._say("dead", why=str(error))
+        finally:
+            executor.close()
+            self._runs.close(failed)
+            self._desk.close()
+
+    # --- the server ------------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        """Take up messages, in a thread of its own; a stop goes ahead of all."""
+        while True:
+            try:
+                message = self._server.receive()
+            except LinkFaultError:
+                message = None
+            if message is None:
+                break
+            self._heard_s = time.monotonic()
+            if message.kind == "stop":
+                self._stop()
+            elif message.kind != "alive":
+                self._asked.append(_Asked(message.kind, message.head, self._stops))
+                self._desk.wake()
+        self._leaving = True
+        self._stop()
+
+    def _stop(self) -> None:
+        self._stops += 1
+        self._desk.ask(Cause.STOP)
+
+    def _watch_server(self) -> None:
+        silent_s = time.monotonic() - self._heard_s
+        if silent_s > SILENT_S and self._executor.under_way:
+            self._heard_s = time.monotonic()
+            self._stop()
+            self._say("said", text="the web server is silent: stopped", wrong=True)
+
+    def _take_requests(self) -> None:
+        while self._asked:
+            asked = self._asked.popleft()
+            number = asked.head.get("number", 0)
+            if asked.stops != self._stops:
+                self._say("answer", number=number, ok=False, text="it was stopped before it began")
+                continue
+            try:
+                self._obey(asked)
+            except ThreadlineError as error:
+                self._say("answer", number=number, ok=False, text=str(error))
+            else:
+                self._tell()  # what has become of it comes before the answer
+                if asked.what != "start":  # which is answered when it has begun
+                    self._say("answer", number=number, ok=True, text="")
+
+    def _obey(self, asked: _Asked) -> None:
+        executor, head = self._executor, asked.head
+        what = asked.what
+        if what in _BY_DESK:
+            self._refuse_impossible(_BY_DESK[what])
+            self._desk.ask(_BY_DESK[what])
+        elif what == "renew":
+            self._moves.renew(time.monotonic())
+            if executor.state is State.JOGGING or not self._moves.left:
+                executor.renew()
+        elif what == "let-go":
+            self._moves.clear()
+            executor.let_go()
+        elif what == "jog":
+            self._refuse_impossible(Cause.JOG)
+            executor.jog(str(head["axis"]), float(head["velocity"]))
+        elif what in _MOVES:
+            self._refuse_impossible(Cause.JOG)
+            ways = [(str(axis), int(to)) for axis, to in head["to"]]
+            self._moves.begin(ways, asked.stops, time.monotonic())
+        elif what == "start":
+            self._refuse_impossible(Cause.START)
+            self._runs.prepare(head, asked.stops)
+        elif what == "enable":
+            executor.enable()
+        elif what == "disable":
+            executor.disable()
+        elif what == "home":
+            executor.home()
+        elif what == "reset":
+            executor.reset()
+        else:
+            raise CommandError(f"{what[:40]!r} is no command", remedy="Use the panel's own page.")
+
+    def _refuse_impossible(self, cause: Cause) -> None:
+        if (self._executor.state, cause) not in TRANSITIONS:
+            raise CommandError(
+                f"{cause.value!r} is not possible while the machine is {self._executor.state.value}"
+            )
+        if cause in (Cause.JOG, Cause.START) and (self._runs.busy or self._moves.left):
+            raise CommandError("the machine is busy with what was asked before", remedy="Wait.")
+
+    # --- what goes on by itself ------------------------------------------------------------
+
+    def _go_on(self) -> None:
+        """Begin a prepared run or the next move; end a run that is over."""
+        executor = self._executor
+        if executor.under_way:
+            return
+        self._runs.end(executor)
+        self._next_move()
+        prepared = self._runs.prepared()
+        if prepared is None:
+            return
+        if not isinstance(prepared, Prepared):
+            number, why = prepared
+            self._say("answer", number=number, ok=False, text=why)
+            return
+        ok, text = True, ""
+        try:
+            if prepared.stops != self._stops or self._leaving:
+                raise CommandError("it was stopped before it began", remedy="Start it again.")
+            if executor.under_way:
+                raise CommandError("the machine moves", remedy="Wait until it stands.")
+            self._runs.set_out(prepared, executor)
+        except ThreadlineError as error:
+            ok, text = False, str(error)
+        self._say("answer", number=prepared.number, ok=ok, text=text)
+
+    def _next_move(self) -> None:
+        """Move the next axis of a sequence, if there is one and nothing speaks against it."""
+        executor, now_s = self._executor, time.monotonic()
+        if executor.state is not State.IDLE:
+            self._moves.clear()
+            return
+        way = self._moves.next_one(self._stops, executor.ended, now_s)
+        if way is None:
+            return
+        try:
+            executor.move(*way, self._moves.lease_s(now_s))
+        except CommandError as error:
+            self._moves.clear()
+            self._say("said", text=str(error), wrong=True)
+
+    # --- what is told ----------------------------------------------------------------------
+
+    def _tell(self) -> None:
+        """Tell the server how the machine is, every ``TELL_S`` and when its state has changed."""
+        now_s, executor, machine = time.monotonic(), self._executor, self._machine
+        if now_s - self._told_s < TELL_S and executor.state is self._told:
+            return
+        self._told_s, self._told = now_s, executor.state
+        scale = machine.counts_per_unit
+        axes = {}
+        for k, name in enumerate(machine.axes):
+            commanded = executor.latest.get(f"{name}.commanded")
+            if commanded is None and k < len(executor.stands):
+                commanded = float(executor.stands[k] / scale[k])
+            axes[name] = [commanded, executor.latest.get(f"{name}.measured")]
+        self._say(
+            "now",
+            state=executor.state.value,
+            why=self._runs.why,
+            time_s=executor.time_s,
+            axes=axes,
+            late_ticks=executor.late_ticks,
+            moving=executor.under_way or bool(self._moves.left),
+            busy=self._runs.busy,
+            progress=self._runs.progress(executor.time_s),
+        )
+
+    def _say(self, kind: str, **head: Any) -> None:
+        """Tell the server something; a server that does not read is not waited for."""
+        if self._server.lost or not select.select([], [self._server.fileno()], [], 0.0)[1]:
+            return
+        self._server.send(Message(kind, head))

@@ -1,0 +1,101 @@
+"""The web server's side of the connection to the process that owns the machine."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from threadline.errors import LinkFaultError
+from threadline.live.wire import Connection, Message
+
+ALIVE_S = 0.1
+"""Period in s at which the server tells that it is there."""
+_GONE = "the process that owns the machine is gone; the machine has braked by itself"
+
+
+class OwnerLink:
+    """Sends requests to the owner, and keeps what it says.
+
+    Parameters
+    ----------
+    start
+        Starts an owner.
+
+    Attributes
+    ----------
+    now
+        Latest report: state, axes, progress; see ``Owner``.
+    heard_s
+        When it came, on the monotonic clock.
+    gone
+        Why there is no owner; empty while there is one.
+    """
+
+    def __init__(
+        self, start: Callable[[], tuple[subprocess.Popen[bytes] | None, Connection]]
+    ) -> None:
+        self._start = start
+        self.now: Mapping[str, Any] = {}
+        self.heard_s = time.monotonic()
+        self.gone = "not connected"
+        self._heard: Callable[[Message], None] = lambda _: None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection | None = None
+
+    def connect(self, heard: Callable[[Message], None]) -> None:
+        """Start an owner, and listen to it in a thread; to be called on the event loop.
+
+        Parameters
+        ----------
+        heard
+            Called on the loop with each message but the reports of the machine.
+        """
+        self.close()
+        self._heard = heard
+        self._process, self._connection = self._start()
+        self.now, self.gone = {}, ""
+        loop = asyncio.get_running_loop()
+        threading.Thread(target=self._listen, args=(self._connection, loop), daemon=True).start()
+
+    def send(self, kind: str, **head: Any) -> None:
+        """Send a request."""
+        if self._connection is not None:
+            self._connection.send(Message(kind, head))
+
+    def _listen(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
+        while True:
+            try:
+                message = connection.receive()
+            except (LinkFaultError, OSError, ValueError):
+                message = None
+            with suppress(RuntimeError):  # the loop is closed: the server ends
+                loop.call_soon_threadsafe(self._take, connection, message)
+            if message is None:
+                return
+
+    def _take(self, connection: Connection, message: Message | None) -> None:
+        if connection is not self._connection:
+            return  # of an owner before this one
+        if message is None:
+            self.gone = self.gone or _GONE
+        elif message.kind == "now":
+            self.now, self.heard_s = message.head, time.monotonic()
+        elif message.kind == "dead":
+            self.gone = str(message.head["why"])
+        else:
+            self._heard(message)
+
+    def close(self) -> None:
+        """Leave the owner, which stops the machine and ends; wait for it a little."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+        if self._process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(2.0)
+        self._process = None

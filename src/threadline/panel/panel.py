@@ -1,0 +1,304 @@
+"""The panel: clients on one side, the owner of the machine on the other, and who may do what."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import assert_never
+
+from threadline.errors import CommandError, ThreadlineError
+from threadline.live.executor import LEASE_S
+from threadline.live.jogging import manual_feed
+from threadline.live.states import TRANSITIONS, Cause, State
+from threadline.live.wire import Message
+from threadline.machine import Machine
+from threadline.panel import protocol as say
+from threadline.panel.calculation import Calculation
+from threadline.panel.clients import SEEN_S, Client
+from threadline.panel.control import CONTROL_LEASE_S, ControlLease, Lease
+from threadline.panel.owner_link import OwnerLink
+
+BEAT_S = 0.04
+"""Period of the states that clients are sent, s."""
+_SAFE = frozenset({"let-go", "hold"})
+"""Commands for which it does not matter how old the state is that a client has seen."""
+_CAUSES = {
+    "enable": Cause.ENABLE, "disable": Cause.DISABLE, "home": Cause.HOME, "jog": Cause.JOG,
+    "zero": Cause.JOG, "zero-axis": Cause.JOG, "approach": Cause.JOG, "start": Cause.START,
+    "hold": Cause.HOLD, "resume": Cause.RESUME, "reset": Cause.RESET,
+}  # fmt: skip
+_OF_IDLE = frozenset({Cause.JOG, Cause.START, Cause.HOME, Cause.DISABLE})
+
+
+class Panel:
+    """Passes commands of the client in control to the owner, and shows the state to all.
+
+    Parameters
+    ----------
+    machine
+        The machine.
+    owner
+        The connection to the process that owns it.
+    calculation
+        Calculates and proves programs.
+    """
+
+    def __init__(self, machine: Machine, owner: OwnerLink, calculation: Calculation) -> None:
+        self._machine, self._owner, self.calculation = machine, owner, calculation
+        self._control = ControlLease()
+        self._clients: dict[int, Client] = {}
+        self._numbers = 0
+        self._seq = 0
+        self._asked: dict[int, tuple[int, int]] = {}  # request: client, and its number
+        self._requests = 0
+
+    def connect(self) -> None:
+        """Begin with an owner of the machine; to be called on the event loop."""
+        self._owner.connect(self._heard)
+
+    async def close(self) -> None:
+        """Leave the owner, which stops the machine; end a calculation."""
+        await self.calculation.close()
+        await asyncio.to_thread(self._owner.close)
+
+    # --- clients ---------------------------------------------------------------------------
+
+    def welcome(self, name: str) -> Client:
+        """Take up a client, and greet it."""
+        self._numbers += 1
+        client = Client(self._numbers, name)
+        self._clients[client.number] = client
+        machine = self._machine
+        speeds = {}
+        if machine.axes:
+            tick_s = float(machine.tick_clock.period_s)
+            feeds = manual_feed(machine) / machine.counts_per_unit / tick_s
+            speeds = dict(zip(machine.axes, feeds.tolist(), strict=True))
+        client.tell(
+            say.Welcome(
+                client=client.number,
+                machine=machine.name,
+                title=machine.title,
+                link="sim",
+                simulated=True,
+                axes=[
+                    say.Axis(
+                        name=axis_name,
+                        unit="m" if axis.kind == "linear" else "rad",
+                        low=None if axis.travel is None else axis.travel[0].si,
+                        high=None if axis.travel is None else axis.travel[1].si,
+                        manual_feed=speeds[axis_name],
+                    )
+                    for axis_name, axis in machine.axes.items()
+                ],
+                jog_lease_s=LEASE_S,
+                control_lease_s=CONTROL_LEASE_S,
+            )
+        )
+        if self.calculation.figures is not None:
+            client.tell(self.calculation.figures)
+        return client
+
+    def leave(self, client: Client) -> None:
+        """Let a client go; what it moved by hand is let go."""
+        self._clients.pop(client.number, None)
+        if self._control.release(client.number):
+            self._owner.send("let-go")
+
+    def take(self, client: Client, message: say.Stop | say.Control | say.Alive | say.Act) -> None:
+        """Act on a message of a client; a refusal is answered."""
+        now_s = time.monotonic()
+        match message:
+            case say.Stop():
+                self.stop(client.name)
+            case say.Control():
+                self._word(client, message.word, now_s)
+            case say.Alive():
+                self._control.renew(message.lease, now_s)
+            case say.Act():
+                try:
+                    self._act(client, message, now_s)
+                except ThreadlineError as error:
+                    client.tell(say.Answer(number=message.number, ok=False, text=str(error)))
+            case _:
+                assert_never(message)
+
+    def stop(self, who: str) -> None:
+        """Stop the machine, whoever says it."""
+        self._owner.send("stop")
+        self._tell_all(say.Said(text=f"stop, by {who}"))
+
+    def may_change(self, lease: str) -> bool:
+        """Return whether a lease is the one in force, and renew it."""
+        return self._control.renew(lease, time.monotonic())
+
+    def _word(self, client: Client, word: str, now_s: float) -> None:
+        if word == "take":
+            self._granted(self._control.take(client.number, now_s))
+        elif word == "give":
+            self._granted(self._control.give(client.number, now_s))
+        elif word == "keep":
+            self._control.keep(client.number, now_s)
+        elif self._control.release(client.number):
+            self._owner.send("let-go")
+
+    def _granted(self, lease: Lease | None) -> None:
+        if lease is None:
+            return
+        self._owner.send("let-go")  # what somebody else moved by hand
+        if (client := self._clients.get(lease.client)) is not None:
+            client.tell(say.Leased(lease=lease.word))
+
+    # --- commands --------------------------------------------------------------------------
+
+    def _act(self, client: Client, act: say.Act, now_s: float) -> None:
+        command = act.command
+        if not client.is_next(act.number):
+            raise CommandError(f"the command {act.number} came before", remedy="Reload the page.")
+        if not self._control.renew(act.lease, now_s):
+            raise CommandError("you are not in control", remedy="Take control first.")
+        if command.what not in _SAFE and not client.saw(act.seen, now_s):
+            raise CommandError(
+                f"the state that you have seen is older than {SEEN_S:g} s", remedy="Look again."
+            )
+        if command.what not in {*self.allowed(), "renew", "let-go"}:
+            state = self._owner.now.get("state", "not known")
+            raise CommandError(f"{command.what!r} is not possible now: the machine is {state}")
+        if isinstance(command, say.Calculate):
+            self.calculation.begin(command, self._told)
+        elif command.what == "reconnect":
+            self.connect()
+        else:
+            self._requests += 1
+            self._asked[self._requests] = (client.number, act.number)
+            self._pass_on(command, self._requests)
+            return
+        client.tell(say.Answer(number=act.number, ok=True))
+
+    def _pass_on(
+        self, command: say.Simple | say.ZeroAxis | say.Jog | say.Start, number: int
+    ) -> None:
+        owner, machine = self._owner, self._machine
+        names = list(machine.axes)
+        match command:
+            case say.Jog():
+                k = self._axis(command.axis)
+                tick_s = float(machine.tick_clock.period_s)
+                most = manual_feed(machine)[k] / machine.counts_per_unit[k] / tick_s
+                owner.send(
+                    "jog", number=number, axis=command.axis, velocity=command.share * float(most)
+                )
+            case say.ZeroAxis():
+                self._axis(command.axis)
+                owner.send("zero-axis", number=number, to=[[command.axis, 0]])
+            case say.Start():
+                told = self.calculation.to_start(command.proof)
+                owner.send("start", number=number, override=command.override, **told)
+            case say.Simple(what="zero"):
+                owner.send("zero", number=number, to=[[name, 0] for name in self._in_order()])
+            case say.Simple(what="approach"):
+                starts = dict(zip(names, self.calculation.starts, strict=True))
+                to = [[name, starts[name]] for name in self._in_order()]
+                owner.send("approach", number=number, to=to)
+            case say.Simple():
+                owner.send(command.what, number=number)
+            case _:
+                assert_never(command)
+
+    def _in_order(self) -> list[str]:
+        """Return the axes in the order in which they are moved to 0: linear ones first."""
+        axes = self._machine.axes
+        return sorted(axes, key=lambda name: axes[name].kind != "linear")
+
+    def _axis(self, name: str) -> int:
+        names = list(self._machine.axes)
+        if name not in names:
+            raise CommandError(f"there is no axis {name[:20]!r}", remedy="Reload the page.")
+        return names.index(name)
+
+    def allowed(self) -> list[str]:
+        """Return the commands that are possible now, besides a stop."""
+        if self._owner.gone:
+            return ["reconnect"]
+        now, calculation = self._owner.now, self.calculation
+        if not now:
+            return []
+        state = State(now["state"])
+        at_rest = not (now["moving"] or now["busy"] or calculation.share is not None)
+        found = [
+            what
+            for what, cause in _CAUSES.items()
+            if (state, cause) in TRANSITIONS and (at_rest or cause not in _OF_IDLE)
+        ]
+        if not self._machine.axes:
+            found = [what for what in found if _CAUSES[what] is not Cause.JOG]
+        if calculation.proven is None:
+            found = [what for what in found if what not in {"start", "approach"}]
+        return [*found, *(["calculate"] if at_rest else [])]
+
+    # --- what is shown ---------------------------------------------------------------------
+
+    def _heard(self, message: Message) -> None:
+        """Take up what the owner says besides its reports."""
+        head = message.head
+        if message.kind == "said":
+            self._tell_all(say.Said(text=str(head["text"]), wrong=bool(head["wrong"])))
+        elif message.kind == "answer":
+            client, number = self._asked.pop(int(head["number"]), (0, 0))
+            if client in self._clients:
+                answer = say.Answer(number=number, ok=bool(head["ok"]), text=str(head["text"]))
+                self._clients[client].tell(answer)
+
+    def _told(self, found: say.Figures | str) -> None:
+        """Show what a calculation has found, or why it has not."""
+        self._tell_all(say.Said(text=found, wrong=True) if isinstance(found, str) else found)
+
+    def _tell_all(self, message: say.Said | say.Figures) -> None:
+        for client in self._clients.values():
+            client.tell(message)
+
+    def state(self) -> say.State:
+        """Return the state now, without a number of its own."""
+        now_s, now, control = time.monotonic(), self._owner.now, self._control
+        held = control.holder(now_s)
+        names = {number: client.name for number, client in self._clients.items()}
+        holder = None if held is None else held.client
+        progress = now.get("progress")
+        gone = self._owner.gone
+        return say.State(
+            seq=self._seq,
+            state="gone" if gone else str(now.get("state", "connecting")),
+            why=gone or str(now.get("why", "")),
+            allowed=self.allowed(),
+            age_s=round(now_s - self._owner.heard_s, 3),
+            time_s=float(now.get("time_s", 0.0)),
+            axes={
+                name: say.Where(commanded=at[0], measured=at[1])
+                for name, at in now.get("axes", {}).items()
+            },
+            late_ticks=int(now.get("late_ticks", 0)),
+            control=say.Holder(
+                client=holder,
+                name=names.get(holder or 0, ""),
+                left_s=round(control.left_s(now_s), 1),
+                asks=control.asks,
+                asks_name=names.get(control.asks or 0, ""),
+                passes_in_s=round(control.passes_in_s(now_s), 1),
+            ),
+            progress=None if progress is None else say.Progress.model_validate(progress),
+            proven=self.calculation.proven,
+            calculating=self.calculation.share,
+            clients=len(self._clients),
+        )
+
+    async def beat(self) -> None:
+        """Show the state to all clients again and again, and tell the owner that we are here."""
+        while True:
+            if self._owner.now:  # it reads from then on
+                self._owner.send("alive")
+            self._granted(self._control.passes(time.monotonic()))
+            self._seq += 1
+            text = self.state().model_dump_json()
+            for client in self._clients.values():
+                client.show(self._seq, text)
+            await asyncio.sleep(BEAT_S)

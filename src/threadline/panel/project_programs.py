@@ -1,0 +1,120 @@
+"""Programs of the project folder: which there are, how one is planned, and uploads.
+
+Names are those of files in the folder itself; nothing outside it is read or written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from threadline.errors import JobError, Place
+from threadline.jobs import FORMATS
+from threadline.machine import Machine
+from threadline.options import Options, options_of
+from threadline.pipeline import open_job, plan_job
+from threadline.plan import Plan
+from threadline.signals.files.common import atomic_file
+
+MOST_UPLOAD = 8 << 20
+"""Largest program that is taken, in bytes."""
+_MOST_FILES = 500
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
+_ENDINGS = tuple(ending for known in FORMATS for ending in known.extensions)
+_PART_PROGRAMS = FORMATS[0].extensions
+_REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
+"""Bytes that a controller acts on wherever they stand, even in a comment."""
+
+
+def program_names(folder: Path) -> list[str]:
+    """Return the names of the programs in a folder, in order, 500 at the most."""
+    found = sorted(
+        file.name
+        for file in folder.iterdir()
+        if file.is_file() and file.name.lower().endswith(_ENDINGS) and _NAME.fullmatch(file.name)
+    )
+    return found[:_MOST_FILES]
+
+
+def program_path(folder: Path, name: str) -> Path:
+    """Return the file of a program.
+
+    Raises
+    ------
+    JobError
+        If the name is none of a file in the folder itself, or leads out of it by a link.
+    """
+    path = folder / name
+    if not _NAME.fullmatch(name) or path.resolve().parent != folder.resolve():
+        raise JobError(
+            f"{name[:60]!r} is no name of a program in the project folder",
+            remedy="Use letters, digits, blanks, dots, dashes and underscores.",
+        )
+    return path
+
+
+def take_program(folder: Path, name: str, content: bytes) -> None:
+    """Write a program that a client has sent into the folder; whole or not at all.
+
+    Raises
+    ------
+    JobError
+        If its name, its format or its content is not taken.
+    """
+    path = program_path(folder, name)
+    if not name.lower().endswith(_ENDINGS):
+        raise JobError(
+            f"{name[:60]!r} has the ending of no format of jobs",
+            remedy=f"Known: {', '.join(_ENDINGS)}.",
+        )
+    if len(content) > MOST_UPLOAD:
+        raise JobError(
+            f"the program has {len(content)} bytes, limit {MOST_UPLOAD}",
+            place=Place(name),
+            remedy="Copy it into the project folder.",
+        )
+    if name.lower().endswith(_PART_PROGRAMS):
+        _refuse_realtime(name, content)
+    with atomic_file(path) as file:
+        file.write(content)
+
+
+def _refuse_realtime(name: str, content: bytes) -> None:
+    for number, line in enumerate(content.splitlines(), 1):
+        if (found := _REALTIME.search(line)) is not None:
+            raise JobError(
+                f"the byte {found[0][0]:#04x} is one that controllers act on at once",
+                place=Place(name, number),
+                remedy="Take it out, also of comments.",
+            )
+
+
+def words_of(told: Mapping[str, Any]) -> Options:
+    """Return the options of a calculation, as a client has asked for them.
+
+    Raises
+    ------
+    OptionError
+        If one of them cannot be read.
+    """
+    return options_of(
+        interpolation=str(told["interpolation"]),
+        feed=told["feed"],
+        tolerance=str(told["tolerance"]),
+        feed_forward=bool(told["feed_forward"]),
+    )
+
+
+def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
+    """Return the plan of a program, and the options that it was made with.
+
+    Raises
+    ------
+    InputError
+        If the program cannot be read or planned.
+    """
+    options = words_of(told)
+    job = open_job(program_path(folder, str(told["program"])), machine, options)
+    return plan_job(job, machine, options), options

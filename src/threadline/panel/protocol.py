@@ -1,0 +1,284 @@
+"""Messages between the panel and its clients, over a websocket, as JSON.
+
+``docs/panel-protocol.json`` is their schema. Every message that changes a state carries the lease
+of the client that controls the machine, and the number of the state that it has seen last; a stop
+carries neither.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from threadline.options import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
+
+PANEL_PROTOCOL = 1
+MOST_TEXT = 1 << 16
+"""Longest message of a client, in bytes."""
+
+Text = Annotated[str, Field(max_length=200)]
+Name = Annotated[str, Field(min_length=1, max_length=40)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+# --- commands, which only the client in control may give -----------------------------------------
+
+
+class Simple(_Strict):
+    """A command of one word.
+
+    ``home`` finds the positions of the axes; ``zero`` moves every axis to 0, linear ones first;
+    ``approach`` moves them to where the proven program begins; ``let-go`` ends a jog or a move;
+    ``renew`` prolongs one by its lease; ``reconnect`` begins with a new process and link.
+    """
+
+    what: Literal[
+        "enable", "disable", "home", "zero", "approach", "renew", "let-go", "hold", "resume",
+        "reset", "reconnect",
+    ]  # fmt: skip
+
+
+class ZeroAxis(_Strict):
+    """Move one axis to 0."""
+
+    what: Literal["zero-axis"]
+    axis: Name
+
+
+class Jog(_Strict):
+    """Move an axis until it is let go, or was not renewed for the lease of a jog."""
+
+    what: Literal["jog"]
+    axis: Name
+    share: Annotated[float, Field(ge=-1.0, le=1.0)]
+    """Of the manual feed; its sign is the direction."""
+
+
+class Calculate(_Strict):
+    """Plan, simulate and judge a program of the project folder."""
+
+    what: Literal["calculate"]
+    program: Text
+    interpolation: Text = DEFAULT_INTERPOLATION
+    feed: Text | None = None
+    tolerance: Text = DEFAULT_TOLERANCE
+    feed_forward: bool = False
+    level: Literal["nominal", "repeated"] = "repeated"
+
+
+class Start(_Strict):
+    """Run what was proven, if it is still that."""
+
+    what: Literal["start"]
+    proof: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    """Hash of the proof, as the client was shown it."""
+    override: Text | None = None
+
+
+Command = Annotated[Simple | ZeroAxis | Jog | Calculate | Start, Field(discriminator="what")]
+
+
+# --- messages of a client ------------------------------------------------------------------------
+
+
+class Hello(_Strict):
+    """First message of a client."""
+
+    type: Literal["hello"]
+    protocol: int
+    name: Name
+    token: Annotated[str, Field(max_length=200)] = ""
+
+
+class Stop(_Strict):
+    """Stop. Every client may say it, at any time, without a lease."""
+
+    type: Literal["stop"]
+
+
+class Control(_Strict):
+    """A word about who controls the machine.
+
+    ``take`` takes control where nobody has it, and asks for it where somebody has; ``give`` and
+    ``keep`` answer one who asked; ``release`` gives it back.
+    """
+
+    type: Literal["control"]
+    word: Literal["take", "give", "keep", "release"]
+
+
+class Alive(_Strict):
+    """The client in control is there: its lease goes on."""
+
+    type: Literal["alive"]
+    lease: Text
+
+
+class Act(_Strict):
+    """A command."""
+
+    type: Literal["act"]
+    lease: Text
+    seen: int
+    """Number of the latest state that the client has received."""
+    number: Annotated[int, Field(ge=1)]
+    """Number of this command; each is larger than the one before."""
+    command: Command
+
+
+ClientMessage = Annotated[Hello | Stop | Control | Alive | Act, Field(discriminator="type")]
+CLIENT_MESSAGE: TypeAdapter[Hello | Stop | Control | Alive | Act] = TypeAdapter(ClientMessage)
+
+
+# --- messages of the panel -----------------------------------------------------------------------
+
+
+class Axis(BaseModel):
+    """An axis of the machine, SI units."""
+
+    name: str
+    unit: Literal["m", "rad"]
+    low: float | None
+    high: float | None
+    manual_feed: float
+
+
+class Welcome(BaseModel):
+    """Answer to a hello: who the client is, and what machine there is."""
+
+    type: Literal["welcome"] = "welcome"
+    protocol: int = PANEL_PROTOCOL
+    client: int
+    machine: str
+    title: str
+    link: str
+    simulated: bool
+    axes: list[Axis]
+    jog_lease_s: float
+    control_lease_s: float
+
+
+class Where(BaseModel):
+    """An axis now, SI units; None where nothing is known."""
+
+    commanded: float | None
+    measured: float | None
+
+
+class Holder(BaseModel):
+    """Who controls the machine, and who asks for it."""
+
+    client: int | None = None
+    name: str = ""
+    left_s: float = 0.0
+    asks: int | None = None
+    asks_name: str = ""
+    passes_in_s: float = 0.0
+
+
+class Progress(BaseModel):
+    """A run, or the one that was last."""
+
+    run: str
+    program: str
+    time_s: float
+    duration_s: float
+    ended: str | None = None
+    why: str = ""
+    verdict: str = ""
+
+
+class Proven(BaseModel):
+    """What was calculated last."""
+
+    program: str
+    proof: str
+    passed: bool
+    closing: str
+
+
+class State(BaseModel):
+    """All that a client needs in order to act; sent 25 times a second."""
+
+    type: Literal["state"] = "state"
+    seq: int
+    state: str
+    why: str
+    allowed: list[str]
+    """Commands that are possible now."""
+    age_s: float
+    """Age of the positions when this was sent."""
+    time_s: float
+    """Time of the machine in this motion."""
+    axes: dict[str, Where]
+    late_ticks: int
+    control: Holder
+    progress: Progress | None
+    proven: Proven | None
+    calculating: float | None
+    """Share of a calculation that is done; None where there is none."""
+    clients: int
+
+
+class Leased(BaseModel):
+    """The client is in control, by this lease."""
+
+    type: Literal["leased"] = "leased"
+    lease: str
+
+
+class Answer(BaseModel):
+    """Answer to a command: done, or why not."""
+
+    type: Literal["answer"] = "answer"
+    number: int
+    ok: bool
+    text: str = ""
+
+
+class Figures(BaseModel):
+    """What a calculation has found, SI units."""
+
+    type: Literal["figures"] = "figures"
+    program: str
+    proof: str
+    passed: bool
+    closing: str
+    duration_s: float
+    ticks: int | None
+    circuits: int | None
+    ticks_per_circuit: int | None
+    points: int
+    warnings: list[str]
+    criteria: list[dict[str, Any]]
+    times_s: list[float]
+    planned: dict[str, list[float]]
+    """Planned positions of each axis at ``times_s``."""
+
+
+class Said(BaseModel):
+    """Something that happened, for people."""
+
+    type: Literal["said"] = "said"
+    text: str
+    wrong: bool = False
+
+
+ServerMessage = Annotated[
+    Welcome | State | Leased | Answer | Figures | Said, Field(discriminator="type")
+]
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of both directions."""
+    server: TypeAdapter[Any] = TypeAdapter(ServerMessage)
+    return {
+        "title": "Threadline operator panel",
+        "protocol": PANEL_PROTOCOL,
+        "from_client": CLIENT_MESSAGE.json_schema(),
+        "from_panel": server.json_schema(mode="serialization"),
+    }

@@ -1,0 +1,180 @@
+"""The web server of the panel: the page, the websocket, and what is read and written by HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.staticfiles import StaticFiles
+from pydantic import ValidationError
+from starlette.types import ASGIApp
+
+from threadline.errors import InputError
+from threadline.panel import protocol as say
+from threadline.panel.admission import HEADERS, Admission, AdmittingApp
+from threadline.panel.clients import Client
+from threadline.panel.panel import Panel
+from threadline.panel.project_programs import MOST_UPLOAD, program_names, take_program
+
+PAGE = Path(__file__).parent / "page"
+"""Folder of the built page; ``make panel`` makes it."""
+_HELLO_S = 5.0  # time in which a client has to say who it is
+_NO_PAGE = "The page was not built: run make panel.\n"
+_REFUSED, _UNREADABLE, _OTHER_PROTOCOL, _SLOW = 4401, 4400, 4406, 4408  # codes of a close
+
+
+def make_app(panel: Panel, folder: Path, admission: Admission) -> ASGIApp:
+    """Return the application.
+
+    Parameters
+    ----------
+    panel
+        The panel.
+    folder
+        Folder of the programs.
+    admission
+        Who is let in.
+    """
+
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        panel.connect()
+        beat = asyncio.create_task(panel.beat())
+        yield
+        beat.cancel()
+        with suppress(asyncio.CancelledError):
+            await beat
+        await panel.close()
+
+    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
+    _add_requests(app, panel, folder)
+    _add_live(app, panel, admission)
+    _add_page(app)
+    return AdmittingApp(app, admission)
+
+
+def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
+    """Add what is asked by HTTP; nothing that a GET asks for changes anything."""
+
+    @app.middleware("http")
+    async def with_headers(request: Request, following: Any) -> Response:
+        answer: Response = await following(request)
+        answer.headers.update(HEADERS)
+        return answer
+
+    @app.get("/api/schema")
+    def schema() -> JSONResponse:
+        return JSONResponse(say.schema())
+
+    @app.get("/api/state")
+    def state() -> JSONResponse:
+        return JSONResponse(panel.state().model_dump())
+
+    @app.get("/api/programs")
+    def programs() -> JSONResponse:
+        return JSONResponse(program_names(folder))
+
+    @app.put("/api/programs/{name}")
+    async def upload(name: str, request: Request) -> PlainTextResponse:
+        if not panel.may_change(request.headers.get("x-lease", "")):
+            return PlainTextResponse("you are not in control\n", 409)
+        content = bytearray()
+        async for part in request.stream():
+            content += part
+            if len(content) > MOST_UPLOAD:
+                return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
+        try:
+            await asyncio.to_thread(take_program, folder, name, bytes(content))
+        except InputError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+        panel.calculation.forget()
+        return PlainTextResponse("", 204)
+
+    @app.post("/api/stop")
+    def stop() -> PlainTextResponse:
+        panel.stop("a request")
+        return PlainTextResponse("", 204)
+
+
+def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:
+    """Add the websocket, over which states and commands go."""
+
+    @app.websocket("/api/live")
+    async def live(socket: WebSocket) -> None:
+        await socket.accept()
+        client = await _greeted(socket, panel, admission)
+        if client is None:
+            return
+        sending = asyncio.create_task(_send(socket, client))
+        try:
+            while True:
+                panel.take(client, _read(await socket.receive_text()))
+        except (ValidationError, KeyError):  # no message, or bytes in place of text
+            await _close(socket, _UNREADABLE, "this is no message of the protocol")
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            panel.leave(client)
+            sending.cancel()
+            with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await sending
+
+
+def _add_page(app: FastAPI) -> None:
+    """Add the page, or in its place a line that says how it is built."""
+    if (PAGE / "index.html").exists():
+        app.mount("/", StaticFiles(directory=PAGE, html=True))
+    else:
+
+        @app.get("/")
+        def no_page() -> PlainTextResponse:
+            return PlainTextResponse(_NO_PAGE, 503)
+
+
+def _read(text: str) -> say.Stop | say.Control | say.Alive | say.Act:
+    message = say.CLIENT_MESSAGE.validate_json(text)
+    if isinstance(message, say.Hello):
+        raise KeyError("a second hello")
+    return message
+
+
+async def _greeted(socket: WebSocket, panel: Panel, admission: Admission) -> Client | None:
+    """Return the client at a socket once it has said who it is; close the socket if it has not."""
+    try:
+        async with asyncio.timeout(_HELLO_S):
+            hello = say.CLIENT_MESSAGE.validate_json(await socket.receive_text())
+    except (ValidationError, KeyError):
+        await _close(socket, _UNREADABLE, "this is no message of the protocol")
+        return None
+    except TimeoutError:
+        await _close(socket, _SLOW, "no hello came")
+        return None
+    except (WebSocketDisconnect, RuntimeError):
+        return None
+    if not isinstance(hello, say.Hello):
+        await _close(socket, _UNREADABLE, "the first message is not a hello")
+    elif not admission.knows(hello.token if admission.token else ""):
+        await _close(socket, _REFUSED, "the token is not the right one")
+    elif hello.protocol != say.PANEL_PROTOCOL:
+        await _close(socket, _OTHER_PROTOCOL, f"this panel speaks protocol {say.PANEL_PROTOCOL}")
+    else:
+        return panel.welcome(hello.name)
+    return None
+
+
+async def _send(socket: WebSocket, client: Client) -> None:
+    while not client.full:
+        if (text := await client.next_text(time.monotonic)) is not None:
+            await socket.send_text(text)
+    await _close(socket, _SLOW, "the client does not take what it is sent")
+
+
+async def _close(socket: WebSocket, code: int, why: str) -> None:
+    with suppress(RuntimeError, WebSocketDisconnect):
+        await socket.close(code, why)

@@ -1,0 +1,211 @@
+"""A panel whose owner and machine are threads or forks of the test, and an operator at it."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.types import ASGIApp
+
+from tests.live.bench import winder
+from threadline.live.sim_process import _in_step, group_ticks
+from threadline.live.sim_rows import SimRows
+from threadline.live.wire import Connection
+from threadline.panel.admission import Admission
+from threadline.panel.calculating import calculate
+from threadline.panel.calculation import Calculation
+from threadline.panel.kept_runs import KeptRuns
+from threadline.panel.owner import Owner
+from threadline.panel.owner_link import OwnerLink
+from threadline.panel.panel import Panel
+from threadline.panel.protocol import Calculate
+from threadline.panel.server import make_app
+
+PROGRAM = "%\nO 1;\nG91;\nG01 F 2000;\nN 10 A 20 X 60;\nN 20 A 20 X -60;\nM30;\n%\n"
+"""There and back on X, 1.7 s each way at the normal feed."""
+LOCAL = {"origin": "http://127.0.0.1"}
+
+
+@cache
+def proven(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the words and the figures of the program, proven once for all tests."""
+    (folder / "there.prg").write_text(PROGRAM, "utf-8")
+    words = Calculate(
+        what="calculate", program="there.prg", interpolation="linear", level="nominal"
+    )
+    told = {**words.model_dump(exclude={"what"}), "proof_file": str(folder / "there.proof.json")}
+    asked = {"folder": str(folder), "machine": "lathe-winder", "par": None, "spec": None}
+    return told, calculate({**told, **asked})
+
+
+class Known(Calculation):
+    """A calculation that has found what it found before."""
+
+    def begin(self, asked: Calculate, tell: Any) -> None:
+        words, found = proven(self._folder)
+        tell(self._taken(dict(found), words))
+
+
+def machine_thread(end: socket.socket, speed: float, machine: SimRows | None = None) -> None:
+    connection = Connection(end)
+    simulated = machine or SimRows(winder(), np.zeros(3, np.int64), connection.send)
+    simulated.greet()
+    _in_step(connection, simulated, group_ticks(winder(), speed), 0.005 / speed)
+    while not simulated.standing:
+        simulated.play(5)
+    connection.close()
+
+
+def own_here(server: socket.socket, link: socket.socket, folder: Path, speed: float) -> None:
+    to = Connection(server)
+    runs = KeptRuns(folder, winder(), None, folder / "runs", "sim", speed, lambda _: None)
+    far = Connection(link)
+    Owner(to, far, winder(), speed, runs).serve()
+    far.close()
+    to.close()
+
+
+class InThreads:
+    """Starts owners with their machines in threads."""
+
+    def __init__(self, folder: Path, speed: float) -> None:
+        self._folder, self._speed = folder, speed
+        self._threads: list[threading.Thread] = []
+
+    def __call__(self) -> tuple[None, Connection]:
+        ours, theirs = socket.socketpair()
+        link, far = socket.socketpair()
+        self._begin(machine_thread, far, self._speed)
+        self._begin(own_here, theirs, link, self._folder, self._speed)
+        return None, Connection(ours)
+
+    def _begin(self, work: Any, *given: Any) -> None:
+        thread = threading.Thread(target=work, args=given, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def join(self) -> None:
+        for thread in self._threads:
+            thread.join(20.0)
+            assert not thread.is_alive()
+
+
+def app_of(
+    folder: Path,
+    start: Callable[[], tuple[subprocess.Popen[bytes] | None, Connection]],
+    token: str = "",
+) -> ASGIApp:
+    calculation = Known(winder(), None, folder, folder)
+    panel = Panel(winder(), OwnerLink(start), calculation)
+    return make_app(panel, folder, Admission("127.0.0.1", token))
+
+
+@contextmanager
+def served(folder: Path, speed: float = 4.0, token: str = "") -> Iterator[TestClient]:
+    owners = InThreads(folder, speed)
+    app = app_of(folder, owners, token)
+    with TestClient(app, base_url="http://127.0.0.1", headers=LOCAL) as client:
+        yield client
+    owners.join()
+
+
+class Operator:
+    """Somebody at a websocket, of which it needs ``send_text`` and ``receive_text``."""
+
+    def __init__(self, socket: Any, name: str = "Anna", token: str = "") -> None:
+        self.socket, self.heard = socket, list[dict[str, Any]]()
+        self.state: dict[str, Any] = {}
+        self.lease, self._number = "", 0
+        self.say(type="hello", protocol=1, name=name, token=token)
+        self.number = self.until("welcome")["client"]
+
+    def say(self, **message: Any) -> None:
+        self.socket.send_text(json.dumps(message))
+
+    def hear(self) -> dict[str, Any]:
+        message: dict[str, Any] = json.loads(self.socket.receive_text())
+        if message["type"] == "state":
+            self.state = message
+        elif message["type"] == "leased":
+            self.lease = message["lease"]
+        self.heard.append(message)
+        return message
+
+    def until(self, kind: str) -> dict[str, Any]:
+        while (message := self.hear())["type"] != kind:
+            pass
+        return message
+
+    def see(self, *states: str) -> dict[str, Any]:
+        """Wait for a state; a jog is not renewed meanwhile."""
+        end = time.monotonic() + 60.0
+        while self.hear()["type"] != "state" or self.state["state"] not in states:
+            assert time.monotonic() < end, self.state
+            assert self.state.get("state") not in {"fault", "gone"}, self.state
+        return self.state
+
+    def catch_up(self, client: TestClient) -> Operator:
+        """Read what was sent meanwhile, up to a state that is later than now."""
+        seq = client.get("/api/state").json()["seq"]
+        while self.until("state")["seq"] <= seq:
+            pass
+        return self
+
+    def take(self) -> Operator:
+        self.say(type="control", word="take")
+        self.until("leased")
+        return self
+
+    def ask(self, what: str, **words: Any) -> int:
+        self._number += 1
+        command = {"what": what, **words}
+        seen = self.state.get("seq", 0)
+        self.say(type="act", lease=self.lease, seen=seen, number=self._number, command=command)
+        return self._number
+
+    def act(self, what: str, **words: Any) -> str:
+        """Give a command on the state of now; return why it is refused, or nothing."""
+        self.until("state")
+        number = self.ask(what, **words)
+        while (message := self.until("answer"))["number"] != number:
+            pass
+        return "" if message["ok"] else message["text"]
+
+    def ready(self) -> Operator:
+        self.take().see("disabled")
+        assert self.act("enable") == ""
+        assert self.act("home") == ""
+        self.see("idle")
+        return self
+
+    def x_mm(self) -> float:
+        return float(self.state["axes"]["X"]["commanded"]) * 1e3
+
+
+@contextmanager
+def operator(client: TestClient, name: str = "Anna", token: str = "") -> Iterator[Operator]:
+    session: WebSocketTestSession
+    with client.websocket_connect("ws://127.0.0.1/api/live") as session:
+        yield Operator(session, name, token)
+
+
+def child(work: Callable[[], None]) -> int:
+    """Fork; do the work in the child and end it."""
+    pid = os.fork()
+    if pid:
+        return pid
+    with suppress(BaseException):
+        work()
+        os._exit(0)
+    os._exit(1)

@@ -1,0 +1,194 @@
+"""Who is let in, and what a request may do: host, origin, token, uploads, malformed messages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from tests.panel.bench import LOCAL, Operator, operator, served
+from threadline.errors import JobError, OptionError
+from threadline.panel.admission import Admission
+from threadline.panel.project_programs import program_names, program_path, take_program
+from threadline.panel.protocol import MOST_TEXT, schema
+
+TOKEN = "correct horse battery"
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with served(tmp_path_factory.mktemp("project")) as found:
+        yield found
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"origin": "http://evil.example"},
+        {"origin": "null"},
+        {"origin": "http://127.0.0.1:9999"},
+        {"host": "evil.example", "origin": "http://evil.example"},  # a name bent to 127.0.0.1
+        {"host": "127.0.0.1.evil.example"},
+    ],
+)
+def test_other_sites_are_refused(client: TestClient, headers: dict[str, str]) -> None:
+    assert client.post("/api/stop", headers=headers).status_code == 403
+    assert client.get("/api/state", headers=headers).status_code == 403
+    with (
+        pytest.raises(WebSocketDisconnect) as refused,
+        client.websocket_connect("ws://127.0.0.1/api/live", headers=headers),
+    ):
+        pass
+    assert refused.value.code == 4403
+
+
+def test_a_form_of_another_site_without_origin_is_refused(client: TestClient) -> None:
+    del_origin = {"origin": "", "sec-fetch-site": "cross-site"}
+    assert client.post("/api/stop", headers=del_origin).status_code == 403
+
+
+def test_no_get_changes_anything(client: TestClient) -> None:
+    """Each path is asked by GET and HEAD; none but those that only read answers."""
+    for path in ("/api/stop", "/api/programs/a.prg", "/api/enable", "/api/live"):
+        assert client.get(path).status_code in {404, 405, 426}, path
+        assert client.head(path).status_code in {404, 405, 426}, path
+    for path in ("/api/state", "/api/programs", "/api/schema"):
+        before = client.get("/api/state").json()["state"]
+        assert client.get(path).status_code == 200
+        assert client.get("/api/state").json()["state"] == before
+    assert client.get("/api/state").headers["x-frame-options"] == "DENY"
+
+
+def test_without_the_token_nobody_is_let_in(tmp_path: Path) -> None:
+    with served(tmp_path, token=TOKEN) as client:
+        assert client.get("/api/state").status_code == 401
+        assert client.post("/api/stop").status_code == 401
+        good = {**LOCAL, "authorization": f"Bearer {TOKEN}"}
+        assert client.get("/api/state", headers=good).status_code == 200
+        for token in ("", "wrong", TOKEN + "x"):
+            with client.websocket_connect("ws://127.0.0.1/api/live") as socket:
+                hello = {"type": "hello", "protocol": 1, "name": "Eve", "token": token}
+                socket.send_text(json.dumps(hello))
+                with pytest.raises(WebSocketDisconnect) as refused:
+                    socket.receive_text()
+                assert refused.value.code == 4401
+        with operator(client, token=TOKEN) as anna:
+            assert anna.number == 1
+
+
+def test_other_addresses_need_a_token() -> None:
+    Admission("127.0.0.1", "")
+    Admission("0.0.0.0", TOKEN)
+    with pytest.raises(OptionError, match="could move the machine"):
+        Admission("0.0.0.0", "")
+    with pytest.raises(OptionError, match="has 5 characters, the least is 16"):
+        Admission("127.0.0.1", "short")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "[]", "{}", '{"type":"hello"}', '{"type":"act"}', "\x00", '{"type":"stop","more":1}',
+        '{"type":"hello","protocol":1,"name":"again"}',
+        '{"type":"act","lease":"","seen":1,"number":1,"command":{"what":"jog","axis":"X","share":2}}',
+        '{"type":"act","lease":"","seen":1,"number":1,"command":{"what":"jog","axis":"X","share":NaN}}',
+    ],
+)  # fmt: skip
+def test_what_is_no_message_ends_the_connection(client: TestClient, text: str) -> None:
+    with operator(client) as eve:
+        eve.socket.send_text(text)
+        with pytest.raises(WebSocketDisconnect) as refused:
+            eve.until("never")
+        assert refused.value.code == 4400
+
+
+def test_bytes_are_no_message(client: TestClient) -> None:
+    with operator(client) as eve:
+        eve.socket.send_bytes(b"\x18!")
+        with pytest.raises(WebSocketDisconnect):
+            eve.until("never")
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["type", "lease", "seen", "number", "command", "what", "axis", "word"]),
+            inner
+            | st.sampled_from(["act", "stop", "control", "alive", "take", "jog", "enable", "X"]),
+            max_size=6,
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(JSON)
+def test_no_message_enables_a_machine_without_control(client: TestClient, content: Any) -> None:
+    with operator(client) as eve:
+        eve.socket.send_text(json.dumps(content))
+        try:
+            eve.until("state")
+            eve.until("state")
+        except WebSocketDisconnect as ended:
+            assert ended.code == 4400
+    assert client.get("/api/state").json()["state"] == "disabled"
+
+
+def test_the_published_schema_is_that_of_the_program(client: TestClient) -> None:
+    published = json.loads((ROOT / "docs" / "panel-protocol.json").read_text("utf-8"))
+    assert published == schema(), "python -m tools.panel_schema writes it"
+    assert client.get("/api/schema").json() == published
+    assert MOST_TEXT == 1 << 16
+
+
+def upload(client: TestClient, anna: Operator, name: str, content: bytes) -> int:
+    headers = {**LOCAL, "x-lease": anna.lease}
+    return client.put(f"/api/programs/{name}", content=content, headers=headers).status_code
+
+
+def test_uploads_need_control_and_stay_in_the_folder(tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    project.mkdir()
+    with served(project) as client, operator(client) as anna:
+        assert upload(client, anna, "a.prg", b"G1 X1;\n") == 409
+        anna.take()
+        assert upload(client, anna, "a.prg", b"G1 X1;\n") == 204
+        assert client.get("/api/programs").json() == ["a.prg"]
+        assert upload(client, anna, "b.prg", b"x" * (8 << 20) + b"x") == 413
+        for name in ("..%2Fb.prg", "%2Fetc%2Fb.prg", ".b.prg", "b.exe", "b.toml.exe", "b%00.prg"):
+            assert upload(client, anna, name, b"G1 X1;\n") in {404, 405, 422}, name
+        assert upload(client, anna, "c.prg", b"G1 X1;\n(! at once)\n") == 422
+    assert sorted(file.name for file in tmp_path.rglob("*") if file.is_file()) == ["a.prg"]
+
+
+@pytest.mark.parametrize("byte", [*b"?!~\x18\x00\x7f\x80\x84\x90\xa0\xff"])
+def test_bytes_that_act_at_once_are_refused_with_their_line(tmp_path: Path, byte: int) -> None:
+    content = b"G1 X1\nG1 X2 (" + bytes([byte]) + b")\n"
+    with pytest.raises(JobError, match=rf"a\.gcode:2: the byte {byte:#04x} is one that"):
+        take_program(tmp_path, "a.gcode", content)
+    assert program_names(tmp_path) == []
+    take_program(tmp_path, "a.dst", content)  # an embroidery design is no text
+    assert program_names(tmp_path) == ["a.dst"]
+
+
+def test_a_link_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    project.mkdir()
+    (tmp_path / "secret.prg").write_text("secret", "utf-8")
+    (project / "a.prg").symlink_to(tmp_path / "secret.prg")
+    with pytest.raises(JobError, match="no name of a program in the project folder"):
+        program_path(project, "a.prg")
+    with pytest.raises(JobError, match="no name of a program"):
+        take_program(project, "a.prg", b"new")
+    assert (tmp_path / "secret.prg").read_text("utf-8") == "secret"

@@ -1,0 +1,235 @@
+"""The panel as its operators use it: one has control, the others watch, and all may stop."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.panel.bench import PROGRAM, Operator, operator, proven, served
+from threadline.store.run_store import opened
+
+SPEED = 4.0
+
+
+@pytest.fixture
+def project(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.getbasetemp() / "proven-project"
+    folder.mkdir(exist_ok=True)
+    proven(folder)
+    yield folder
+    (folder / "there.prg").write_text(PROGRAM, "utf-8")
+
+
+def started(anna: Operator) -> Operator:
+    """Calculate and start, from idle."""
+    assert anna.act("calculate", program="there.prg") == ""
+    proof = anna.until("state")["proven"]["proof"]
+    assert anna.act("start", proof=proof) == ""
+    anna.see("running")
+    return anna
+
+
+def test_a_run_from_home_to_verdict(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna:
+        started(anna.ready())
+        anna.see("idle")
+        while not (anna.hear()["type"] == "state" and anna.state["progress"]["verdict"]):
+            pass
+        told = anna.state["progress"]
+        assert (told["ended"], told["why"]) == ("completed", "")
+        assert told["verdict"].startswith("IN SPEC")
+        assert told["time_s"] >= told["duration_s"] > 3.0
+    kept = opened(project / "runs")
+    assert kept is not None
+    (record,) = [r for r in kept.index.runs() if r.run == told["run"]]
+    assert (record.ended, record.passed, record.link) == ("completed", True, "sim")
+
+
+def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
+        started(anna.ready())
+        while anna.x_mm() < 5.0:
+            anna.until("state")
+        assert anna.act("hold") == ""
+        anna.see("holding")
+        time.sleep(0.2)
+        first = anna.until("state")["axes"]["X"]["commanded"]
+        for _ in range(5):
+            anna.until("state")
+        held = anna.x_mm()
+        assert held == pytest.approx(1e3 * first, abs=1.0)
+        assert "resume" in anna.state["allowed"]
+        assert anna.act("resume") == ""
+        while anna.x_mm() < held + 3.0:
+            anna.until("state")
+        ben.say(type="stop")
+        anna.see("idle")
+        assert anna.state["progress"]["ended"] == "stopped"
+        assert {"type": "said", "text": "stop, by Ben", "wrong": False} in anna.heard
+        # It goes on with nothing by itself: only a new start from where the run begins does.
+        for _ in range(10):
+            assert anna.until("state")["state"] == "idle"
+        proof = anna.state["proven"]["proof"]
+        while "start" not in anna.until("state")["allowed"]:
+            pass
+        assert "the run begins at 0" in anna.act("start", proof=proof)
+
+
+def test_who_has_no_control_moves_nothing(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
+        anna.ready()
+        for lease in ("", anna.lease[:-1], "x" * 22):
+            ben.lease = lease
+            assert "you are not in control" in ben.act("jog", axis="X", share=1.0)
+        assert ben.until("state")["state"] == "idle"
+        ben.say(type="control", word="take")
+        while ben.until("state")["control"]["asks"] != ben.number:
+            pass
+        anna.say(type="control", word="give")
+        ben.until("leased")
+        assert "you are not in control" in anna.act("jog", axis="X", share=1.0)
+        assert ben.act("jog", axis="X", share=0.5) == ""
+
+
+def test_only_a_fresh_state_is_acted_on(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna:
+        anna.ready()
+        anna.until("state")
+        seen = anna.state["seq"]
+        end = time.monotonic() + 0.6
+        while time.monotonic() < end:
+            anna.hear()
+        anna.state["seq"] = seen
+        anna.ask("jog", axis="X", share=1.0)
+        assert "older than 0.5 s" in anna.until("answer")["text"]
+        anna.state["seq"] = 10**9  # one that was never sent
+        anna.ask("jog", axis="X", share=1.0)
+        assert "older than 0.5 s" in anna.until("answer")["text"]
+        anna._number = 0  # a command that comes twice
+        anna.ask("jog", axis="X", share=1.0)
+        assert "came before" in anna.until("answer")["text"]
+        assert anna.until("state")["state"] == "idle"
+
+
+def test_a_jog_ends_where_nobody_renews_it(project: Path) -> None:
+    """250 ms at the manual feed, and braking: 20.4 mm of command."""
+    with served(project, 2.0) as client, operator(client) as anna:
+        anna.ready()
+        assert anna.act("jog", axis="X", share=1.0) == ""
+        anna.see("idle")
+        assert 15.0 < anna.x_mm() <= 20.4
+        assert "nobody has renewed its lease" in anna.state["why"]
+        assert "there is no jog" in anna.act("renew")
+
+
+def test_a_connection_that_ends_lets_go(project: Path) -> None:
+    with served(project, 1.0 + 1e-9) as client, operator(client) as anna:
+        with operator(client, "Ben") as ben:
+            ben.ready()
+            assert ben.act("jog", axis="X", share=1.0) == ""
+            began = ben.until("state")["axes"]["X"]["commanded"]
+        anna.catch_up(client).see("idle")
+        # Let go, not run out: well under the 18 mm of the lease beyond what Ben had seen.
+        assert anna.x_mm() - 1e3 * began <= 12.0
+        assert anna.until("state")["control"]["client"] is None
+
+
+def test_moves_to_zero_need_somebody_to_the_end(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna:
+        anna.ready()
+        for axis in ("X", "Y"):
+            assert anna.act("jog", axis=axis, share=1.0) == ""
+            anna.see("idle")
+        assert anna.x_mm() > 15.0
+        anna.until("state")
+        anna.ask("zero")
+        end = time.monotonic() + 30.0
+        while time.monotonic() < end:
+            anna.until("state")
+            at = [abs(w["commanded"]) for w in anna.state["axes"].values()]
+            if anna.state["state"] == "idle" and max(at) < 1e-9:
+                break
+            anna.ask("renew")
+        assert max(at) < 1e-9
+        # And without anybody: the first axis ends by its lease, and no other begins.
+        for axis in ("X", "X", "Y"):
+            assert anna.act("jog", axis=axis, share=1.0) == ""
+            anna.see("idle")
+        y = anna.state["axes"]["Y"]["commanded"]
+        anna.until("state")
+        anna.ask("zero")
+        anna.see("jogging")
+        anna.see("idle")
+        for _ in range(20):
+            assert anna.until("state")["state"] == "idle"
+        assert anna.state["axes"]["Y"]["commanded"] == y
+
+
+def test_a_program_that_was_changed_since_is_not_run(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna:
+        anna.ready()
+        assert anna.act("calculate", program="there.prg") == ""
+        proof = anna.until("state")["proven"]["proof"]
+        assert "not the program that was proven last" in anna.act("start", proof="0" * 64)
+        (project / "there.prg").write_text(PROGRAM.replace("X 60", "X 61"), "utf-8")
+        assert "it is no proof of what is to be run: job" in anna.act("start", proof=proof)
+        assert anna.until("state")["state"] == "idle"
+
+
+def test_a_stop_before_it_begins_ends_a_start(project: Path) -> None:
+    """The check takes a while; a stop in it is not lost, and nothing moves afterwards."""
+    with served(project, SPEED) as client, operator(client) as anna:
+        anna.ready()
+        assert anna.act("calculate", program="there.prg") == ""
+        proof = anna.until("state")["proven"]["proof"]
+        anna.until("state")
+        anna.ask("start", proof=proof)
+        anna.say(type="stop")
+        assert "stopped before it began" in anna.until("answer")["text"]
+        for _ in range(20):
+            assert anna.until("state")["state"] == "idle"
+
+
+def test_a_stop_by_request(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna:
+        started(anna.ready())
+        assert client.post("/api/stop").status_code == 204
+        anna.see("idle")
+        assert anna.state["progress"]["ended"] == "stopped"
+
+
+def test_uploads_undo_what_was_proven(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna:
+        anna.ready()
+        assert anna.act("calculate", program="there.prg") == ""
+        assert "start" in anna.until("state")["allowed"]
+        headers = {"origin": "http://127.0.0.1", "x-lease": anna.lease}
+        sent = client.put("/api/programs/new.prg", content=PROGRAM.encode(), headers=headers)
+        assert sent.status_code == 204
+        anna.until("state")
+        assert "start" not in anna.until("state")["allowed"]
+
+
+def test_a_calculation_in_a_process_of_its_own(project: Path) -> None:
+    """The request as the panel writes it, and the answer as it reads it."""
+    words, found = proven(project)
+    told = {**words, "folder": str(project), "machine": "lathe-winder", "par": None, "spec": None}
+    done = subprocess.run(
+        [sys.executable, "-c", "from threadline.panel.calculating import main; main()"],
+        input=json.dumps(told), capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert lines[-1]["figures"] == found
+    assert lines[-1]["figures"]["points"] == 2
+    told["program"] = "none.prg"
+    done = subprocess.run(
+        [sys.executable, "-c", "from threadline.panel.calculating import main; main()"],
+        input=json.dumps(told), capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    assert "cannot read job file" in json.loads(done.stdout.splitlines()[-1])["error"]

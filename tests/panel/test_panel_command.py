@@ -1,0 +1,88 @@
+"""``threadline panel`` as a program: what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--link", "grbl:/dev/ttyUSB0"], "the panel has no link 'grbl:/dev/ttyUSB0'"),
+        (["--host", "0.0.0.0"], "who may reach this computer could move the machine"),
+        (["--token", "short"], "--token has 5 characters, the least is 16"),
+        (["nowhere"], "'nowhere' is no folder"),
+        (["--host", "203.0.113.7", "--token", "x" * 16], "cannot listen at 203.0.113.7:"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["panel", "-m", "lathe-winder", *words])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_a_port_that_another_has_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(SystemExit) as ended:
+            main(["panel", "-m", "lathe-winder", "--port", str(port)])
+    assert ended.value.code == 2
+    assert f"cannot listen at 127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+
+
+def _state(port: int) -> str:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state", timeout=10) as answer:
+        return str(json.load(answer)["state"])
+
+
+def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    panel = subprocess.Popen(
+        [sys.executable, "-m", "threadline", "panel", "-m", "lathe-winder", "--port", str(port)],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=dict(os.environ),
+    )  # fmt: skip
+    try:
+        state, end = "", time.monotonic() + 200.0
+        while state != "disabled" and time.monotonic() < end:
+            assert panel.poll() is None
+            time.sleep(0.2)
+            try:
+                state = _state(port)
+            except (urllib.error.URLError, ConnectionError):
+                continue
+        assert state == "disabled"
+        panel.send_signal(signal.SIGTERM)
+        out, err = panel.communicate(timeout=100)
+    finally:
+        panel.kill()
+        panel.wait()
+    assert (
+        out == f"The panel of lathe-winder is at http://127.0.0.1:{port}/ (Ctrl-C stops and ends)\n"
+    )
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []  # no run, no folder of runs
