@@ -7,15 +7,22 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import threadline as tl
 from threadline import face
 from threadline.errors import InputError, OptionError
+from threadline.jobs.operations import Pace
+from threadline.search.by_pace import SEARCHES
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "api.md"
+
+
+def test_every_pace_of_a_job_has_its_search() -> None:
+    assert set(SEARCHES) == set(get_args(Pace))
 
 
 def test_the_page_lists_the_face_and_nothing_else() -> None:

@@ -143,9 +143,7 @@ def fastest(
     """
     from threadline.jobs import read_job
     from threadline.kinds import kind_of
-    from threadline.search import fastest_job, fastest_needle
-    from threadline.search.cycle import fastest_cycle
-    from threadline.search.shaft import fastest_shaft
+    from threadline.search.by_pace import SEARCHES, Question
 
     trials = _trials(level, None)
     chosen, options = load_machine(machine, par), _options(words)
@@ -153,18 +151,11 @@ def fastest(
     other = None if actual is None else load_machine(actual, par)
     kind_of(chosen).check_options(chosen, options)
     read = read_job(job, chosen)
-    if read.paced_by == "switchings":
-        cycle = fastest_cycle(read, chosen, asked, actual=other, trials=trials)
-        return Found(cycle.cycle_s, "s", cycle.limited_by, cycle)
-    if read.paced_by == "shaft":
-        sewn = fastest_shaft(read, chosen, asked, options, actual=other, trials=trials)
-        return Found(sewn.duration_s, "s", sewn.limited_by, sewn)
-    if read.paced_by == "needle":
-        seam = fastest_needle(Path(job), chosen, asked, options, actual=other, trials=trials)
-        return Found(seam.best, "stitch/s", seam.limited_by, seam)
-    result = fastest_job(read, chosen, asked, options, actual=other, trials=trials)
-    found = result.best.found
-    return Found(found.best, "m/s", found.limited_by, result)
+    question = Question(
+        file=Path(job), job=read, machine=chosen, spec=asked, options=options, actual=other,
+        trials=trials,
+    )  # fmt: skip
+    return Found(*SEARCHES[read.paced_by](question))
 
 
 def compare(

@@ -83,7 +83,7 @@ SLOW: dict[str, dict[str, str]] = {
         "threadline compare examples/letter-cycle.toml -m letter-placer": "a minute",
         "threadline compile examples/letter-cycle.toml -m letter-placer --target st --shaper zv "
         '--mode "3.04 Hz" --damping 0.17 -o cycle.st': "tests/plc run what it writes",
-        'threadline fastest examples/letter-cycle.toml -m MACHINE --robust "20 %" -o robust.toml': (
+        'threadline fastest examples/letter-cycle.toml -m MACHINE --band "20 %" -o robust.toml': (
             "half a minute"
         ),
         "threadline prove examples/letter-cycle.toml -m letter-placer+whole-scans+own-damping "

@@ -221,7 +221,7 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
     ("arguments", "said"),
     [
         (("x-180.prg", "-m", "lathe-winder", "--link", "hal"), "unknown link 'hal'"),
-        (("x-180.prg", "-m", "lathe-winder", "--speed", "-1"), "speed"),
+        (("x-180.prg", "-m", "lathe-winder", "--speed", "-1"), "--speed -1 is not between 0"),
         (("x-180.prg", "-m", "lathe-winder", "--speed", "1e-300"), "slower than the link can wait"),
         (("x-180.prg", "-m", "lathe-winder", "--proof", "none.json"), "none.json"),
         (("x-180.prg", "-m", "lathe-winder", "--override", ""), "gives no reason"),

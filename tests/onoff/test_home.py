@@ -96,12 +96,12 @@ def test_the_cycle_may_say_what_it_does_anyway(
     ("home", "said"),
     [
         ('["X", "Z"]', "brings X back before Z, and the list moves X only with Z at its start"),
-        ('["Z"]', "home = 'Z' does not name every cylinder once"),
-        ('["Z", "Z"]', "home = 'Z, Z' does not name every cylinder once"),
-        ('["Z", "Y"]', "home = 'Z, Y' does not name every cylinder once"),
-        ('"Z"', "home = 'Z' does not name every cylinder once"),
-        ("7", "home = '7' does not name every cylinder once"),
-        ("[]", "home = '' does not name every cylinder once"),
+        ('["Z"]', 'home = ["Z"] does not name every cylinder once'),
+        ('["Z", "Z"]', 'home = ["Z", "Z"] does not name every cylinder once'),
+        ('["Z", "Y"]', 'home = ["Z", "Y"] does not name every cylinder once'),
+        ('"Z"', 'home = "Z" does not name every cylinder once'),
+        ("7", "home = 7 does not name every cylinder once"),
+        ("[]", "home = [] does not name every cylinder once"),
     ],
 )
 def test_an_order_that_brings_nothing_home_is_refused(
@@ -221,8 +221,8 @@ def test_the_order_of_the_operation_is_that_of_the_way_home(
 @pytest.mark.parametrize(
     ("home", "words"),
     [
-        ('["Z"]', "list.toml:4: home = 'Z' does not name every cylinder once"),
-        ("true", "list.toml:4: home = 'True' does not name every cylinder once"),
+        ('["Z"]', 'list.toml:4: home = ["Z"] does not name every cylinder once'),
+        ("true", "list.toml:4: home = true does not name every cylinder once"),
         ('["Z", "X"]\ntimeout = "1 s"', "list.toml:5: unknown key 'timeout'"),
     ],
 )

@@ -56,7 +56,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 
 @pytest.fixture(scope="module")
 def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path, Path]:
-    """Return what ``fastest --robust --json`` says, the list that it wrote, and the spec."""
+    """Return what ``fastest --band --json`` says, the list that it wrote, and the spec."""
     from contextlib import redirect_stdout
     from io import StringIO
 
@@ -65,7 +65,7 @@ def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
     job.write_text(LIFT, encoding="utf-8")
     spec.write_text(SPEC, encoding="utf-8")
     said = StringIO()
-    words = ["fastest", job, "-m", "letter-placer", "-s", spec, "--robust", "20 %", "--nominal"]
+    words = ["fastest", job, "-m", "letter-placer", "-s", spec, "--band", "20 %", "--nominal"]
     words += ["--report", folder / "report"]
     with redirect_stdout(said), pytest.raises(SystemExit) as ended:
         main([*map(str, words), "-o", str(file), "--json"])
@@ -151,9 +151,9 @@ def test_compile_takes_the_list_as_it_is(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--robust", "0 %"], "robust '0 %' must be above 0 % and at most 60 %"),
-        (["--robust", "90 %"], "robust '90 %' must be above 0 % and at most 60 %"),
-        (["--robust", "wide"], "robust 'wide'"),
+        (["--band", "0 %"], "band '0 %' must be above 0 % and at most 60 %"),
+        (["--band", "90 %"], "band '90 %' must be above 0 % and at most 60 %"),
+        (["--band", "wide"], "band 'wide'"),
     ],
 )
 def test_bands_that_are_none_are_refused(
@@ -171,7 +171,7 @@ def test_a_specification_that_limits_nothing_asks_for_no_robust_command(
     spec = tmp_path / "none.spec.toml"
     spec.write_text('name = "none"\n[[criteria]]\nname = "cycle_time"\n', encoding="utf-8")
     cycle = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
-    words = ["fastest", cycle, "-m", "letter-placer", "-s", spec, "--robust", "20 %", "--nominal"]
+    words = ["fastest", cycle, "-m", "letter-placer", "-s", spec, "--band", "20 %", "--nominal"]
     code, out, err = run(capsys, *words)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "limits no residual_vibration of Z" in err

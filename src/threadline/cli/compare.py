@@ -200,7 +200,14 @@ def comparison_tables(
         reference = next(iter(found.fastest))
         slowest = found.fastest[reference].best.found.best
         body = [_fastest_row(name, f.best, slowest) for name, f in found.fastest.items()]
-        head = ["interpolation", "mm/s", f"times {reference}", "limits used", "job s", "limited by"]
+        head = [
+            "interpolation",
+            "mm/s",
+            f"times {reference}",
+            "acceleration limits used",
+            "job s",
+            "limited by",
+        ]
         tables.append(("fastest within the placement criteria", head, body))
     return tables
 

@@ -67,7 +67,7 @@ def fastest(
             "own limits stay."
         ),
     ] = "0 %",
-    robust: Annotated[
+    band: Annotated[
         str | None,
         typer.Option(
             help="Of an on/off machine: the shortest cycle that is in spec with every mode within "
@@ -116,7 +116,7 @@ def fastest(
 
     For a seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
     limit is kept free. For an on/off machine the shortest cycle is searched: every move gets a
-    shaper or switchings of its own, and every wait its length; with --robust "20 %" the commands
+    shaper or switchings of its own, and every wait its length; with --band "20 %" the commands
     hold wherever the modes are within 20 % of their frequency.
     For an embroidery design the speed of the shaft is searched, a constant one and one that is
     different for each stitch. Every trial is proved by twenty runs, as by threadline prove, or with
@@ -165,11 +165,11 @@ def fastest(
             )
         fastest_moves(
             job, read, chosen, asked, kept_free, out, names, other, mismatch, report, trials,
-            robust, json,
+            band, json,
         )  # fmt: skip
-    if out is not None or robust is not None:
+    if out is not None or band is not None:
         raise OptionError(
-            f"{'--robust' if out is None else '--out'} is for move lists alone, which have "
+            f"{'--band' if out is None else '--out'} is for move lists alone, which have "
             "commands and waits to search and to write",
             remedy="Leave it out; the command that proves the answer is printed.",
         )

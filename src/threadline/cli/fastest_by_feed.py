@@ -217,7 +217,7 @@ def _show(result: FastestJob, title: str) -> None:
                     limit_words(rung.found.limited_by) if first else "",
                 ]
             )
-    header = ["limits used", "from mm/s", "to mm/s", "job s", "limited by"]
+    header = ["acceleration limits used", "from mm/s", "to mm/s", "job s", "limited by"]
     print_table(f"{title}: feeds in spec", header, merged(rows))
     best = result.best
     tried = sum(rung.found.tried for rung in result.rungs)
@@ -230,7 +230,8 @@ def _show(result: FastestJob, title: str) -> None:
         return
     say(
         f"fastest: {best.duration_s:.3f} s at {typed(best.found.best * 1e3)} mm/s with "
-        f"{best.share:.1%} of the limits, limited by {limit_words(best.found.limited_by)}; "
+        f"{best.share:.1%} of the acceleration and jerk limits, limited by "
+        f"{limit_words(best.found.limited_by)}; "
         f"{tried} plans tried"
     )
     say(f"feeds {resolution_words(best.found)}")

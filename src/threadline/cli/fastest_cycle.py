@@ -52,7 +52,7 @@ def fastest_moves(
     mismatch: bool,
     report: Path | None,
     trials: Trials,
-    robust_in: str | None,
+    band_in: str | None,
     json: bool,
 ) -> NoReturn:
     """Search the commands and waits of a move list, print the result, and end the program.
@@ -68,18 +68,18 @@ def fastest_moves(
     mismatch, report
         Whether to search at the ends of the tolerances as well; and a folder for the picture of
         that, without it for the report of the cycle that was found.
-    robust_in
+    band_in
         The band of frequency that the cycle is to hold over, as typed; None for the machine as its
         file says.
     """
     asked = {**asked, **level_option(trials)}
-    band = None if robust_in is None else parse_band(robust_in)
+    band = None if band_in is None else parse_band(band_in)
     check_outputs(file=out)
     check_mismatch(mismatch, actual is not None, report if mismatch else None)
     check_outputs(folder=report)
     if band is not None and (actual is not None or mismatch):
         raise OptionError(
-            "--robust simulates machines all over its band, and no others",
+            "--band simulates machines all over its band, and no others",
             remedy="Leave --actual and --mismatch out.",
         )
     warn(machine, read)

@@ -154,7 +154,11 @@ def _show(found: FastestJob, title: str) -> None:
         ]
         for rung in found.rungs
     ]
-    header = ["limits used" if found.best.contour_m is None else "contour mm", "job s", "verdict"]
+    header = [
+        "acceleration limits used" if found.best.contour_m is None else "contour mm",
+        "job s",
+        "verdict",
+    ]
     print_table(f"{title}: plans proved", header, rows)
     best = found.best
     head, body = verdict_rows(best.found.verdict)

@@ -1,4 +1,4 @@
-"""``threadline fastest --robust``: a cycle for a band of modes, and cycles side by side."""
+"""``threadline fastest --band``: a cycle for a band of modes, and cycles side by side."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def parse_band(text: str) -> float:
     OptionError
         If it is not above 0 % and at most 60 %.
     """
-    value = parse_number("robust", text, "", "20 %")
+    value = parse_number("band", text, "", "20 %")
     if not 0.0 < value <= 0.6:
         raise OptionError(
-            f"robust {text!r} must be above 0 % and at most 60 % of the frequency",
+            f"band {text!r} must be above 0 % and at most 60 % of the frequency",
             remedy='Modes that may be a fifth off to either side are "20 %".',
         )
     return value

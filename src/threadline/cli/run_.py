@@ -73,6 +73,11 @@ _MOST_SPEED = 1e6
 
 
 def _checked_speed(speed: float) -> float:
+    if not 0.0 <= speed <= _MOST_SPEED:
+        raise OptionError(
+            f"--speed {speed:g} is not between 0 and {_MOST_SPEED:g}",
+            remedy="1 is real time, 0 is as fast as it can.",
+        )
     if 0.0 < speed < LEAST_SPEED:
         raise OptionError(
             f"--speed {speed:g} is slower than the link can wait",
@@ -95,8 +100,6 @@ def run(
     speed: Annotated[
         float,
         typer.Option(
-            min=0.0,
-            max=_MOST_SPEED,
             callback=_checked_speed,
             help="Of sim: simulated seconds a second; 1 is real time, 0 as fast as possible.",
         ),

@@ -7,6 +7,7 @@ Each operation has one of the keys ``move``, ``dwell``, ``valve``, ``vacuum``, `
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -169,10 +170,10 @@ class _Reader:
         """Return every cylinder once, in the order that was given."""
         axes = tuple(self.machine.cylinders)
         if sorted(map(str, order if isinstance(order, list) else [])) != sorted(axes):
-            shown = ", ".join(map(str, order))[:80] if isinstance(order, list) else str(order)[:80]
+            shown = json.dumps(order, default=str)[:80]
             example = ", ".join(f'"{axis}"' for axis in reversed(axes))
             self.refuse(
-                f"home = {shown!r} does not name every cylinder once",
+                f"home = {shown} does not name every cylinder once",
                 index,
                 "home",
                 f"Write them in the order in which they are to come back, like home = [{example}].",
