@@ -194,6 +194,11 @@ QUICK = [
     ),
     Quick(
         DOCUMENT,
+        f"{CONE} --interpolation linear",
+        [Figures("| 0.323 | 0.000 | in spec | in spec, {} mm | out, 0.96 mm |", [contour])],
+    ),
+    Quick(
+        DOCUMENT,
         CONE,
         [
             Figures("one run {} mm at line 23 (limit 0.5) |", [contour]),
