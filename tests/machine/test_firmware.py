@@ -242,6 +242,8 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ("[printer]\n[include x.cfg]\n", "[include x.cfg] is not followed"),
         ("[stepper_x]\nrotation_distance: 0\nmicrosteps: 16\n", "rotation_distance is '0'"),
         ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 3\n", "gear_ratio: 3"),
+        ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 1.2.3:1\n", "1.2.3:1"),
+        ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 0:1\n", "0:1"),
         ("[stepper_x]\nrotation_distance 4\n", "'rotation_distance 4' is no line"),
         ("[printer]\nmax_velocity: 9\n", "say nothing of any axis"),
         ("M584 X0\nif {1}\n  M92 X80\n", "M92 stands under a condition"),

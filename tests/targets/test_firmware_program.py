@@ -21,7 +21,7 @@ from threadline.cli.main import main
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
-from threadline.machine.motion_planner import GrblPlanner
+from threadline.machine.motion_planner import GrblPlanner, LinuxCncPlanner
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.option_words import parse_feed
 from threadline.options import Options
@@ -341,3 +341,12 @@ def test_a_feed_that_replaces_the_programmed_ones_is_written(tmp_path: Path, xya
     assert max(f for _, f in found) >= 3000.0
     # Ends are rounded: what that makes of a constant speed begins no new block.
     assert len(found) <= 4
+
+
+def test_linuxcnc_s_own_time_is_that_of_its_blends(tmp_path: Path, xya: Machine) -> None:
+    """One move of 20 mm at 10 mm/s: L / v + v / a; the program's own P counts."""
+    own = replace(xya, planner=LinuxCncPlanner(kind="linuxcnc", exact_stop=True))
+    made = plan(tmp_path, own, "G1 X20 F600\nM30\n")
+    (file,) = write(made, "linuxcnc", tmp_path / "out.ngc")
+    told = re.search(r"([0-9.]+) s as the planner of linuxcnc runs it", file.warnings[0])
+    assert told is not None and float(told[1]) == pytest.approx(2.0 + 0.01 / 5.0, rel=2e-3)

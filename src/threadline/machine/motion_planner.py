@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.machine.parts import STRICT
@@ -124,6 +124,31 @@ class RepRapPlanner:
         return max(1, (_DUET_RING if self.blocks is None else round(self.blocks.si)) - 2)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class LinuxCncPlanner:
+    """LinuxCNC's trajectory planner: moves that overlap, without look-ahead.
+
+    ``tolerance`` is P of G64; without it moves overlap as far as their accelerations allow. With
+    ``exact_stop`` (G61) every move ends at rest.
+    """
+
+    kind: Literal["linuxcnc"]
+    tolerance: Deviation | None = None
+    exact_stop: StrictBool = False
+
+    @model_validator(mode="after")
+    def _one_mode(self) -> LinuxCncPlanner:
+        if self.exact_stop and self.tolerance is not None:
+            raise ValueError("with exact_stop (G61) there is no tolerance (G64 P): take one out")
+        return self
+
+    @property
+    def tolerance_m(self) -> float:
+        """P, 0 for none."""
+        return 0.0 if self.tolerance is None else self.tolerance.si
+
+
 FirmwarePlanner = Annotated[
-    GrblPlanner | MarlinPlanner | KlipperPlanner | RepRapPlanner, Field(discriminator="kind")
+    GrblPlanner | MarlinPlanner | KlipperPlanner | RepRapPlanner | LinuxCncPlanner,
+    Field(discriminator="kind"),
 ]

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.machine import Machine
+from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.machine.quantity import parse_machine_quantity
 from threadline.targets.firmware_shapers import (
     klipper_section,
     marlin_commands,
@@ -48,6 +50,11 @@ class Board:
     head: Callable[[Machine, Sequence[str]], list[str]] | None = None
 
 
+_P_MM = "0.01"  # of G64: what the chords of a plan leave of it, once more
+LINUXCNC_BLENDS = LinuxCncPlanner(
+    kind="linuxcnc", tolerance=parse_machine_quantity(f"{_P_MM} mm exact, assumed", ("m",))
+)
+"""How programs for LinuxCNC are blended: by the P that they say."""
 BOARDS: Mapping[str, Board] = {
     "grbl": Board(
         begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
@@ -82,7 +89,9 @@ BOARDS: Mapping[str, Board] = {
         stops=False,
         head=reprap_command,
     ),
-    "linuxcnc": Board(begin=("G21 G90 G94 G17", "G64 P0.01"), end=("M2",), longest=255),
+    "linuxcnc": Board(
+        begin=("G21 G90 G94 G17", f"G64 P{_P_MM}"), end=("M2",), longest=255, planner="linuxcnc"
+    ),
     "fanuc": Board(
         begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
     ),

@@ -26,10 +26,11 @@ from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Dwell, Feed, Job, Move, Operation, Stop, ToolEvent
 from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
+from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import FIRMWARE
 from threadline.signals.files.common import Written, atomic_file, written
-from threadline.targets.boards import BOARDS, dialect_of
+from threadline.targets.boards import BOARDS, LINUXCNC_BLENDS, dialect_of
 from threadline.targets.merged_chords import CLOSE_M, merged
 from threadline.targets.nc_blocks import operation_words
 from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
@@ -307,11 +308,15 @@ def _read_back(merged: Chords, path: Path, planned_s: float) -> str:
 
 def _by_planner(target: str, job: Job, machine: Machine) -> str:
     """Return how long the planner of the firmware takes over ``job``, in words."""
-    if machine.planner is None or machine.planner.kind != BOARDS[target].planner:
+    planner = machine.planner
+    if planner is None or planner.kind != BOARDS[target].planner:
         return "which the firmware makes itself"
-    path = plan_path(programmed_path(job, machine), machine, FIRMWARE)
-    own_s = plan_trajectory(path, machine).duration_s
-    return f"{own_s:.4g} s as the planner of {machine.planner.kind} runs it"
+    if isinstance(planner, LinuxCncPlanner):
+        planner = LINUXCNC_BLENDS  # the program itself says how it is blended
+    own = replace(machine, planner=planner)
+    path = plan_path(programmed_path(job, own), own, FIRMWARE)
+    own_s = plan_trajectory(path, own).duration_s
+    return f"{own_s:.4g} s as the planner of {planner.kind} runs it"
 
 
 def _not_the_plan(target: str, what: str, off_m: float) -> PlanError:

@@ -34,6 +34,7 @@ _KLIPPER = {
     "square_corner_velocity": "square_corner_velocity",
     "minimum_cruise_ratio": "minimum_cruise_ratio",
 }  # fmt: skip
+_TEETH = re.compile(r"(\d+\.?\d*|\.\d+)\s*:\s*(\d+\.?\d*|\.\d+)")
 
 
 def read_settings(path: str | Path) -> Settings:
@@ -225,8 +226,8 @@ def _stepper(settings: Settings, axis: str, keys: dict[str, tuple[str, int]], se
     if "rotation_distance" in keys and "microsteps" in keys:
         ratio = 1.0
         for part in keys.get("gear_ratio", ("1:1", 0))[0].split(","):
-            teeth = re.match(r"\s*([0-9.]+)\s*:\s*([0-9.]+)\s*$", part)
-            if teeth is None or not float(teeth[2]):
+            teeth = _TEETH.fullmatch(part.strip())
+            if teeth is None or not (float(teeth[1]) and float(teeth[2])):
                 line = keys["gear_ratio"][1]
                 raise _unknown(f"gear_ratio: {part}", settings.file, line, "gear_ratio: 60:20")
             ratio *= float(teeth[1]) / float(teeth[2])

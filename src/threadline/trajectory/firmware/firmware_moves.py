@@ -6,7 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
+from threadline.trajectory.types import TrajectoryBlock
+
+
+def standing(
+    begin_s: float, position: FloatArray, duration_s: float, operation: IntArray
+) -> TrajectoryBlock:
+    """Return a pause at (axes,) ``position``."""
+    held = np.zeros((1, 3, len(position)))
+    held[0, 0] = position
+    return TrajectoryBlock(
+        start_s=np.array([begin_s]),
+        duration_s=np.array([duration_s]),
+        coefficients=held,
+        operation=operation,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -113,7 +113,7 @@ class Rules:
             deviation = planner.junction_deviation.si * MM
             between = by_junction_deviation(moves, self.acceleration, deviation)
         else:
-            assert planner.junction_deviation is not None
+            assert isinstance(planner, MarlinPlanner) and planner.junction_deviation is not None
             between = by_junction_deviation(
                 moves,
                 self.acceleration,
@@ -123,6 +123,22 @@ class Rules:
             )
         top = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
         return np.concatenate(([0.0], np.minimum(between, top)))
+
+    def half_angles(self, way: FloatArray) -> FloatArray:
+        """Return (n - 1,) cos(theta) of the corners of (n, axes) ``way``, as LinuxCNC has them.
+
+        2 theta is the angle between the moves in X, Y, Z, pi where they go straight on. A move that
+        leaves these at rest counts as one along X.
+        """
+        straight = way[:, [axis in _LINEAR for axis in self.axes]]
+        length = np.linalg.norm(straight, axis=1)
+        rests = length == 0.0
+        tangent = np.zeros((len(way), len(_LINEAR)))
+        columns = [_LINEAR.index(axis) for axis in self.axes if axis in _LINEAR]
+        tangent[:, columns] = straight / np.where(rests, 1.0, length)[:, None]
+        tangent[rests, 0] = 1.0
+        along = (tangent[1:] * tangent[:-1]).sum(axis=1)
+        return np.asarray(np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0)))
 
     def _jumps(self, said: Mapping[str, Quantity]) -> FloatArray:
         """Return the (axes,) jumps of speed; infinity where ``said`` has none."""

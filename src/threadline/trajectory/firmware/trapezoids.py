@@ -13,10 +13,11 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
-from threadline.machine.motion_planner import FirmwarePlanner, KlipperPlanner
+from threadline.machine.motion_planner import FirmwarePlanner, KlipperPlanner, LinuxCncPlanner
 from threadline.path.types import PieceBlock, PlannedPath
-from threadline.trajectory.firmware.firmware_moves import Moves
+from threadline.trajectory.firmware.firmware_moves import Moves, standing
 from threadline.trajectory.firmware.look_ahead import entries_of_ring, speeds_with_cruise
+from threadline.trajectory.firmware.parabolic_blends import BlendedRun
 from threadline.trajectory.firmware.rules import Rules
 from threadline.trajectory.types import TrajectoryBlock
 
@@ -30,7 +31,10 @@ def firmware_blocks(
 
     The firmware is taken to have as many blocks in hand as it can: its link keeps up.
     """
-    under_way = _Run(Rules.of(planner, machine, path.axes))
+    rules = Rules.of(planner, machine, path.axes)
+    under_way: _Run | BlendedRun = _Run(rules)
+    if isinstance(planner, LinuxCncPlanner):
+        under_way = BlendedRun(rules, planner)
     for block in path:
         edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
         for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
@@ -70,14 +74,7 @@ class _Run:
             return
         dwell = float(block.dwell_s[rows][-1])
         if dwell > 0.0:
-            held = np.zeros((1, 3, way.shape[1]))
-            held[0, 0] = start[-1] + way[-1]
-            yield TrajectoryBlock(
-                start_s=np.array([self.begin_s]),
-                duration_s=np.array([dwell]),
-                coefficients=held,
-                operation=block.operation[rows][-1:],
-            )
+            yield standing(self.begin_s, start[-1] + way[-1], dwell, block.operation[rows][-1:])
             self.begin_s += dwell
         self._keep(self.waiting)
         self.begun, self.speed, self.smooth, self.cruise = False, 0.0, 0.0, 0.0
@@ -97,6 +94,7 @@ class _Run:
                 most, moves.speed**2, gain, smooth, self.speed, self.smooth, self.cruise
             )
         else:
+            assert not isinstance(planner, LinuxCncPlanner)  # it has a run of its own
             ends_at = entries_of_ring(most, gain, planner.look_ahead, self.speed)
             enter, leave = ends_at[:-1], ends_at[1:]
             peak = np.minimum(moves.speed**2, 0.5 * (enter + leave + gain))

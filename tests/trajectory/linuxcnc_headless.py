@@ -1,0 +1,169 @@
+"""LinuxCNC without a screen: how long its own motion controller takes for programs.
+
+Where each joint is commanded to is sampled in every servo cycle of 1 ms, so that the time is a
+count of cycles, however busy the machine is.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from threadline.machine import Machine
+
+_DEBIANS = "/usr/bin/python3"  # which has the module of LinuxCNC
+_CYCLE_S = 1e-3
+_REST = 300  # cycles: the pause before the moves that count
+_BEFORE = "G0 X0 A0\nG4 P0.4\n"
+_INI = """[EMC]
+MACHINE = measured
+VERSION = 1.1
+[DISPLAY]
+DISPLAY = {folder}/drive
+[RS274NGC]
+PARAMETER_FILE = {folder}/measured.var
+[EMCMOT]
+EMCMOT = motmod
+COMM_TIMEOUT = 5.0
+BASE_PERIOD = 0
+SERVO_PERIOD = 1000000
+[TASK]
+TASK = milltask
+CYCLE_TIME = 0.005
+[HAL]
+HALFILE = measured.hal
+[TRAJ]
+SPINDLES = 1
+COORDINATES = X A
+LINEAR_UNITS = mm
+ANGULAR_UNITS = degree
+MAX_LINEAR_VELOCITY = 1e4
+MAX_ANGULAR_VELOCITY = 1e5
+MAX_LINEAR_ACCELERATION = 1e5
+[EMCIO]
+EMCIO = io
+CYCLE_TIME = 0.100
+[KINS]
+KINEMATICS = trivkins coordinates=XA
+JOINTS = 2
+"""
+_AXIS = """[AXIS_{axis}]
+{limits}
+[JOINT_{joint}]
+TYPE = {kind}
+HOME = 0
+FERROR = 50
+MIN_FERROR = 50
+HOME_SEQUENCE = 0
+{limits}
+"""
+_LIMITS = """MIN_LIMIT = -99999
+MAX_LIMIT = 99999
+MAX_VELOCITY = {velocity!r}
+MAX_ACCELERATION = {acceleration!r}"""
+_HAL = """loadrt [KINS]KINEMATICS
+loadrt motmod servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
+loadrt sampler depth=200000 cfg=ff
+addf motion-command-handler servo-thread
+addf motion-controller servo-thread
+addf sampler.0 servo-thread
+net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb sampler.0.pin.0
+net a joint.1.motor-pos-cmd => joint.1.motor-pos-fb sampler.0.pin.1
+net enable iocontrol.0.user-enable-out iocontrol.0.emc-enable-in
+net prepared iocontrol.0.tool-prepare iocontrol.0.tool-prepared
+net changed iocontrol.0.tool-change iocontrol.0.tool-changed
+"""
+_DRIVE = """#!{python}
+import subprocess, time
+from pathlib import Path
+import linuxcnc
+folder = Path({folder!r})
+c, s = linuxcnc.command(), linuxcnc.stat()
+for step in (
+    lambda: c.state(linuxcnc.STATE_ESTOP_RESET),
+    lambda: c.state(linuxcnc.STATE_ON),
+    lambda: c.mode(linuxcnc.MODE_MANUAL),
+    lambda: c.home(-1),
+):
+    step()
+    c.wait_complete(20)
+while True:
+    s.poll()
+    if all(s.homed[:2]):
+        break
+    time.sleep(0.05)
+for program in sorted(folder.glob("*.ngc")):
+    c.mode(linuxcnc.MODE_AUTO)
+    c.wait_complete(20)
+    c.program_open(str(program))
+    c.wait_complete(20)
+    with program.with_suffix(".samples").open("w") as samples:
+        sampler = subprocess.Popen(["halsampler"], stdout=samples)
+        time.sleep(0.5)
+        c.auto(linuxcnc.AUTO_RUN, 0)
+        time.sleep(1.0)
+        while True:
+            s.poll()
+            if s.interp_state == linuxcnc.INTERP_IDLE and s.inpos and s.queue == 0:
+                break
+            time.sleep(0.05)
+        time.sleep(0.5)
+        sampler.terminate()
+        sampler.wait()
+"""
+
+
+def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) -> dict[str, float]:
+    """Return the time of each program, in s, on axes with the limits of X and A of ``machine``.
+
+    Parameters
+    ----------
+    programs
+        Moves from zero on, by name.
+    """
+    text = _INI.format(folder=folder)
+    for joint, (axis, scale) in enumerate((("X", 1e3), ("A", float(np.degrees(1.0))))):
+        own = machine.axes[axis]
+        limits = _LIMITS.format(
+            velocity=own.velocity.si * scale, acceleration=own.acceleration.si * scale
+        )
+        kind = "LINEAR" if axis == "X" else "ANGULAR"
+        text += _AXIS.format(axis=axis, joint=joint, kind=kind, limits=limits)
+    (folder / "measured.ini").write_text(text)
+    (folder / "measured.hal").write_text(_HAL)
+    (folder / "measured.var").touch()
+    drive = folder / "drive"
+    drive.write_text(_DRIVE.format(python=_DEBIANS, folder=str(folder)))
+    drive.chmod(0o755)
+    for name, moves in programs.items():
+        (folder / f"{name}.ngc").write_text(f"G21 G90 G94\n{_BEFORE}{moves}M2\n")
+    # Its real-time part refuses to be of root without another user to fall back on, who then needs
+    # a folder of his own.
+    with tempfile.TemporaryDirectory() as theirs:
+        Path(theirs).chmod(0o777)
+        ran = subprocess.run(
+            ["linuxcnc", "-r", str(folder / "measured.ini")],
+            env=os.environ | {"RTAPI_UID": "65534", "RTAPI_FIFO_PATH": f"{theirs}/fifo"},
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=240,
+            check=False,
+        )
+    sys.stdout.write(ran.stdout + ran.stderr)
+    return {name: _moving_s(folder / f"{name}.samples") for name in programs}
+
+
+def _moving_s(samples: Path) -> float:
+    """Return how long the joints move behind the last pause."""
+    rows = [line.split() for line in samples.read_text().splitlines()]
+    places = np.array([[float(word) for word in row] for row in rows if len(row) == 2])
+    moves = np.flatnonzero((np.abs(np.diff(places, axis=0)) > 1e-12).any(axis=1))
+    pauses = np.flatnonzero(np.diff(moves, prepend=-2 * _REST) > _REST)
+    begin = moves[pauses[-1]]
+    return float(moves[-1] - begin + 1) * _CYCLE_S
