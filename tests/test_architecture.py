@@ -7,6 +7,7 @@ import configparser
 import re
 from collections import Counter
 from pathlib import Path
+from typing import TypeGuard
 
 ROOT = Path(__file__).parents[1]
 
@@ -42,8 +43,26 @@ PARTS = {"cylinders", "shaft"}
 """Parts of a machine that only one kind has."""
 MACHINE_PARTS = {"plc", "tables"}
 """The same where other things than machines have parts of these names, too."""
+PLANNED = {"intent", "commands"}
+"""Parts of a plan that are another thing for each kind."""
+INTENTS = {"motion", "scheduled", "stitched"}
+"""Attributes of a plan that one kind alone has; others raise PlanError."""
 ROWS = {"TICKS", "SWITCHES", "STEPS"}
 """Names of the rows of the table of kinds."""
+
+
+def is_read(node: ast.AST) -> TypeGuard[ast.Attribute]:
+    """Say whether a node reads an attribute."""
+    return isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+
+
+def of_kind(handler: ast.ExceptHandler) -> bool:
+    """Say whether a handler would catch what a plan of another kind raises."""
+    named = ast.walk(handler.type) if handler.type is not None else ()
+    names = {n.id for n in named if isinstance(n, ast.Name)}
+    return handler.type is None or bool(
+        names & {"AttributeError", "PlanError", "ThreadlineError", "Exception"}
+    )
 
 
 def asks(text: str) -> list[int]:
@@ -60,6 +79,11 @@ def asks(text: str) -> list[int]:
         if isinstance(node, ast.Compare) and any(
             (isinstance(n, ast.Name) and n.id in KINDS | ROWS)
             or (isinstance(n, ast.Constant) and isinstance(n.value, str) and n.value in KINDS)
+            or (
+                isinstance(n, ast.Subscript)
+                and isinstance(n.value, ast.Name)
+                and n.value.id == "KINDS"
+            )
             for n in parts
         ):
             return True
@@ -81,6 +105,8 @@ def asks(text: str) -> list[int]:
                 named = {n.id for n in ast.walk(classes) if isinstance(n, ast.Name)}
                 named |= {n.attr for n in ast.walk(classes) if isinstance(n, ast.Attribute)}
                 asked = bool(named & KINDS)
+            case ast.Attribute(value=ast.Attribute(attr="commanded_by")):  # one of its methods
+                asked = True
             case ast.Attribute(value=ast.Name(id=owner) | ast.Attribute(attr=owner), attr=name) if (
                 name in MACHINE_PARTS
             ):
@@ -90,7 +116,13 @@ def asks(text: str) -> list[int]:
             case ast.Call(
                 func=ast.Name(id="getattr" | "hasattr"), args=[_, ast.Constant(name), *_]
             ):
-                asked = name in PARTS | MACHINE_PARTS | {"commanded_by"}
+                of = node.args[0].attr if isinstance(node.args[0], ast.Attribute) else ""
+                asked = name in PARTS | MACHINE_PARTS | {"commanded_by"} or of in PLANNED
+            case ast.Subscript(value=ast.Dict(), slice=chosen):  # a table beside the table
+                asked = reads(chosen)
+            case ast.Try(body=body):
+                tried = {n.attr for line in body for n in ast.walk(line) if is_read(n)}
+                asked = bool(tried & INTENTS) and any(map(of_kind, node.handlers))
             case ast.Compare():
                 asked = reads(node)
             case ast.Match(subject=subject):
@@ -142,9 +174,15 @@ def test_the_count_sees_every_way_to_ask() -> None:
         "kind = machine.commanded_by\nif kind in ('ticks', 'steps'): pass",
         "match machine.commanded_by:\n    case 'ticks': pass",
         "match plan.intent:\n    case Motion(): pass",
+        "if hasattr(plan.intent, 'moves'): pass",
+        "if machine.commanded_by.startswith('sw'): pass",
+        "if KINDS['switches'] is kind_of(machine): pass",
+        "{'switches': f, 'ticks': g}[machine.commanded_by]()",
+        "try:\n    plan.motion\nexcept PlanError:\n    pass",
     ):
         assert asks(text), text
     assert asks("kind = KINDS[machine.commanded_by]\nif kind.cuts: pass") == []
     assert asks("name = plan.motion.name") == []
     assert asks("rows = found.tables") == []
     assert asks("found = REPORTS[type(plan.intent)]") == []
+    assert asks("try:\n    plan.motion\nexcept OSError:\n    pass") == []
