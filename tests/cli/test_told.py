@@ -160,6 +160,13 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
         told.at_work("simulating", 0.996, shown=False)
         assert telling.doing() == "simulating, nearly done"
     assert not capsys.readouterr().err
+    # A first word that says already that something is done counts from the start of the command.
+    monkeypatch.undo()
+    with told.telling() as telling:
+        now_s = time.monotonic()
+        monkeypatch.setattr(time, "monotonic", lambda: now_s + 60.0)
+        told.at_work("narrowing", 0.25, shown=False)
+        assert telling.doing() == "narrowing, 25 % done, about 3 min more"
 
 
 def test_a_stage_that_names_what_it_is_at_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:

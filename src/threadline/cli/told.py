@@ -48,7 +48,7 @@ class Telling:
 
     warnings: list[str] = field(default_factory=list)
     stage: str = ""
-    since_s: float = 0.0
+    since_s: float = field(default_factory=time.monotonic)
     fraction: float = 0.0
     shown: bool = False
 
