@@ -220,6 +220,20 @@ def test_a_verdict_says_its_level_and_how_narrowly_it_passed() -> None:
     assert Verdict(results=results[2:], simulated=True).tightest is None
 
 
+@pytest.mark.parametrize(("measured", "limit"), [(np.inf, 1e-3), (1.0, 5e-324)])
+def test_what_is_beyond_all_multiples_of_its_limit_is_said_in_words(
+    measured: float, limit: float
+) -> None:
+    """A machine that never settles, and a limit of next to nothing: no share of it is a number."""
+    failed = Result(
+        name="settling_time", axis="", measured=measured, limit=limit, unit="s",
+        status=Status.FAILED,
+    )  # fmt: skip
+    assert closing(Verdict(results=(failed,), simulated=True)) == (
+        "OUT OF SPEC (nominal: 1 run; settling_time is beyond any multiple of its limit)"
+    )
+
+
 def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
     """Their results stay; so does what they fail, and every row where nothing moves at all."""
     at_rest = Result(

@@ -135,9 +135,11 @@ def _level(verdict: Verdict) -> str:
 def _used(result: Result) -> str:
     """Return how much of its limit a result uses, rounded up: 100 % is never less."""
     assert result.measured is not None and result.limit
-    percent = math.ceil(100.0 * max(result.measured, 0.0) / result.limit - 1e-9)
     name = " ".join(filter(None, (result.name, result.axis, result.step)))
-    return f"{percent} % of {name} used"
+    used = 100.0 * max(result.measured, 0.0) / result.limit
+    if math.isinf(used):  # as the time to settle of what never does
+        return f"{name} is beyond any multiple of its limit"
+    return f"{math.ceil(used - 1e-9)} % of {name} used"
 
 
 def verdict_rows(
