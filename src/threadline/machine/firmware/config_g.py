@@ -16,6 +16,7 @@ _LETTERS = "XYZABCUVW"
 _READ = {92: "steps", 203: "rate", 201: "acceleration", 350: "microsteps"}
 _OTHERS = (204, 208, 566)
 _CODE = re.compile(r"\s*M(\d{1,4})(?![\d.])(.*)$")
+_COUNTS = re.compile(r"(?<![A-Z\d.])(?:G20|M(?:92|98|20[1348]|350|501|566|593|66[579]))(?![\d.])")
 _WORD = re.compile(r"([A-Z])\s*(-?[0-9.]+(?::-?[0-9.]+)*)(?=\s|[A-Z]|$)")
 
 
@@ -25,13 +26,14 @@ def read_config_g(lines: list[str], file: str) -> Settings:
     Raises
     ------
     MachineError
-        If a line of those that count cannot be read, stands under a condition, or comes before the
-        microsteps that its numbers are counted in.
+        If a line of those that count cannot be read, stands under a condition, holds another
+        command as well, or comes before the microsteps that its numbers are counted in.
     """
     settings = Settings("reprapfirmware", file)
     ends: dict[str, dict[str, tuple[float, int]]] = {}
     for number, line in enumerate(lines, start=1):
         plain = _plain(line)
+        _alone(plain, Place(file, number))
         _heed(settings, plain, line, number)
         match = _CODE.match(plain)
         code = int(match[1]) if match else 0
@@ -84,6 +86,17 @@ def read_config_g(lines: list[str], file: str) -> Settings:
     return settings
 
 
+def _alone(plain: str, place: Place) -> None:
+    """Refuse a line with a command that counts behind something else: the firmware obeys both."""
+    for found in _COUNTS.finditer(plain):
+        if plain[: found.start()].strip():
+            raise MachineError(
+                f"{found[0]} is not alone on its line",
+                place=place,
+                remedy="Give every command a line of its own, without a number before it.",
+            )
+
+
 def _heed(settings: Settings, plain: str, line: str, number: int) -> None:
     """Refuse what makes the numbers others, and record what else changes the motion."""
     if re.match(r"\s*G20\b", plain):
@@ -91,12 +104,16 @@ def _heed(settings: Settings, plain: str, line: str, number: int) -> None:
     kinematics = re.match(r"\s*M669\b.*?\bK\s*(\d+)", plain)
     if kinematics is not None and int(kinematics[1]) != 0:
         settings.refuse_kinematics(f"M669 K{kinematics[1]}", number)
+    other = re.match(r"\s*(?:M665\b|M667\b.*?\bS\s*0*[1-9])", plain)  # a delta, a core XY
+    if other is not None:
+        settings.refuse_kinematics(other[0].strip(), number)
     if re.match(r"\s*M593\b", plain) and not re.search(r'P"none"', line, re.IGNORECASE):
         settings.shapes("M593", number)
-    if re.match(r"\s*M98\b", plain):
+    runs = re.match(r"\s*(M98|M501)\b", plain)
+    if runs is not None:
         settings.unheeded.append(
-            f"{Place(settings.file, number)}: the file that M98 runs is not read; put what it sets "
-            "of the axes in its place"
+            f"{Place(settings.file, number)}: the file that {runs[1]} runs is not read; put what "
+            "it sets of the axes in its place"
         )
 
 

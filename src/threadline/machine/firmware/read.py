@@ -95,6 +95,8 @@ def _marlin(lines: list[str], file: str) -> Settings:
         match = _MARLIN_LINE.match(line.strip())
         if re.match(r"\s*(?:echo:)?\s*G20\b", line):
             settings.refuse_inches(number)
+        if re.match(r"\s*(?:echo:)?\s*M665\b", line):  # deltas and SCARA arms alone have it
+            settings.refuse_kinematics("M665", number)
         shaper = re.match(r"\s*(?:echo:)?\s*M593\b[^;]*\bF([0-9.]+)", line)
         if shaper is not None and shaper[1].strip("0."):
             settings.shapes("M593", number)
@@ -150,6 +152,8 @@ def _fluidnc(lines: list[str], file: str) -> Settings:
             if letter in _LETTERS:
                 name = f"axes.{above[1]}.{key.strip()}"
                 settings.say(letter, _FLUIDNC[key.strip()], value.strip(), number, name)
+        elif above == ["kinematics"] and key.strip().lower() != "cartesian":
+            settings.refuse_kinematics(f"kinematics: {key.strip()[:40]}", number)
         elif not above and key.strip() == "junction_deviation_mm":
             settings.say_of_planner("junction_deviation", value.strip(), number, key.strip())
     return settings
