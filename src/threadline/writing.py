@@ -95,6 +95,18 @@ class _Together:
 
 
 _TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
+_APPEARED: ContextVar[list[Path] | None] = ContextVar("_APPEARED", default=None)
+
+
+@contextmanager
+def noting_outputs() -> Iterator[list[Path]]:
+    """Give a list that tells in the block which files have appeared."""
+    appeared: list[Path] = []
+    mark = _APPEARED.set(appeared)
+    try:
+        yield appeared
+    finally:
+        _APPEARED.reset(mark)
 
 
 @contextmanager
@@ -131,6 +143,9 @@ def together(*outputs: Path | None) -> Iterator[None]:
         with _uninterrupted():
             _commit(pending)
             pending.folders.clear()
+            appeared = _APPEARED.get()
+            if appeared is not None:
+                appeared.extend(move.place for move in pending.moves)
 
 
 @contextmanager

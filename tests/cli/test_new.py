@@ -80,14 +80,14 @@ def test_a_project_that_cannot_be_written_leaves_nothing(
     folder = tmp_path / "mine"
     if there:
         folder.mkdir()
-    rename = Path.rename
+    replace = Path.replace
 
     def full(self: Path, target: Path) -> Path:
-        if self.name in {"spec.toml", "project"}:
+        if self.name == "spec.toml":
             raise OSError(28, "No space left on device", str(self))
-        return rename(self, target)
+        return replace(self, target)
 
-    monkeypatch.setattr(Path, "rename", full)
+    monkeypatch.setattr(Path, "replace", full)
     code, _, err = run(capsys, "new", "winder", folder)
 
     assert code == 2

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 import typer
@@ -81,6 +82,21 @@ def test_an_interrupt_after_the_line_of_another_says_nothing() -> None:
     )
     assert done.returncode == 130
     assert done.stderr == "error: interrupted; nothing was left half-written\n"
+
+
+def test_an_interrupt_behind_the_files_says_that_they_are_there(tmp_path: Path) -> None:
+    """While a command tells of what it wrote: nothing of that is taken back."""
+    done = run(
+        "import os, signal, sys, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from threadline.cli import main, start\n"
+        "main._flush = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        f"sys.argv = ['threadline', 'new', 'winder', {str(tmp_path / 'mine')!r}]\n"
+        "start.run()\n"
+    )
+    assert done.returncode == 130
+    assert done.stderr == "error: interrupted; what it wrote is there, and whole\n"
+    assert (tmp_path / "mine" / "machine.toml").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("then", ["time.sleep(60)", "raise RuntimeError('no object')"])

@@ -24,6 +24,7 @@ SLOW: dict[str, dict[str, str]] = {
         "make demo": "the command beside it is quick",
         "make bench": BENCH,
         "make fuzz": "hours",
+        "python tools/fuzz.py --seed 317 --reader READER --cases N": "an hour for all readers",
         "python -m tools.duration_against_contour": "an hour",
         "python tools/big_program.py 5000000 BIG.prg": "writes 197 MB",
         "/usr/bin/time -v threadline prove BIG.prg -m lathe-winder --interpolation NAME --json": (

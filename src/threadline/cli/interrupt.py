@@ -25,8 +25,10 @@ _STDERR = 2
 _told = threading.Lock()  # taken when the line of an interrupt is written
 _SAME_S = 1.0
 _AGAIN_S = 0.01
+_NOTHING = "nothing was left half-written"
+_WHOLE = "what it wrote is there, and whole"
 _ENDS = {
-    number: (128 + number, f"error: {said}; nothing was left half-written\n")
+    number: (128 + number, f"error: {said}; {_NOTHING}\n")
     for number, said in (
         (signal.SIGINT, "interrupted"),
         (signal.SIGTERM, "terminated"),
@@ -78,10 +80,17 @@ class Termination:
             self._again.cancel()
             self._again.join()
 
-    def end(self) -> tuple[int, str]:
-        """Return the exit status and the line of the signal; no other signal is told after it."""
+    def end(self, *, wrote: bool) -> tuple[int, str]:
+        """Return the exit status and the line of the signal; no other signal is told after it.
+
+        Parameters
+        ----------
+        wrote
+            Whether files have appeared before it: they are whole, and they stay.
+        """
         _told.acquire(blocking=False)
-        return _ENDS[self.number]
+        status, said = _ENDS[self.number]
+        return status, said.replace(_NOTHING, _WHOLE) if wrote else said
 
 
 @contextmanager

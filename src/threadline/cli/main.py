@@ -23,6 +23,7 @@ from threadline.errors import (
     ThreadlineError,
 )
 from threadline.input_files import noting_inputs
+from threadline.writing import noting_outputs
 
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
@@ -68,10 +69,10 @@ def _root(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the program; an error that the package raises becomes one line and an exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    with terminating() as termination:
+    with terminating() as termination, noting_outputs() as appeared:
         status = _run(given, termination)
         if status == EXIT_INTERRUPTED:
-            status, said = termination.end()
+            status, said = termination.end(wrote=bool(appeared))
             note(said.rstrip())
     sys.exit(status)
 

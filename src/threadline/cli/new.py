@@ -6,7 +6,6 @@ import difflib
 import os
 import re
 import shlex
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -21,8 +20,8 @@ from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption
 from threadline.errors import OptionError
-from threadline.input_files import naming
 from threadline.machine import library_file
+from threadline.writing import staging_folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,28 +169,9 @@ def _check(folder: Path) -> None:
 
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write all files or none, in a folder that is made or is empty."""
-    there = folder.is_dir()
-    beside = folder if there else folder.parent
-    with (
-        tempfile.TemporaryDirectory(dir=beside, prefix=".threadline-") as made,
-        naming(folder, Path(made)),
-    ):
-        staged = Path(made) / "project"
-        staged.mkdir()
+    with staging_folder(folder) as staged:
         for name, content in contents.items():
             (staged / name).write_bytes(content)
-        if not there:
-            staged.rename(folder)
-            return
-        moved: list[Path] = []
-        try:
-            for name in contents:
-                moved.append(folder / name)
-                (staged / name).rename(folder / name)
-        except BaseException:
-            for file in moved:
-                file.unlink(missing_ok=True)
-            raise
 
 
 def register(app: typer.Typer) -> None:
