@@ -5,7 +5,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 BENCH_STAMP := .venv-bench/.ready
 
-.PHONY: demo test test-cores bench lint format fuzz lock clean
+NODE := $(abspath $(VENV))/.node/bin
+PAGE := src/threadline/panel/page/index.html
+
+.PHONY: demo panel test test-cores bench lint format fuzz lock clean
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
@@ -14,6 +17,12 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements/dev.txt
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
+
+panel: $(PAGE)  ## Build the page of the operator's panel
+
+$(PAGE): $(STAMP) requirements/panel.txt web/index.html web/package-lock.json $(wildcard web/src/*)
+	@command -v npm >/dev/null 2>&1 || $(BIN)/python -m tools.node_programs $(NODE)
+	cd web && PATH="$$PATH:$(NODE)" npm ci --no-audit --no-fund && PATH="$$PATH:$(NODE)" npm run build
 
 demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
 	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --interpolation optimal --report reports/demo

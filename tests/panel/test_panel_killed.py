@@ -48,7 +48,7 @@ class Spoken:
 class Plant:
     """A machine, its owner and its web server, each a process."""
 
-    def __init__(self, folder: Path, box: Path) -> None:
+    def __init__(self, folder: Path, box: Path, speed: float = SPEED) -> None:
         self.box = box
         listening = socket.create_server(("127.0.0.1", 0))
         self.port = listening.getsockname()[1]
@@ -66,12 +66,12 @@ class Plant:
             Watched.box = {"a": [], "x": [], "load": [], "heard": [0.0], "held": [0.0]}
             connection = Connection(far)
             watched = Watched(winder(), np.zeros(3, np.int64), connection.send)
-            machine_thread(far, SPEED, watched)
+            machine_thread(far, speed, watched)
             box.write_text(json.dumps(Watched.box), "utf-8")
 
         def be_owner() -> None:
             only(theirs, link)
-            own_here(theirs, link, folder, SPEED)
+            own_here(theirs, link, folder, speed)
 
         def be_server() -> None:
             only(listening, ours)

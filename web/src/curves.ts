@@ -1,0 +1,55 @@
+/** Planned, commanded and measured positions of an axis, and their difference on an axis of its own. */
+
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import type { Figures, State } from "./messages";
+
+const SHOWN_S = 60;
+const MOST = 3000;
+const INK = "#444", FAINT = "#9aa0a6", BLUE = "#0072b2", ORANGE = "#b35900";
+
+export class Curves {
+  private times: number[] = [];
+  private commanded: (number | null)[] = [];
+  private measured: (number | null)[] = [];
+  private planned: [number[], number[]] = [[], []];
+  private readonly position: uPlot;
+  private readonly deviation: uPlot;
+
+  constructor(above: HTMLElement, below: HTMLElement) {
+    const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60 }];
+    const x = { time: false };
+    const size = () => ({ width: Math.max(above.clientWidth, 280), height: 200 });
+    this.position = new uPlot({ ...size(), scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [6, 4] }, { label: "commanded", stroke: BLUE }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
+    this.deviation = new uPlot({ ...size(), height: 160, scales: { x }, axes, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
+    new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 200 }); this.deviation.setSize({ width, height: 160 }); }).observe(above);
+  }
+
+  plan(figures: Figures | null, axis: string, scale: number): void {
+    this.planned = figures?.planned[axis] ? [figures.times_s, figures.planned[axis].map((at) => at * scale)] : [[], []];
+  }
+
+  clear(): void { this.times = []; this.commanded = []; this.measured = []; }
+
+  add(state: State, axis: string, scale: number): void {
+    const at = state.axes[axis];
+    const last = this.times[this.times.length - 1];
+    if (!at || last === state.time_s) return;
+    if (last !== undefined && state.time_s < last) this.clear(); // a new motion: its time begins at 0
+    this.times.push(state.time_s);
+    this.commanded.push(at.commanded === null ? null : at.commanded * scale);
+    this.measured.push(at.measured === null ? null : at.measured * scale);
+    if (this.times.length > MOST) { this.times.shift(); this.commanded.shift(); this.measured.shift(); }
+  }
+
+  draw(running: boolean): void {
+    const now = this.times[this.times.length - 1] ?? 0;
+    const from = Math.max(0, now - SHOWN_S);
+    const times = [...new Set([...this.times, ...(running || !this.times.length ? this.planned[0] : [])])].filter((t) => t >= from && t <= Math.max(now + 5, from + SHOWN_S)).sort((a, b) => a - b);
+    const lookup = (keys: number[], values: (number | null)[]) => { const found = new Map(keys.map((key, k) => [key, values[k] ?? null])); return times.map((t) => found.has(t) ? found.get(t)! : undefined); };
+    const show = running || !this.times.length;
+    this.position.setData([times, show ? lookup(this.planned[0], this.planned[1]) : times.map(() => undefined), lookup(this.times, this.commanded), lookup(this.times, this.measured)] as uPlot.AlignedData);
+    const difference = this.measured.map((m, k) => { const c = this.commanded[k]; return m === null || c === null || c === undefined ? null : m - c; });
+    this.deviation.setData([times, lookup(this.times, difference)] as uPlot.AlignedData);
+  }
+}

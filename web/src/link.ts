@@ -1,0 +1,55 @@
+/** The connection to the panel: it connects again by itself, and never sends what is old. */
+
+import type { FromPanel, State } from "./messages";
+
+const PROTOCOL = 1;
+const ALIVE_MS = 1000;
+const AGAIN_MS = 500;
+
+export class Link {
+  lease = "";
+  state: State | null = null;
+  /** When the latest state came, by the page's clock, ms. */
+  heardMs = 0;
+  private socket: WebSocket | null = null;
+  private number = 0;
+
+  constructor(private readonly name: string, private readonly token: string, private readonly heard: (message: FromPanel) => void, private readonly lost: () => void) {
+    this.connect();
+    setInterval(() => { if (this.lease) this.say({ type: "alive", lease: this.lease }); }, ALIVE_MS);
+  }
+
+  private connect(): void {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/api/live`);
+    this.socket = socket;
+    socket.onopen = () => this.say({ type: "hello", protocol: PROTOCOL, name: this.name, token: this.token });
+    socket.onmessage = (event) => {
+      const message = JSON.parse(String(event.data)) as FromPanel;
+      if (message.type === "state") { this.state = message; this.heardMs = performance.now(); }
+      if (message.type === "welcome") this.number = 0;
+      if (message.type === "leased") this.lease = message.lease;
+      this.heard(message);
+    };
+    socket.onclose = () => { this.lease = ""; this.lost(); setTimeout(() => this.connect(), AGAIN_MS); };
+  }
+
+  /** Send a message, or nothing: what is not sent now is not sent later. */
+  say(message: object): void {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  stop(): void {
+    this.say({ type: "stop" });
+    // By another way, too: one of them gets through.
+    void fetch("/api/stop", { method: "POST", headers: { Authorization: `Bearer ${this.token}` }, keepalive: true }).catch(() => undefined);
+  }
+
+  control(word: "take" | "give" | "keep" | "release"): void { this.say({ type: "control", word }); }
+
+  act(command: { what: string; [key: string]: unknown }): void {
+    if (!this.state || !this.lease) return;
+    this.number += 1;
+    this.say({ type: "act", lease: this.lease, seen: this.state.seq, number: this.number, command });
+  }
+}
