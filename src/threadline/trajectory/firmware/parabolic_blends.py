@@ -1,10 +1,11 @@
 """LinuxCNC's trajectory planner: moves that end and begin at the same time.
 
 At a corner the next move sets out while the one before still brakes, so that the speeds of both
-add up (its documents, "Trajectory Planning" and "G64 Path Blending"; what they leave open was found
-by measuring version 2.9 without a screen, servo cycle by servo cycle). Both have half of the
-acceleration. So it blends every move in which a rotary axis takes part. Moves of X Y Z alone
-it blends by arcs, unless ``[TRAJ]ARC_BLEND_ENABLE = 0``; they are taken as with that setting.
+add up (its documents, "Trajectory Planning" and "G64 Path Blending"; what they leave open was
+fitted to servo cycles of version 2.9, run without a screen: no line of its source was at hand).
+Both have half of the acceleration. So it blends every move in which a rotary axis takes part. Moves
+of X Y Z alone it blends by arcs, unless ``[TRAJ]ARC_BLEND_ENABLE = 0``; they are taken as with that
+setting.
 
 A move of length L, acceleration a and speed v reaches v_r = min(v, sqrt(a L)). The blend lasts at
 most t = min(L_1 / v_r1, L_2 / v_r2, max(v_r1 / a_1, v_r2 / a_2)); it begins when the first move is
