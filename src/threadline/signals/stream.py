@@ -73,7 +73,7 @@ class KeptStream(Stream[SizedT]):
     True
     """
 
-    MOST_KEPT = 16_384
+    MOST_KEPT = 2048
 
     __slots__ = ("_items",)
 
