@@ -16,6 +16,7 @@ from threadline.errors import CommandError, LimitError
 from threadline.live.sim_faults import SimFault, parse_fault
 from threadline.live.states import Cause, State
 from threadline.machine import Machine, load_machine
+from threadline.machine.quantity import parse_machine_quantity
 from threadline.options import Options
 from threadline.pipeline import open_job, plan_job
 from threadline.plan import Plan
@@ -149,10 +150,9 @@ def test_a_wait_that_is_not_met_while_nobody_refills_switches_off_too() -> None:
 
 
 def test_a_wait_without_its_contact_is_a_fault() -> None:
-    contact = placer().contacts["x_is_right"]
-    assert contact.at is not None
-    far = replace(contact, at=replace(contact.at, si=0.25))  # beyond the stroke
-    machine = replace(placer(), contacts={**placer().contacts, "x_is_right": far})
+    held = parse_machine_quantity("100 kN exact, assumed", ("N",))  # X is jammed
+    jammed = replace(placer().cylinders["X"], friction=held, stiction=held)
+    machine = replace(placer(), cylinders={**placer().cylinders, "X": jammed})
     made = Bench(other=machine, same=True, start=np.zeros(0, np.int64)).ready()
     made.executor.start(planned().commands, hold_at_rest=True)
     made.go_on()
