@@ -36,12 +36,12 @@ _PATTERNS = {
         "must be the key of a number of a body, link, drive, sensor or controller",
         "Write it like links.x_belt.stiffness.",
     ),
-    "^%IX[0-9]{1,4}(\\.[0-9]{1,2})?$": (
-        "must be the address of an input, %IX and its number",
+    "^%IX(0|[1-9][0-9]{0,3})(\\.[0-7])?$": (
+        "must be the address of an input: %IX, a byte without leading zeros, a bit from 0 to 7",
         "Write it like %IX0.3.",
     ),
-    "^%QX[0-9]{1,4}(\\.[0-9]{1,2})?$": (
-        "must be the address of an output, %QX and its number",
+    "^%QX(0|[1-9][0-9]{0,3})(\\.[0-7])?$": (
+        "must be the address of an output: %QX, a byte without leading zeros, a bit from 0 to 7",
         "Write it like %QX0.3.",
     ),
     "^[0-9]{1,40}/[0-9]{1,40}$": ("must be a fraction of whole numbers", "Write it like 1/200."),

@@ -43,3 +43,19 @@ def test_what_does_not_fit_together(tmp_path: Path, old: str, new: str, told: st
             n for n, row in enumerate(text.splitlines(), start=1) if "x_left_a1 = { kind" in row
         )
     assert str(caught.value).startswith(f"[MACHINE] mine.toml:{line}: {told}")
+
+
+@pytest.mark.parametrize("address", ["%IX00.3", "%IX0.03", "%IX0.8", "%IX1.9", "%IX0.", "%QX0.1"])
+def test_an_address_is_a_byte_and_a_bit_in_one_spelling(tmp_path: Path, address: str) -> None:
+    """A byte has the bits 0 to 7, and %IX00.3 would be %IX0.3 under another name."""
+    path = tmp_path / "mine.toml"
+    path.write_text(PLACER.replace('"%IX0.4"', f'"{address}"'), encoding="utf-8")
+    with pytest.raises(MachineError, match="a byte without leading zeros, a bit from 0 to 7"):
+        load_machine(path)
+
+
+def test_a_bit_by_its_number_alone_is_the_same_bit(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(PLACER.replace('"%IX1.1"', '"%IX8"'), encoding="utf-8")
+    with pytest.raises(MachineError, match=r"%IX8 is that of acknowledge already"):
+        load_machine(path)

@@ -28,7 +28,14 @@ from threadline.machine.parts import (
     Sensor,
     Tool,
 )
-from threadline.machine.pneumatics import Contact, Cylinder, Output, Plc, check_contacts
+from threadline.machine.pneumatics import (
+    Contact,
+    Cylinder,
+    Output,
+    Plc,
+    check_addresses,
+    check_contacts,
+)
 from threadline.machine.program_rules import Programs
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.sources import (
@@ -233,15 +240,7 @@ class Machine:
                 at = f"contacts.{name}.cylinder"
                 _known([contact.cylinder], self.cylinders, at, "cylinder")
         check_contacts(self.cylinders, self.outputs, self.contacts)
-        taken: dict[str, str] = {}
-        for table, parts in (("outputs", self.outputs), ("contacts", self.contacts)):
-            for name, part in parts.items():
-                if part.address in taken:
-                    raise ValueError(
-                        f"{table}.{name}.address: {part.address} is that of "
-                        f"{taken[part.address]} already"
-                    )
-                taken[part.address] = name
+        check_addresses(self.outputs, self.contacts)
 
     def _stitching_references(self) -> None:
         if (self.shaft is None) != (self.tables is None):

@@ -24,8 +24,9 @@ REST_LAGS = 4.0
 """Number of lags after the end of the flow at which a cylinder is at rest within 2 %."""
 TIMES = (".delay", ".opens", ".closes")
 """Ends of the paths of numbers that are instants of a simulation."""
-InputAddress = Annotated[str, Field(pattern=r"^%IX[0-9]{1,4}(\.[0-9]{1,2})?$")]
-OutputAddress = Annotated[str, Field(pattern=r"^%QX[0-9]{1,4}(\.[0-9]{1,2})?$")]
+# A byte and its bit, or the number of a bit alone. Without leading zeros each has one spelling.
+InputAddress = Annotated[str, Field(pattern=r"^%IX(0|[1-9][0-9]{0,3})(\.[0-7])?$")]
+OutputAddress = Annotated[str, Field(pattern=r"^%QX(0|[1-9][0-9]{0,3})(\.[0-7])?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
 
 
@@ -205,6 +206,26 @@ class Plc:
     watchdog: PositiveTime
     dwell: PositiveTime
     never_over: bool
+
+
+def check_addresses(outputs: Mapping[str, Output], contacts: Mapping[str, Contact]) -> None:
+    """Check that no two inputs or outputs are one bit: ``%IX8`` and ``%IX1.0`` are the same.
+
+    Raises
+    ------
+    ValueError
+        With both names.
+    """
+    taken: dict[tuple[str, int], str] = {}
+    for table, parts in (("outputs", outputs), ("contacts", contacts)):
+        for name, part in parts.items():
+            number, _, bit = part.address[3:].partition(".")
+            key = table, 8 * int(number) + int(bit) if bit else int(number)
+            if key in taken:
+                raise ValueError(
+                    f"{table}.{name}.address: {part.address} is that of {taken[key]} already"
+                )
+            taken[key] = name
 
 
 def check_contacts(
