@@ -59,3 +59,49 @@ def test_a_bit_by_its_number_alone_is_the_same_bit(tmp_path: Path) -> None:
     path.write_text(PLACER.replace('"%IX1.1"', '"%IX8"'), encoding="utf-8")
     with pytest.raises(MachineError, match=r"%IX8 is that of acknowledge already"):
         load_machine(path)
+
+
+LEFT, RIGHT = "6 mm +- 2 mm, assumed", "194 mm +- 2 mm, assumed"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (LEFT, "196 mm +- 2 mm, assumed", "on below 196 mm +- 2 mm, and x_is_right above 194 mm"),
+        (LEFT, "191 mm +- 2 mm, assumed", "both end switches of X can be on at once"),
+        (
+            LEFT,
+            "1 mm +- 2 mm, assumed",
+            "the end of the stroke of X at 0 mm, so that the switch may never",
+        ),
+        (
+            LEFT,
+            "199 mm +- 2 mm, assumed",
+            "stroke of X at 200 mm, so that the switch may always be on",
+        ),
+        (
+            RIGHT,
+            "199 mm +- 2 mm, assumed",
+            "stroke of X at 200 mm, so that the switch may never be on",
+        ),
+    ],
+)
+def test_end_switches_that_tolerances_make_useless_are_refused(
+    tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    """Both on at once: the interlock of the knife would hold all along the stroke."""
+    path = tmp_path / "mine.toml"
+    text = PLACER.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(MachineError) as caught:
+        load_machine(path)
+    line = next(n for n, row in enumerate(text.splitlines(), start=1) if new in row)
+    assert f"mine.toml:{line}: contacts.x_is_" in str(caught.value)
+    assert told in str(caught.value)
+    assert "ove " in caught.value.remedy
+
+
+def test_end_switches_as_far_apart_as_their_tolerances_are_taken(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(PLACER.replace(LEFT, "189 mm +- 2 mm, assumed", 1), encoding="utf-8")
+    assert load_machine(path).contacts["x_is_left"].at is not None

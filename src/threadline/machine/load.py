@@ -22,6 +22,7 @@ from threadline.foreign_messages import field_fault, nearest, toml_fault
 from threadline.input_files import note_input, read_text
 from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
+from threadline.machine.pneumatics import switch_faults
 from threadline.machine.schema import ADAPTER, field_names, in_file, kinds_with, line_of
 
 _MAX_BYTES = 1_000_000
@@ -104,10 +105,14 @@ def load_machine(reference: str | Path) -> Machine:
     content["sha256"] = hashlib.sha256(canonical).hexdigest()
     content["file"] = file
     content["reference"] = str(reference)
+    written = _Text(text, file, overlays)
     try:
-        return ADAPTER.validate_python(content)
+        machine = ADAPTER.validate_python(content)
     except ValidationError as error:
-        _refuse(error, content, _Text(text, file, overlays))
+        _refuse(error, content, written)
+    for key, fault, remedy in switch_faults(machine.cylinders, machine.contacts):
+        raise MachineError(f"{key}: {fault}", place=written.place(*key.split(".")), remedy=remedy)
+    return machine
 
 
 def split_reference(reference: str) -> tuple[str, list[str]]:

@@ -7,7 +7,7 @@ flow controls of one direction work in parallel. Every subset of them gives a le
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import combinations
 from typing import Annotated, Literal
 
@@ -266,3 +266,43 @@ def check_contacts(
                     f"{where}.needs names {name!r}, an end switch of {own} itself, which goes off "
                     "as it moves"
                 )
+
+
+def switch_faults(
+    cylinders: Mapping[str, Cylinder], contacts: Mapping[str, Contact]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield key, fault and remedy of each end switch that its tolerance leaves useless.
+
+    That is for the numbers of a file: a machine drawn within them keeps the tolerances, which may
+    lie partly outside.
+    """
+    for name, contact in contacts.items():
+        if contact.cylinder is None or contact.at is None:
+            continue
+        stroke = cylinders[contact.cylinder].stroke.si
+        low, high = contact.at.least <= 0.0, contact.at.most >= stroke
+        if contact.at.tolerance_si and (low or high):
+            always = low == (contact.beyond == "above")
+            yield (
+                f"contacts.{name}.at",
+                f"{_in_mm(contact.at)} reaches the end of the stroke of {contact.cylinder} at "
+                f"{0.0 if low else stroke * 1e3:g} mm, so that the switch may "
+                f"{'always' if always else 'never'} be on",
+                "Move the switch into the stroke by more than its tolerance.",
+            )
+        for other, far in contacts.items():
+            if far.at is None or far.cylinder != contact.cylinder:
+                continue
+            ends = (contact.beyond, far.beyond) == ("below", "above")
+            if ends and contact.at.most >= far.at.least:
+                yield (
+                    f"contacts.{name}.at",
+                    f"on below {_in_mm(contact.at)}, and {other} above {_in_mm(far.at)}: both end "
+                    f"switches of {contact.cylinder} can be on at once",
+                    "Move them apart by more than their tolerances.",
+                )
+
+
+def _in_mm(place: Quantity) -> str:
+    within = f" +- {place.tolerance_si * 1e3:g} mm" if place.tolerance_si else ""
+    return f"{place.si * 1e3:g} mm{within}"
