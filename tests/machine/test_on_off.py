@@ -24,6 +24,11 @@ PLACER = (resources.files("threadline.machine") / "library" / "letter-placer.tom
             "plc.watchdog: 10 ms is not longer than a scan, 10 ms: every scan would be a fault",
         ),
         (
+            'watchdog = "25 ms exact',
+            'watchdog = "1e6 ms exact',
+            "plc.watchdog: 1e+06 ms is longer than 100 scans, 1000 ms: it would watch nothing",
+        ),
+        (
             '"%QX0.5"',
             '"%QX0.2"',
             "outputs.x_left_a1.address: %QX0.2 is that of x_right_a1 already",

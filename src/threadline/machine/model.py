@@ -29,6 +29,7 @@ from threadline.machine.parts import (
     Tool,
 )
 from threadline.machine.pneumatics import (
+    MOST_SCANS,
     Contact,
     Cylinder,
     Output,
@@ -218,6 +219,11 @@ class Machine:
                 raise ValueError(
                     f"plc.watchdog: {1e3 * self.plc.watchdog.si:g} ms is not longer than a scan, "
                     f"{1e3 * scan_s:g} ms: every scan would be a fault"
+                )
+            if self.plc.watchdog.si > MOST_SCANS * scan_s:
+                raise ValueError(
+                    f"plc.watchdog: {1e3 * self.plc.watchdog.si:g} ms is longer than {MOST_SCANS} "
+                    f"scans, {1e3 * MOST_SCANS * scan_s:g} ms: it would watch nothing"
                 )
         used: dict[str, str] = {}
         for name, cylinder in self.cylinders.items():

@@ -22,6 +22,8 @@ ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
 """A delay or lag of compressed air, of at most 100 s; one second is long."""
 REST_LAGS = 4.0
 """Number of lags after the end of the flow at which a cylinder is at rest within 2 %."""
+MOST_SCANS = 100
+"""Longest watchdog, in scans. Plants set a few scans; what waits longer watches nothing."""
 TIMES = (".delay", ".opens", ".closes")
 """Ends of the paths of numbers that are instants of a simulation."""
 # A byte and its bit, or the number of a bit alone. Without leading zeros each has one spelling.
