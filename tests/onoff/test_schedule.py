@@ -13,6 +13,7 @@ from threadline.jobs.operations import WaitInput
 from threadline.machine import load_machine
 from threadline.plant.pneumatic import step_ringing
 from threadline.signals import SwitchSchedule
+from threadline.targets.plc_net import petri_net
 from threadline.targets.schedule import Scheduled, compile_schedule
 from threadline.targets.schedule_options import shaping_of
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
@@ -207,3 +208,29 @@ def test_a_long_move_list_is_read_in_one_pass(tmp_path: Path) -> None:
     operations = list(read_job(path, load_machine("letter-placer")).operations)
     lines = [operation.source.line for operation in operations]
     assert lines == list(range(2, 2 * many + 2, 2))
+
+
+def waiting(timeout: str, folder: Path) -> Scheduled:
+    file = folder / "m.toml"
+    file.write_text(
+        '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { Z = "100 mm" }\n'
+        f'[[operation]]\nwait = "z_is_down"\ntimeout = "{timeout}"\n'
+    )
+    machine = load_machine("letter-placer")
+    return compile_schedule(read_job(file, machine), machine)
+
+
+def test_a_timeout_shorter_than_a_scan_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlanError) as caught:
+        waiting("1 ms", tmp_path)
+    assert "m.toml:5: timeout = 1 ms is shorter than a scan, 10 ms" in str(caught.value)
+
+
+@pytest.mark.parametrize(("timeout", "scans_ms"), [("10 ms", 10), ("11 ms", 20), ("2 s", 2000)])
+def test_a_timeout_is_whole_scans_and_never_less(
+    tmp_path: Path, timeout: str, scans_ms: int
+) -> None:
+    scheduled = waiting(timeout, tmp_path)
+    (wait,) = [event for event in scheduled.commands.events if event.kind == "wait"]
+    (place,) = [place for place in petri_net(scheduled).places if place.wait is not None]
+    assert place.due_ms - (wait.tick - place.origin_tick) * 10 == scans_ms

@@ -36,7 +36,7 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
     places = [_place(after + 1, air, now_ms, None)]
     for axis in home_order(scheduled):
         stage = home_stage(machine, axis)
-        on, late_ms = (*air, *stage.on), round(1000 * stage.late_s)
+        on, late_ms = (*air, *stage.on), _scans_ms(stage.late_s, scan_ms)
         wait = (stage.switch, True)
         places.append(_place(after + len(places) + 1, on, now_ms + late_ms, wait))
         now_ms = _scans_ms(stage.pressed_s, scan_ms)

@@ -6,6 +6,7 @@ reach a due time, or when an input is there. Place 0 has every output off.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from threadline.errors import PlanError
@@ -137,7 +138,8 @@ class _Walk:
 
     def _wait(self, tick: int, name: str, value: bool, timeout_s: float) -> None:
         self.arrival = tick
-        self._add(self._ms(tick) + round(1000.0 * timeout_s), (name, value))
+        scans = math.ceil(1000.0 * timeout_s / self.scan_ms - 1e-9)
+        self._add(self._ms(tick) + scans * self.scan_ms, (name, value))
         # The token arrives in the next place at once; its rows come at the next scan.
         self.origin = self.arrival = tick
         self.pending = True

@@ -29,6 +29,7 @@ from threadline.targets.homing import Homing, home_stage
 from threadline.targets.schedule_checks import (
     check_air,
     check_interlocks,
+    check_timeout,
     check_wait,
     tell_distance,
 )
@@ -217,6 +218,7 @@ class _Builder:
             case Dwell(duration_s=duration):
                 self.tick += self._ticks(duration)
             case WaitInput(name=name, value=value, timeout_s=timeout, source=source):
+                check_timeout(timeout, float(self.clock.period_s), source)
                 self.warnings += check_wait(self.machine, self.position, name, bool(value), source)
                 if self.machine.contacts[name].cylinder is not None:
                     self.on_its_way.discard(str(self.machine.contacts[name].cylinder))

@@ -35,6 +35,16 @@ def check_air(machine: Machine, state: Mapping[str, int], source: Source) -> Non
         )
 
 
+def check_timeout(timeout_s: float, scan_s: float, source: Source) -> None:
+    """Refuse a wait that would be a fault before an input has been read once more."""
+    if timeout_s < scan_s * (1.0 - 1e-9):
+        raise PlanError(
+            f"timeout = {timeout_s * 1e3:g} ms is shorter than a scan, {scan_s * 1e3:g} ms",
+            place=source.place,
+            remedy="Give a scan or more; the PLC rounds it up to whole scans.",
+        )
+
+
 def check_wait(
     machine: Machine, position: Mapping[str, float], name: str, value: bool, source: Source
 ) -> list[str]:
