@@ -222,7 +222,7 @@ def target_of(name: str, machine: Machine) -> Target:
     if name in own:
         return own[name]
     if name not in target_names():
-        raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, target_names()))
+        raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, sorted(own)))
     raise OptionError(
         f"target {name!r} is of another kind of machine than {machine.name}, which is "
         f"commanded by {machine.commanded_by}",

@@ -70,6 +70,8 @@ def test_unknown_targets_name_the_nearest(tmp_path) -> None:
         write(plan, "tick", tmp_path / "x")
     with pytest.raises(OptionError, match=r"unknown target 'dxf'. Known: csv, fanuc, fluidnc"):
         write(plan, "dxf", tmp_path / "x")
+    with pytest.raises(OptionError, match=r"unknown target 'nosuch'. Known: plcopen, scl, st"):
+        target_of("nosuch", load_machine("letter-placer"))
     assert {"csv", "nc", "npz", "ticks"} <= set(target_names())
     assert list(tmp_path.iterdir()) == []
 
