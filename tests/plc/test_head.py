@@ -17,6 +17,7 @@ def test_the_head_names_the_shaper_and_the_mode_that_was_asked_for() -> None:
     for axis in "XZ":
         assert f"(* {axis}: shaped by um-2ei for 3.04 Hz, damping ratio 0.17 *)" in head
     assert "no safety function" in head
+    assert "(* Compiling proves nothing: threadline prove of this list" in head
     assert "(* X: unshaped *)" in text_of("letter-placer", "none").split("VAR_INPUT")[0]
 
 

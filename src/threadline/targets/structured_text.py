@@ -145,6 +145,7 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         f"Written by Threadline {__version__}",
         f"Job {scheduled.job.name}, sha256 {scheduled.job.sha256[:16]}",
         f"Machine {scheduled.machine.name}, sha256 {scheduled.machine.sha256[:16]}",
+        "Compiling proves nothing: threadline prove of this list on this machine gives a verdict.",
         f"A cycle takes {cycle_s:.3f} s where every input comes as soon as it is waited for.",
         f"Call it every {net.scan_ms} ms from a timed task. Place idle has every output off.",
         "A broken light grid, a missing enable, a late scan, or a contact that cannot be believed",
