@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import threadline.machine
+from threadline.cli.fastest_robust import show_robust
 from threadline.cli.main import main
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -17,7 +19,7 @@ from threadline.machine.vary import mode_off
 from threadline.options import Options
 from threadline.pipeline import plan_job, prove
 from threadline.plant.pneumatic import flow_mode, frame_mode
-from threadline.search.cycle_robust import robust_cycle
+from threadline.search.cycle_robust import RobustCycle, robust_cycle
 from threadline.verdict import load_spec
 
 LIBRARY = Path(threadline.machine.__file__).parent / "library"
@@ -215,3 +217,18 @@ def test_a_move_that_another_outlasts_rings_as_little_as_it_can(tmp_path: Path) 
     assert quick.command_s >= 0.64 - 1e-9
     rests = [machine.cylinders[axis].rest_s(True) for axis in "XZ"]
     assert slow.command_s + rests[0] > quick.command_s + rests[1]
+
+
+def test_the_line_of_a_band_says_that_each_machine_ran_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    none_found = SimpleNamespace(
+        moves=(),
+        frequencies_hz={"X": (2.33, 3.49)},
+        over=(SimpleNamespace(worst_m=9.75e-5, relative=0.2),) * 17,
+        job=None,
+        tried=3,
+    )
+    show_robust(cast("RobustCycle", none_found), ("moves", ["step"], []))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "at most 0.0975 mm ring on 17 machines, one run each, with modes of X 2.33" in said

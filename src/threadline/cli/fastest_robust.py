@@ -70,8 +70,8 @@ def show_robust(robust: RobustCycle, table: Printed) -> None:
     )
     worst = max(robust.over, key=lambda run: run.worst_m)
     over = (
-        f"at most {worst.worst_m * 1e3:.4g} mm ring on {len(robust.over)} machines with modes of "
-        f"{modes}; the most at {worst.relative * 100:+.3g} %"
+        f"at most {worst.worst_m * 1e3:.4g} mm ring on {len(robust.over)} machines, one run each, "
+        f"with modes of {modes}; the most at {worst.relative * 100:+.3g} %"
     )
     if robust.job is None:
         say(f"no cycle in spec all over the band was found ({robust.tried} tried): {over}")
