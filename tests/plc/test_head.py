@@ -42,3 +42,21 @@ def test_times_of_one_move_tell_its_parts_and_since_when_they_count() -> None:
         "across: X 200 mm forward, part 2, since z_is_up was on",
         "across: X 200 mm forward, part 3, since z_is_up was on",
     ]
+
+
+def test_comments_call_inputs_and_outputs_as_the_program_does(tmp_path: Path) -> None:
+    """``if`` is a word of the language, and ``fault_code`` a variable of the block."""
+    library = ROOT / "src" / "threadline" / "machine" / "library"
+    texts = [library / "letter-placer.toml", ROOT / "examples" / "letter-cycle.toml"]
+    for file, new in zip(texts, ("machine.toml", "list.toml"), strict=True):
+        text = file.read_text(encoding="utf-8")
+        text = re.sub(r"\bknife\b(?= =|\")", "fault_code", text)
+        (tmp_path / new).write_text(re.sub(r"\bz_is_up\b", "if", text), encoding="utf-8")
+    machine = load_machine(tmp_path / "machine.toml")
+    job = read_job(tmp_path / "list.toml", machine)
+    write(plan_job(job, machine, Options()), "st", tmp_path / "own.st")
+    comments = re.findall(r"\(\*.*?\*\)", (tmp_path / "own.st").read_text(encoding="ascii"))
+    told = " ".join(comments)
+    assert "if_signal was on" in told
+    assert "fault_code_2" in told
+    assert not re.search(r"\bif (was|must|is)\b|\bfault_code\b", told)

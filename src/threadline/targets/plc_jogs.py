@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from threadline.machine import Machine
@@ -41,7 +41,12 @@ class Jog:
     where: tuple[tuple[tuple[str, bool], ...], ...]
 
 
-def jogs_of(scheduled: Scheduled, cycle: tuple[NamedPlace, ...], names: Names) -> Iterator[Jog]:
+def jogs_of(
+    scheduled: Scheduled,
+    cycle: tuple[NamedPlace, ...],
+    names: Names,
+    outputs: Mapping[str, str],
+) -> Iterator[Jog]:
     """Yield each thing that may be done by hand, under the conditions that the cycle does it in.
 
     A cylinder comes back to its start also where the way home would bring it: with all that come
@@ -67,7 +72,7 @@ def jogs_of(scheduled: Scheduled, cycle: tuple[NamedPlace, ...], names: Names) -
         if output.kind in {"tool", "vacuum"}:
             yield Jog(
                 name=names.give(f"jog_{name}".lower()),
-                note=f"{name}",
+                note=outputs[name],
                 on=(name,),
                 needs=_told(output.needs),
                 where=_where(machine, cycle, "", name) if output.kind == "tool" else (),

@@ -104,12 +104,12 @@ class Sequence:
         """All of them, in the order of their numbers."""
         return (*self.cycle, *self.homing)
 
-    def constants(self) -> Iterator[Variable]:
-        """Yield the constants of the program."""
+    def constants(self, outputs: Mapping[str, str]) -> Iterator[Variable]:
+        """Yield the constants of the program, in which ``outputs`` are called so."""
         yield Variable(name=self.idle, type="INT", initial="0", note="every output is off")
         for named in self.places:
             number = str(named.place.number)
-            on = ", ".join(named.place.on) or "nothing"
+            on = ", ".join(outputs[name] for name in named.place.on) or "nothing"
             yield Variable(name=named.name, type="INT", initial=number, note=f"on: {on}")
         for named in self.places:
             due = f"T#{named.place.due_ms}ms"
@@ -139,8 +139,10 @@ class Sequence:
             yield Variable(name=jog.name, type="INT", initial=str(code), note=jog.note)
 
 
-def sequence_of(scheduled: Scheduled, names: Names) -> Sequence:
-    """Return the sequence of ``scheduled``.
+def sequence_of(
+    scheduled: Scheduled, names: Names, inputs: Mapping[str, str], outputs: Mapping[str, str]
+) -> Sequence:
+    """Return the sequence of ``scheduled``, whose comments call inputs and outputs so.
 
     Raises
     ------
@@ -151,14 +153,15 @@ def sequence_of(scheduled: Scheduled, names: Names) -> Sequence:
     idle = names.give("idle")
     watched = watches(scheduled, net)
     back = home_places(scheduled, len(net.places), net.scan_ms)
-    cycle = _named(net.places, watched, scheduled, names)
-    homing = _named(back, home_watches(back, machine), scheduled, names)
+    called = {"inputs": inputs, "outputs": outputs}
+    cycle = _named(net.places, watched, scheduled, names, **called)
+    homing = _named(back, home_watches(back, machine), scheduled, names, **called)
     return Sequence(
         net=net,
         cycle=cycle,
         homing=homing,
         guarded=tuple(_guarded(machine, (*cycle, *homing), names)),
-        jogs=tuple(jogs_of(scheduled, cycle, names)),
+        jogs=tuple(jogs_of(scheduled, cycle, names, outputs)),
         contacts={
             c: names.give(f"c_{c}") for c, k in machine.contacts.items() if k.kind == "contact"
         },
@@ -175,6 +178,9 @@ def _named(
     watched: list[dict[str, Watch]],
     scheduled: Scheduled,
     names: Names,
+    *,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
 ) -> tuple[NamedPlace, ...]:
     found = []
     count: dict[str, int] = {}
@@ -183,12 +189,12 @@ def _named(
         step = place.step or "cycle"
         count[step] = count.get(step, 0) + 1
         name = names.give(f"s_{step}_{count[step]}")
-        what = f"{place.step}: {_what(place, scheduled)}"
+        what = f"{place.step}: {_what(place, scheduled, inputs, outputs)}"
         part = part + 1 if what == last else 1
         last = what
         note = f"{what}{f', part {part}' if part > 1 else ''}, since {since}"
         if place.wait is not None:
-            since = f"{place.wait[0]} was {'on' if place.wait[1] else 'off'}"
+            since = f"{inputs[place.wait[0]]} was {'on' if place.wait[1] else 'off'}"
         which = {
             axis: (
                 names.give(f"t_{axis.lower()}_early_{step}_{count[step]}"),
@@ -210,10 +216,12 @@ def _named(
     return tuple(found)
 
 
-def _what(place: NetPlace, scheduled: Scheduled) -> str:
+def _what(
+    place: NetPlace, scheduled: Scheduled, inputs: Mapping[str, str], outputs: Mapping[str, str]
+) -> str:
     """Return what happens until the time of a place has come, for people."""
     if place.wait is not None:
-        return f"{place.wait[0]} must be {'on' if place.wait[1] else 'off'} by then"
+        return f"{inputs[place.wait[0]]} must be {'on' if place.wait[1] else 'off'} by then"
     machine, tick = scheduled.machine, place.begin_tick
     if place.step == HOMING:
         moved = any(machine.outputs[name].kind == "direction" for name in place.on)
@@ -233,7 +241,7 @@ def _what(place: NetPlace, scheduled: Scheduled) -> str:
     for name in place.on:
         ramp_s = machine.outputs[name].ramp_s
         if ramp_s and abs(stays_s - ramp_s) < scan_s:
-            return f"{name} is under pressure"
+            return f"{outputs[name]} is under pressure"
     return "one scan" if stays_s < 1.5 * scan_s else f"{stays_s * 1e3:g} ms more"
 
 

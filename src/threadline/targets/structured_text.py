@@ -76,7 +76,7 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     block_name, main_name = names.give(scheduled.job.name), names.give(f"{machine.name}_main")
     inputs = {contact: names.give(contact) for contact in machine.contacts}
     outputs = {output: names.give(output) for output in machine.outputs}
-    sequence = sequence_of(scheduled, names)
+    sequence = sequence_of(scheduled, names, inputs, outputs)
     net = sequence.net
     free = [
         named.place.wait
@@ -180,7 +180,10 @@ def _block_variables(words: Words, sequence: Sequence) -> tuple[Block, ...]:
                 *_panel_outputs(),
             ),
         ),
-        Block(kind="VAR CONSTANT", variables=(*sequence.constants(), *hand_constants(words))),
+        Block(
+            kind="VAR CONSTANT",
+            variables=(*sequence.constants(words.outputs), *hand_constants(words)),
+        ),
         Block(kind="VAR", variables=tuple(_state(words, sequence))),
     )
 

@@ -259,8 +259,9 @@ def _interlocks(words: Words, sequence: Sequence) -> Iterator[str]:
     """Yield what the machine file needs while something moves or is on: a fault in that scan."""
     for name, places in sequence.interlocks.items():
         where = _in_any(sequence.places, frozenset(places))
-        yield f"(* An interlock of the machine file: {name} is on in all of these places. *)"
-        yield f"IF (cause = no_fault) AND NOT {words.inputs[name]} AND ({where}) THEN"
+        word = words.inputs[name]
+        yield f"(* An interlock of the machine file: {word} is on in all of these places. *)"
+        yield f"IF (cause = no_fault) AND NOT {word} AND ({where}) THEN"
         yield "  cause := f_interlock;"
         yield f"  culprit := {sequence.contacts[name]};"
         yield "END_IF;"
