@@ -180,6 +180,8 @@ class _Search:
     def every_one_about(self, start: IntArray) -> None:
         """Look at every train with each impulse within a few ticks of its start."""
         free = len(start) - 1
+        if not free:  # a train of one impulse: its start is time 0
+            return
         reach = (
             _FARTHEST if free == 1 else min(int((_EVERY ** (1.0 / free) - 1.0) / 2.0), _FARTHEST)
         )
