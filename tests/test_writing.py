@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,34 @@ def test_an_interrupt_between_the_moves_waits_for_the_last(
     finally:
         signal.signal(signal.SIGINT, before)
     assert tree(tmp_path) == {"a": "new", "b": "new"}
+
+
+@pytest.mark.parametrize("makes", ["tempfile.mkstemp", "tempfile.mkdtemp", "pathlib.Path.mkdir"])
+def test_an_interrupt_behind_what_is_made_leaves_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, makes: str
+) -> None:
+    """It comes when the file or folder is there, and nobody has noted yet that it is."""
+    module, name = makes.removesuffix(".mkdir"), makes.rpartition(".")[2]
+    owner = Path if module == "pathlib.Path" else tempfile
+    make = getattr(owner, name)
+
+    def interrupted(*args: object, **keywords: object) -> object:
+        made = make(*args, **keywords)
+        os.kill(os.getpid(), signal.SIGINT)
+        return made
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), together():
+            monkeypatch.setattr(owner, name, interrupted)
+            if name == "mkstemp":
+                write(tmp_path / "a")
+            else:
+                with staging_folder(tmp_path / "new") as folder:
+                    (folder / "a").write_text("new")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_was_read_is_kept_however_it_is_reached(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ import short_jobs
 from fuzz_cases import WORD
 from fuzz_odd import ODD
 
+from threadline.cli.interrupt import leaving_on_interrupt
 from threadline.cli.main import main as run_program
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -112,7 +113,8 @@ def start(words: list[str], folder: Path, told: Path, most_bytes: int) -> int:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
         status = 70
         try:
-            run_program(words)
+            with leaving_on_interrupt():  # as the program's start has it
+                run_program(words)
         except SystemExit as stopped:
             status = int(stopped.code or 0)
         except BaseException:
@@ -159,7 +161,10 @@ def run(
         if "cannot use standard output" in err and {*fresh, *changed} == {*wanted}:
             return status, ""  # its files are whole; what it says of them found no room
         if "what it wrote is there, and whole" in err and {*wanted} <= {*fresh, *changed}:
-            return status, "" if err.count("\n") == 1 else f"more than one line: {err[-600:]!r}"
+            before = err.splitlines()[:-1]  # it may have begun to tell its warnings
+            if all(line.startswith("warning: ") for line in before):
+                return status, ""
+            return status, f"more than one line: {err[-600:]!r}"
         if fresh or changed:
             return status, f"ended early, and there is {fresh}, changed {changed}"
         if err.count("\n") != 1 or not err.startswith("error: "):

@@ -163,10 +163,10 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
     with together():
         pending = _pending()
         folder = Path(tempfile.gettempdir()) if is_stdout(path) else _real(path).parent
-        with naming(path, folder):
+        with naming(path, folder), _uninterrupted():  # what is made is noted, to be removed
             handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
-        made = Path(name)
-        pending.stack.callback(made.unlink, missing_ok=True)
+            made = Path(name)
+            pending.stack.callback(made.unlink, missing_ok=True)
         os.close(handle)
         with naming(path, made), made.open("wb") as file:
             yield file
@@ -186,9 +186,9 @@ def staging_folder(folder: Path) -> Iterator[Path]:
     with together():
         pending = _pending()
         real = _real(folder)
-        with naming(folder, real):
+        with naming(folder, real), _uninterrupted():  # what is made is noted, to be removed
             temporary = tempfile.TemporaryDirectory(dir=_made(real), prefix=".threadline-")
-        made = Path(pending.stack.enter_context(temporary))
+            made = Path(pending.stack.enter_context(temporary))
         with naming(folder, made):
             yield made
         for file in sorted(made.iterdir()):
@@ -222,8 +222,9 @@ def _made(folder: Path) -> Path:
     """Make ``folder`` and its parents; they are removed again if the block fails."""
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     for each in reversed(missing):
-        each.mkdir()
-        _pending().folders.append(each)
+        with _uninterrupted():
+            each.mkdir()
+            _pending().folders.append(each)
     return folder
 
 

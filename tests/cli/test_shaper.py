@@ -32,6 +32,15 @@ def test_a_train_that_the_controller_spoils_is_told(capsys: pytest.CaptureFixtur
     assert "on these ticks the shaper" not in told("um-ei", "--tick", "1 ms")
 
 
+def test_a_move_of_one_impulse_has_nothing_to_round(capsys: pytest.CaptureFixture[str]) -> None:
+    """The train of one impulse leaves the search no freedom, and all of the mode's swing."""
+    words = ["--kind", "um-direct", "--mode", "25 Hz", "--tick", "0.01 s"]
+    move = ["--move", "3.33 mm", "--acceleration", "1 m/s^2"]
+    code, _, errors = run(capsys, "shaper", *words, *move)
+    assert code == 2
+    assert "leaves 100 % at 25 Hz itself" in errors
+
+
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
     """Run the program in this process; returns exit status, output and errors."""
     with pytest.raises(SystemExit) as stopped:
