@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place
+from threadline.machine.acting_radius import acts_at_m, check_radii
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
 from threadline.machine.mandrel import LocalRadii, local_radii
@@ -39,6 +39,7 @@ from threadline.machine.pneumatics import (
 )
 from threadline.machine.program_rules import Programs
 from threadline.machine.quantity import Quantity, Units
+from threadline.machine.references import check_known
 from threadline.machine.sources import (
     Kinematic,
     PulseServo,
@@ -141,45 +142,47 @@ class Machine:
         elif not self.bodies:
             raise ValueError("a machine needs [bodies.x], at least one")
         for name, link in self.links.items():
-            _known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
+            check_known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
             if link.eccentric is not None:
                 at = f"links.{name}.eccentric.angle"
-                _known(link.eccentric.angle, self.bodies, at, "body")
+                check_known(link.eccentric.angle, self.bodies, at, "body")
         for name, drive in self.drives.items():
             if isinstance(drive, DcMotor):
-                _known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
+                check_known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
                 continue
-            _known([drive.clock], self.clocks, f"drives.{name}.clock", "clock")
+            check_known([drive.clock], self.clocks, f"drives.{name}.clock", "clock")
             if not isinstance(drive, Kinematic):
-                _known([drive.body], self.bodies, f"drives.{name}.body", "body")
+                check_known([drive.body], self.bodies, f"drives.{name}.body", "body")
         for name, sensor in self.sensors.items():
-            _known(sensor.reads, self.bodies, f"sensors.{name}.reads", "body")
+            check_known(sensor.reads, self.bodies, f"sensors.{name}.reads", "body")
         for name, controller in self.controllers.items():
             where = f"controllers.{name}"
-            _known([controller.clock], self.clocks, f"{where}.clock", "clock")
+            check_known([controller.clock], self.clocks, f"{where}.clock", "clock")
             if controller.reference_clock is not None:
                 at = f"{where}.reference_clock"
-                _known([controller.reference_clock], self.clocks, at, "clock")
+                check_known([controller.reference_clock], self.clocks, at, "clock")
             encoders = [n for n, s in self.sensors.items() if s.kind == "encoder"]
-            _known([controller.sensor], encoders, f"{where}.sensor", "encoder")
-            _known([controller.drive], self.motors, f"{where}.drive", "drive")
+            check_known([controller.sensor], encoders, f"{where}.sensor", "encoder")
+            check_known([controller.drive], self.motors, f"{where}.drive", "drive")
         for name, axis in self.axes.items():
             where = f"axes.{name}"
             if axis.drive:
                 at = f"{where}.drive"
                 told = [n for n, d in self.drives.items() if not isinstance(d, DcMotor)]
-                _known([axis.drive], told, at, "drive")
+                check_known([axis.drive], told, at, "drive")
             else:
-                _known([axis.controller], self.controllers, f"{where}.controller", "controller")
-            _known(axis.load or {}, self.bodies, f"{where}.load", "body")
-            _known(axis.frame or {}, self.bodies, f"{where}.frame", "body")
-        _known(self.programs.base_axes, self.axes, "programs.base_axes", "axis")
+                check_known(
+                    [axis.controller], self.controllers, f"{where}.controller", "controller"
+                )
+            check_known(axis.load or {}, self.bodies, f"{where}.load", "body")
+            check_known(axis.frame or {}, self.bodies, f"{where}.frame", "body")
+        check_known(self.programs.base_axes, self.axes, "programs.base_axes", "axis")
         for name, switch in self.inputs.items():
-            _known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
-            _known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
-        self._radii()
+            check_known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
+            check_known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
+        check_radii(self.axes, self.tool)
         if isinstance(self.planner, MarlinPlanner | RepRapPlanner):
-            _known(self.planner.jump, self.axes, "planner.jump", "axis")
+            check_known(self.planner.jump, self.axes, "planner.jump", "axis")
             for name, jump in self.planner.jump.items():
                 unit = "rad/s" if name in self.rotary else "m/s"
                 if jump.unit != unit:
@@ -191,29 +194,13 @@ class Machine:
             check_named(self.tolerances, [path for of in numbers for path, _ in of])
         return self
 
-    def _radii(self) -> None:
-        for name in sorted(self.rotary):
-            axis = self.axes[name]
-            if axis.profile is not None:
-                along = axis.profile.along
-                _known([along], self.axes, f"axes.{name}.profile.along", "axis")
-                if along in self.rotary:
-                    raise ValueError(
-                        f"axes.{name}.profile goes along {along}, which turns; name a linear axis"
-                    )
-            elif axis.radius is None and self.tool is None:
-                raise ValueError(
-                    f"'tool' is missing: it says at which radius the rotary axis {name} acts, like "
-                    '[tool] radius = "100 mm exact, assumed", or give the axis a radius of its own'
-                )
-
     def _on_off_references(self) -> None:
         if not self.axes and not self.cylinders:
             raise ValueError("a machine needs [axes.X] or [cylinders.X], at least one")
         if self.cylinders and self.plc is None:
             raise ValueError("cylinders are switched by a PLC: [plc] is missing")
         if self.plc is not None:
-            _known([self.plc.clock], self.clocks, "plc.clock", "clock")
+            check_known([self.plc.clock], self.clocks, "plc.clock", "clock")
             scan_s = self.clocks[self.plc.clock].si
             if self.plc.watchdog.si <= scan_s:
                 raise ValueError(
@@ -228,14 +215,14 @@ class Machine:
         used: dict[str, str] = {}
         for name, cylinder in self.cylinders.items():
             where = f"cylinders.{name}"
-            _known([cylinder.pushes], self.bodies, f"{where}.pushes", "body")
-            _known([cylinder.reacts_on], self.bodies, f"{where}.reacts_on", "body")
-            _known(cylinder.frame, self.bodies, f"{where}.frame", "body")
+            check_known([cylinder.pushes], self.bodies, f"{where}.pushes", "body")
+            check_known([cylinder.reacts_on], self.bodies, f"{where}.reacts_on", "body")
+            check_known(cylinder.frame, self.bodies, f"{where}.frame", "body")
             for sense in ("forward", "back"):
                 way = cylinder.way(sense == "forward")
                 for output, kind in ((way.valve, "direction"), *((f, "flow") for f in way.flows)):
                     at = f"{where}.{sense}"
-                    _known([output], self.outputs, at, "output")
+                    check_known([output], self.outputs, at, "output")
                     if self.outputs[output].kind != kind:
                         raise ValueError(f"{at}: the output {output!r} is not a {kind} valve")
                     if output in used:
@@ -244,7 +231,7 @@ class Machine:
         for name, contact in self.contacts.items():
             if contact.cylinder is not None:
                 at = f"contacts.{name}.cylinder"
-                _known([contact.cylinder], self.cylinders, at, "cylinder")
+                check_known([contact.cylinder], self.cylinders, at, "cylinder")
         check_contacts(self.cylinders, self.outputs, self.contacts)
         check_addresses(self.outputs, self.contacts)
 
@@ -254,7 +241,7 @@ class Machine:
             raise ValueError(f"{there}: a machine with [{there}] needs [{lacks}] too")
         if self.tables is None:
             return
-        _known([self.tables.clock], self.clocks, "tables.clock", "clock")
+        check_known([self.tables.clock], self.clocks, "tables.clock", "clock")
         if self.cylinders or not self.axes:
             raise ValueError("tables: step tables move [axes.X], and no cylinders beside them")
         for name, axis in self.axes.items():
@@ -398,7 +385,7 @@ class Machine:
 
         With a profile it is the largest.
         """
-        return np.array([self._acts_at_m(axis) for axis in self.axes.values()])
+        return np.array([acts_at_m(axis, self.tool) for axis in self.axes.values()])
 
     def local_radii(self, axes: Sequence[str]) -> LocalRadii | None:
         """Return by how much less the radii are from place to place, for a path of ``axes``."""
@@ -406,22 +393,3 @@ class Machine:
             name: axis.profile for name, axis in self.axes.items() if axis.profile is not None
         }
         return local_radii(profiles, axes)
-
-    def _acts_at_m(self, axis: Axis) -> float:
-        if axis.kind == "linear":
-            return 1.0
-        if axis.profile is not None:
-            return axis.profile.largest_m
-        if axis.radius is not None:
-            return axis.radius.si
-        # Where an axis without one turns there is a tool: the checks above have seen to it.
-        return 1.0 if self.tool is None else self.tool.radius.si
-
-
-def _known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:
-    known = list(among)
-    for name in names:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(known)}."
-            raise ValueError(f"{where} names the {what} {name!r}, which does not exist; {hint}")
