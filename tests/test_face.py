@@ -74,8 +74,7 @@ def test_mistakes_are_told_as_on_the_command_line() -> None:
 
 def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each kind of job has its own, with the machine and the margin that were asked for."""
-    from threadline import search
-    from threadline.search import cycle
+    from threadline.search import by_pace
 
     asked = []
 
@@ -86,9 +85,9 @@ def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> Non
 
         return searched
 
-    monkeypatch.setattr(search, "fastest_job", noted("feed"))
-    monkeypatch.setattr(search, "fastest_needle", noted("needle"))
-    monkeypatch.setattr(cycle, "fastest_cycle", noted("cycle"))
+    monkeypatch.setattr(by_pace, "fastest_job", noted("feed"))
+    monkeypatch.setattr(by_pace, "fastest_needle", noted("needle"))
+    monkeypatch.setattr(by_pace, "fastest_cycle", noted("cycle"))
     for job, machine, name in (
         ("x-180.prg", "lathe-winder", "feed"),
         ("stitcher-test-path.seam.toml", "stitcher", "needle"),

@@ -300,9 +300,14 @@ def test_many_contours_each_with_travel_and_trim(sewer: Machine, examples: Path)
 
 
 def test_every_example_is_in_tolerance_and_replays(sewer: Machine, examples: Path) -> None:
-    """All seams that come with the project, twice through their streams and into a path."""
+    """All seams that come with the project, twice through their streams and into a path.
+
+    Each is for the machine of its own name, where there is one.
+    """
     for path in sorted(examples.glob("*.seam.toml")):
-        job = read_seam(path, sewer)
+        own = path.with_name(path.name.replace(".seam.toml", ".toml"))
+        machine = load_machine(own) if own.exists() else sewer
+        job = read_seam(path, machine)
         assert job.warnings == (), path.name
         first, second = list(job), list(job)
         assert first == second
@@ -311,7 +316,7 @@ def test_every_example_is_in_tolerance_and_replays(sewer: Machine, examples: Pat
         assert off.max() <= 0.05, path.name
         runs = [op for item in job.runs() for op in (item if isinstance(item, MoveRun) else [item])]
         assert [untagged(op) for op in runs] == [untagged(op) for op in first]
-        vertices = sum(len(block) for block in programmed_path(job, sewer))
+        vertices = sum(len(block) for block in programmed_path(job, machine))
         assert vertices == 1 + sum(isinstance(op, Move) for op in first)
 
 

@@ -135,14 +135,15 @@ def moving(anna: Operator, begin: Callable[[Operator], None], until_s: float) ->
 
 
 @pytest.mark.parametrize("after_s", moments())
-@pytest.mark.parametrize(("begin", "most_mm"), [(jog, 26.0), (run, 9.0)])
+@pytest.mark.parametrize(("begin", "most_mm"), [(jog, 26.0), (run, 36.0)])
 def test_kill_the_server(
     begin: Callable[[Operator], None], most_mm: float, after_s: float, project: Path, tmp_path: Path
 ) -> None:
     """The owner stops the machine at once, along its path, and ends; the machine stands.
 
-    At 36 mm/s a stop needs 0.1 mm, and what was seen is 40 ms old by the clock, 2.9 mm; by the
-    lease, which is not what stops it, the jog would go 18 mm more.
+    At 36 mm/s, twice as fast by the clock, a stop needs 0.1 mm, and what was seen is 40 ms old,
+    2.9 mm: more on a computer that is busy. Were it stopped by the second of silence alone, it
+    would go 72 mm; by the lease, the jog would go 18 mm more.
     """
     plant = Plant(project, tmp_path / "black-box")
     with plant.connect() as socket:
@@ -197,13 +198,14 @@ def test_cut_the_connection_in_a_jog(after_s: float, plant: Plant) -> None:
 def home(ben: Operator, *axes: str) -> None:
     """Bring axes back, and stay until they are there."""
     for axis in axes:
-        while "zero-axis" not in ben.until("state")["allowed"]:
-            pass  # the run before is being judged
-        ben.ask("zero-axis", axis=axis)
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 60.0
         while ben.until("state")["axes"][axis]["commanded"] or ben.state["state"] != "idle":
             assert time.monotonic() < end, ben.state
-            ben.ask("renew")
+            # Refused while the run before is judged, and what a busy computer has sent too late.
+            if "zero-axis" in ben.state["allowed"]:
+                ben.ask("zero-axis", axis=axis)
+            else:
+                ben.ask("renew")
 
 
 @pytest.mark.parametrize("after_s", moments()[:3])

@@ -13,6 +13,7 @@ from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Move, SetOutput, Stop
 from threadline.machine import load_machine
+from threadline.path import programmed_path
 from threadline.pipeline import target_names, target_of, write
 from threadline.signals import Clock, SwitchSchedule
 from threadline.signals.files import read_table
@@ -42,7 +43,7 @@ def plan_of(trajectory, operations=OPERATIONS):
     return SimpleNamespace(
         job=job,
         machine=machine,
-        motion=SimpleNamespace(trajectory=trajectory),
+        motion=SimpleNamespace(trajectory=trajectory, programmed=programmed_path(job, machine)),
         commands=compile_ticks(trajectory, machine, job),
     )
 
