@@ -40,6 +40,7 @@ class GrblModel(threading.Thread):
         self, settings: dict[int, float], *, faster: float = 1.0, blocks: int = BLOCKS
     ) -> None:
         super().__init__(daemon=True)
+        self.homing_s, self.homed_at_s = 0.0, np.inf
         self.server = socket.create_server(("127.0.0.1", 0))
         self.port = self.server.getsockname()[1]
         self.settings, self.faster, self.room = settings, faster, blocks
@@ -67,6 +68,9 @@ class GrblModel(threading.Thread):
         began = last = time.monotonic()
         while not self.over:
             self._listen()
+            if time.monotonic() >= self.homed_at_s:
+                self.at, self.homed_at_s = np.zeros(4), np.inf
+                self._say("ok")
             self._plan()
             now = time.monotonic()
             self._move(self.faster * min(now - last, 0.2))
@@ -118,8 +122,9 @@ class GrblModel(threading.Thread):
         elif byte == ord("~") and self.state == "Hold":
             self.state = "Run"
         elif byte == 0x18:
-            if self.state == "Run":
+            if self.state == "Run" or self.homed_at_s < np.inf:
                 self._say("ALARM:3")
+            self.homed_at_s = np.inf
             self.rx.clear()
             self.blocks.clear()
             self.state, self.target, self.feed = "Idle", self.at.copy(), 0.0
@@ -143,8 +148,9 @@ class GrblModel(threading.Thread):
         elif line == "$#":
             self._say("[G54:0.000,0.000,0.000,0.000]")
             self._say("[G92:0.000,0.000,0.000,0.000]")
-        elif line == "$H":
-            self.at = np.zeros(4)
+        elif line == "$H":  # answered when it is done
+            self.homed_at_s = time.monotonic() + self.homing_s
+            return
         elif self.state == "Alarm":
             self._say("error:9")
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -320,6 +321,24 @@ def test_addresses_and_options_that_are_none() -> None:
         link_of("grbl:127.0.0.1:1", MACHINE, 0.0, None)
     with pytest.raises(OptionError, match="is not driven by part programs"):
         link_of("grbl:127.0.0.1:1", load_machine("letter-placer"), 1.0, None)
+
+
+def test_a_stop_while_it_homes_resets_it_at_once() -> None:
+    """Homing takes a minute; the stop does not wait for its end, and nothing is sent after it."""
+    model = GrblModel(settings() | {22: 1.0})
+    model.homing_s = 60.0
+    with meeting(model) as (one, desk, _):
+        one.controller.meet()
+        one.enable()
+        stopping = threading.Timer(0.3, desk.ask, (Cause.STOP,))
+        stopping.start()
+        began = time.monotonic()
+        with pytest.raises(LinkFaultError, match="stopped by the operator while it homed"):
+            one.home()
+        assert time.monotonic() - began < 50.0
+        while not bytes(model.heard).endswith(b"$H\n\x18"):
+            assert time.monotonic() - began < 50.0
+        assert one.state is State.FAULT
 
 
 def test_a_planner_of_more_blocks_is_said_to_run_out_longer(tmp_path: Path) -> None:

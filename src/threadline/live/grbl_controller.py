@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from threadline.machine import Machine
 
 _ANSWER_S = 3.0
 _HOMING_S = 120.0
+_LISTEN_S = 0.05  # to the controller while the operator may stop it
 _SAME = 1e-3  # relative, of a setting and the number in the machine file
 _TRAVEL_M = 1e-3  # by which a report may lie beyond the travel
 
@@ -68,16 +69,21 @@ class Controller:
         self._compare(settings)
         self._homes = bool(settings.get(22, 0.0))
 
-    def home(self) -> FloatArray:
+    def home(self, stopped: Callable[[], bool]) -> FloatArray:
         """Home it where it has switches; return the (axes,) place where it stands, m or rad.
+
+        Parameters
+        ----------
+        stopped
+            Whether the operator has stopped it; asked all the while, and it is reset if so.
 
         Raises
         ------
         LinkFaultError
-            If homing fails, it is in alarm, or its coordinates are shifted.
+            If it is stopped, homing fails, it is in alarm, or its coordinates are shifted.
         """
         if self._homes:
-            self.ask(b"$H\n", _HOMING_S)
+            self.ask(b"$H\n", _HOMING_S, stopped)
         for line in self.ask(b"$#\n", _ANSWER_S):
             name, _, values = line.strip("[]").partition(":")
             if name in {"G54", "G92"} and any(float(value) for value in values.split(",")):
@@ -93,18 +99,26 @@ class Controller:
             )
         return self.position(found)
 
-    def ask(self, line: bytes, timeout_s: float) -> list[str]:
+    def ask(
+        self, line: bytes, timeout_s: float, stopped: Callable[[], bool] | None = None
+    ) -> list[str]:
         """Send a line, and return what comes before its answer.
 
         Raises
         ------
         LinkFaultError
-            If it is refused, or not answered in time.
+            If it is refused, not answered in time, or ``stopped`` meanwhile.
         """
         self.port.send(line)
         until, found = time.monotonic() + timeout_s, list[str]()
         while (left_s := until - time.monotonic()) > 0.0 and not self.port.lost:
-            heard = self.port.receive(left_s)
+            if stopped is not None and stopped():
+                self.port.send(RESET)
+                raise LinkFaultError(
+                    "stopped by the operator while it homed, and reset",
+                    remedy="Clear its alarm by its own means, and home it.",
+                )
+            heard = self.port.receive(left_s if stopped is None else min(left_s, _LISTEN_S))
             if heard == "ok":
                 return found
             if heard is not None and heard.startswith(("error", "ALARM")):

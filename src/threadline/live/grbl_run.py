@@ -98,11 +98,23 @@ class GrblRun:
         self._go(Cause.ENABLE)
 
     def home(self) -> None:
-        """Home it; see ``Controller.home``."""
+        """Home it, heeding a stop meanwhile; see ``Controller.home``."""
         self._go(Cause.HOME)
-        self._at = self.controller.home()
+        try:
+            self._at = self.controller.home(self._stopped)
+        except LinkFaultError as error:
+            self._go(Cause.FAULT, error.message)
+            raise
         self._trace.begin(self._at)
         self._go(Cause.HOMED)
+
+    def _stopped(self) -> bool:
+        """Take what the operator asked for while it homes; return whether that was a stop."""
+        while (cause := self._desk.take()) is not None:
+            if cause is Cause.STOP:
+                self._go(cause)
+                return True
+        return False
 
     def start(self, program: Program, starts: FloatArray) -> None:
         """Begin a run.
