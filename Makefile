@@ -8,7 +8,7 @@ BENCH_STAMP := .venv-bench/.ready
 NODE := $(abspath $(VENV))/.node/bin
 PAGE := src/threadline/panel/page/index.html
 
-.PHONY: demo panel test test-cores bench lint format fuzz lock clean
+.PHONY: demo panel test test-cores bench lint format fuzz soak lock clean
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
@@ -56,6 +56,9 @@ fuzz: $(STAMP)  ## A million hostile inputs, two hours of hostile command lines,
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz.py --cases 1000000
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_commands.py --minutes 120
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_interrupts.py --cases 400
+
+soak: $(STAMP)  ## A day of simulated running at 100 times real time, and 200 kills
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.soak
 
 lock:  ## Renew the locked requirements (needs uv)
 	for name in run dev bench panel; do \

@@ -12,7 +12,9 @@ from typing import get_args
 import pytest
 
 import threadline as tl
+from tests.test_limits_alone import files as limits_alone
 from threadline import face
+from threadline.cli.fastest import ANSWERS
 from threadline.errors import InputError, OptionError
 from threadline.jobs.operations import Pace
 from threadline.search.by_pace import SEARCHES
@@ -22,7 +24,7 @@ PAGE = ROOT / "docs" / "api.md"
 
 
 def test_every_pace_of_a_job_has_its_search() -> None:
-    assert set(SEARCHES) == set(get_args(Pace))
+    assert set(SEARCHES) == set(ANSWERS) == set(get_args(Pace))
 
 
 def test_the_page_lists_the_face_and_nothing_else() -> None:
@@ -72,6 +74,52 @@ def test_mistakes_are_told_as_on_the_command_line() -> None:
         tl.prove(example, "lathe-winder", smoothing="40 ms")
 
 
+KINDS = {
+    "motors": ("x-180.prg", "lathe-winder", "csv"),
+    "needle": ("strap.seam.toml", "stitcher-rigid", "ticks"),
+    "cylinders": ("letter-cycle.toml", "letter-placer", "st"),
+    "step tables": ("rosette.dst", "table-embroiderer", "steps"),
+    "steppers": ("helix.gcode", "stepper-winder", "grbl"),
+    "limits alone": ("job.gcode", "limits.toml", "grbl"),
+}
+"""A job, a machine and a target for every kind of machine."""
+
+
+def _of_kind(kind: str, folder: Path) -> tuple[Path, str, str]:
+    file, machine, target = KINDS[kind]
+    if kind != "limits alone":
+        return ROOT / "examples" / file, machine, target
+    limits, job = limits_alone(folder, "G1 X20 A90 F1000\nG1 X0")
+    return job, str(limits), target
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_machine_has_the_whole_face(kind: str, tmp_path: Path) -> None:
+    """A proof, its files, a judgement of its recording by file and by job, a program, a comparison.
+
+    The judge says of the file what the proof said of the run.
+    """
+    job, name, target = _of_kind(kind, tmp_path)
+    machine = tl.load_machine(name)
+    proof = tl.prove(job, machine, level="nominal")
+    assert proof.json()["machine"] == machine.name and proof.verdict.results
+    assert tl.prove(job, name, repeats=2).verdict.runs == (1 if machine.without_dynamics else 2)
+    recorded = proof.record(tmp_path / "run.npz").path
+    for answer in (tl.judge(recorded), tl.judge(recorded, job=job, machine=name)):
+        assert answer.passed == proof.passed
+        assert [r.status for r in answer.verdict.results] == [
+            r.status for r in proof.verdict.results
+        ]
+    assert proof.write(tmp_path / "x.proof.json").path.is_file()
+    assert tl.compile(job, machine, target, tmp_path / f"new/{kind}.{target}")[0].path.is_file()
+    with pytest.raises(InputError, match="unknown target 'nonsense'"):
+        tl.compile(job, machine, "nonsense", tmp_path / "x")
+    (own,) = tl.compare(job, machine, level="nominal").proofs
+    assert own.verdict.results == proof.verdict.results
+    with pytest.raises(InputError):
+        tl.prove(job, machine, tolerance="1 kg")
+
+
 def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each kind of job has its own, with the machine and the margin that were asked for."""
     from threadline.search import by_pace
@@ -88,10 +136,13 @@ def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(by_pace, "fastest_job", noted("feed"))
     monkeypatch.setattr(by_pace, "fastest_needle", noted("needle"))
     monkeypatch.setattr(by_pace, "fastest_cycle", noted("cycle"))
+    monkeypatch.setattr(by_pace, "fastest_shaft", noted("shaft"))
     for job, machine, name in (
         ("x-180.prg", "lathe-winder", "feed"),
         ("stitcher-test-path.seam.toml", "stitcher", "needle"),
         ("letter-cycle.toml", "letter-placer", "cycle"),
+        ("rosette.dst", "schiffli-frame", "shaft"),
+        ("helix.gcode", "stepper-winder", "feed"),
     ):
         with pytest.raises(KeyError, match=name):
             tl.fastest(ROOT / "examples" / job, machine, margin="20 %")

@@ -184,7 +184,7 @@ def test_the_verdict_says_that_placement_is_not_proven(tmp_path: Path) -> None:
     assert verdict.result("path_deviation").measured is not None
     assert verdict.passed and verdict.level is Level.LIMITS and verdict.runs == 1
     assert closing(verdict).startswith(
-        "IN SPEC (limits and time alone: placement is not proven, the machine file has no dynamics"
+        "LIMITS KEPT (limits and time alone: placement is not proven, the machine file has no dyn"
     )
     text = PLACE + "required = true\n"
     spec.write_text(text)
@@ -210,10 +210,27 @@ def test_a_recording_of_the_real_machine_is_judged_by_what_it_holds(tmp_path: Pa
     assert verdict.result("contour_error").measured is not None
 
 
+def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Path) -> None:
+    """Its velocity steps at corners, as its setting for them says, so that it is no failure."""
+    verdict = proof_of(
+        tmp_path, "G1 X20 A90 F600\nG1 X0", Options(interpolation="firmware")
+    ).verdict
+    assert verdict.passed and verdict.result("acceleration", "X").limit is None
+    assert closing(verdict).startswith("LIMITS KEPT (limits and time alone: placement")
+    assert closing(verdict).endswith(
+        "; but for acceleration and jerk: the velocity steps at corners)"
+    )
+    kept = proof_of(tmp_path, "G1 X20 A90 F600\nG1 X0", Options()).verdict
+    assert "but for" not in closing(kept) and kept.result("acceleration", "X").limit == 0.5
+
+
 def test_limits_that_are_broken_are_out_of_spec(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Chords at programmed times run at F, which the machine cannot: exit 1, and what failed."""
+    """Chords at programmed times step in velocity, and F may be too fast: exit 1, what failed."""
+    file, job = files(tmp_path, "G1 X20 F600")
+    verdict = proof_of(tmp_path, "G1 X20 F600", Options(interpolation="linear")).verdict
+    assert {r.name for r in verdict.results if r.status is Status.FAILED} == {"acceleration"}
     file, job = files(tmp_path, "G1 X100 F9000")
     code, out, _ = run(capsys, "prove", job, "-m", file, "--interpolation", "linear")
     assert code == 1
@@ -248,7 +265,7 @@ def test_json_exit_and_report_say_the_level(
          "drives.a is told positions"),
         (["fastest", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
         (["yield", "JOB", "-m", "M"], "has no dynamics"),
-        (["design", "JOB", "-m", "M"], "limits cannot be redesigned"),
+        (["design", "JOB", "-m", "M"], "what a change of its parts would do cannot"),
         (["analyse", "M"], "has no dynamics"),
         (["analyse", "M", "--experiments"], "--experiments needs a loop"),
     ],

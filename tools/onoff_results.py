@@ -1,6 +1,6 @@
-"""Print the tables of docs/results-onoff.md: what a broken beam leaves, and the cycle step by step.
+"""Print the tables of docs/results-onoff.md: a broken beam, the cycle step by step, and its levels.
 
-Run as ``python tools/onoff_results.py [break | cycle ...]``; without a name both are printed.
+Run as ``python tools/onoff_results.py [break | cycle | levels ...]``; without a name all of them.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
-from threadline.pipeline import Proof, prove
+from threadline.pipeline import NOMINAL, REPEATED, Proof, plan_job, prove, try_plan
 from threadline.report.onoff import break_sweeps, move_sweep
+from threadline.search.machine_yield import MachineYield
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import shaping_of
-from threadline.verdict import load_spec
+from threadline.verdict import Verdict, load_spec
 
 JOB = Path("examples/letter-cycle.toml")
 MICRO = 1e6
+MACHINES = 10  # drawn within the tolerances; one that is out is enough
 OWN = "letter-placer+whole-scans+own-damping"
 PAPER = "letter-placer+whole-scans"
 UM = ("um-zv", "um-zvd", "um-ei", "um-2ei")
@@ -87,6 +89,32 @@ def cycle() -> None:
             row((title, shaper or "none", *cells, f"{took:.2f}", verdict))
 
 
+def levels() -> None:
+    """The most that a step leaves of each case in spec in one run: of 20 runs, of ten machines."""
+    row(("case", "shaper", "nominal", "repeated", "over tolerances"))
+    row(["---"] * 5)
+    for title, reference, shapers in CASES:
+        machine = load_machine(reference)
+        spec = load_spec(None, machine)
+        job = read_job(JOB, machine)
+        for shaper in shapers:
+            plan = plan_job(job, machine, Options(shaper=shaper))
+            cells = []
+            for trials in (NOMINAL, REPEATED):
+                verdict = try_plan(plan, spec, trials).verdict
+                cells.append(f"{_most(verdict)} um {'in spec' if verdict.passed else 'out'}")
+                if not verdict.passed:
+                    break
+            else:
+                held = MachineYield(plan, spec).drawn(MACHINES, 1)
+                cells.append(f"{held.passed} of {MACHINES}")
+            row((title, shaper or "none", *cells, *["out"] * (3 - len(cells))))
+
+
+def _most(verdict: Verdict) -> str:
+    return f"{verdict.result('residual_vibration').measured * MICRO:.0f}"
+
+
 def _left(proof: Proof, axis: str, step: str) -> float:
     (found,) = [
         r.measured
@@ -96,7 +124,7 @@ def _left(proof: Proof, axis: str, step: str) -> float:
     return float("nan") if found is None else found * MICRO
 
 
-SECTIONS: dict[str, Callable[[], None]] = {"break": broken, "cycle": cycle}
+SECTIONS: dict[str, Callable[[], None]] = {"break": broken, "cycle": cycle, "levels": levels}
 
 
 def main() -> None:

@@ -8,8 +8,8 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.option_words import (
-    FEED_UNITS,
     NO_CONTOUR,
+    feed_words,
     parse_contour_m,
     parse_feed,
     parse_number,
@@ -20,13 +20,15 @@ from threadline.option_words import (
 )
 from threadline.options import Options
 
+PROGRAMMED = "programmed"
+"""Feed of a plan that keeps the feeds of its job."""
+
 
 def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
     """Return the options as text: enough to make the same plan again."""
-    feed = "programmed"
+    feed = PROGRAMMED
     if options.feed is not None:
-        unit = FEED_UNITS.get(options.feed.mode, "m/s")
-        feed = f"{options.feed.value!r} {unit}"
+        feed = feed_words(options.feed)
     return {
         "job": job.file,
         "machine": machine.reference,
@@ -36,6 +38,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         **({} if options.dialect is None else {"dialect": options.dialect}),
         **({} if options.feed_mode is None else {"feed-mode": options.feed_mode}),
         **({} if options.radius is None else {"radius": options.radius}),
+        **({} if options.offset is None else {"offset": options.offset}),
         "tolerance": f"{options.tolerance_m!r} m",
         "limits": f"{options.limit_share * 100.0!r} %",
         **({} if options.shaper is None else {"shaper": options.shaper}),
@@ -73,10 +76,11 @@ def options_from(description: dict[str, str]) -> Options:
         feed_text = description["feed"]
         return Options(
             interpolation=description["interpolation"],
-            feed=None if feed_text == "programmed" else parse_feed(feed_text),
+            feed=None if feed_text == PROGRAMMED else parse_feed(feed_text),
             dialect=description.get("dialect"),
             feed_mode=description.get("feed-mode"),
             radius=description.get("radius"),
+            offset=description.get("offset"),
             tolerance_m=parse_tolerance_m(description["tolerance"]),
             limit_share=parse_share(description.get("limits", "100 %")),
             shaper=description.get("shaper"),

@@ -44,6 +44,14 @@ _PATTERNS = {
         "must be the address of an output: %QX, a byte without leading zeros, a bit from 0 to 7",
         "Write it like %QX0.3.",
     ),
+    "^[A-Za-z0-9]{1,4}$": (
+        "must be the name of a pin, up to four letters and digits",
+        "Write it like 3 or A1.",
+    ),
+    "^[A-Za-z0-9-]{1,20}$": (
+        "must be the name of a connector, up to twenty letters, digits and -",
+        "Name it like CN1.",
+    ),
     "^[0-9]{1,40}/[0-9]{1,40}$": ("must be a fraction of whole numbers", "Write it like 1/200."),
 }
 _RANGES = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode
@@ -12,6 +13,9 @@ LEAST_CONTOUR_M = 1e-6
 NO_CONTOUR = "none"
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 """Units of the feeds that are not speeds of the fastest axis."""
+F_UNIT = "mm/min"
+"""The unit of a feed that is written as an F word without one."""
+_F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
 LEAST_SHARE = 1e-3
 """Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
 
@@ -46,25 +50,47 @@ def parse_number(subject: str, text: str, unit: str, example: str) -> float:
 def parse_feed(text: str) -> Feed:
     """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
 
+    ``"F 3000"`` is what F words would ask for, in mm/min: by the rule of the job for F.
+
     Raises
     ------
     OptionError
         If it is not a positive feed of a known kind.
     """
     try:
-        _, written = split_quantity(text)
-        modes = (m for m, unit in FEED_UNITS.items() if written and same_dimension(written, unit))
-        mode = next(modes, FeedMode.FASTEST_AXIS)
-        feed = Feed(mode, parse_quantity(text, FEED_UNITS.get(mode, "m/s")))
+        word = _F_WORD.match(text)
+        if word is not None:
+            number, written = split_quantity(text[word.end() :])
+            value = parse_quantity(f"{number} {written or F_UNIT}", "m/s")
+            feed = Feed(FeedMode.F_WORD, value)
+        else:
+            _, written = split_quantity(text)
+            modes = (
+                m for m, unit in FEED_UNITS.items() if written and same_dimension(written, unit)
+            )
+            mode = next(modes, FeedMode.FASTEST_AXIS)
+            feed = Feed(mode, parse_quantity(text, FEED_UNITS.get(mode, "m/s")))
     except UnitError as error:
         raise OptionError(
             f"feed {text!r}: {error.message}",
             remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
-            'machine like "120 stitch/min".',
+            'machine like "120 stitch/min"; as F of the program in mm/min like "F 3000".',
         ) from error
     if feed.value <= 0:
         raise OptionError(f"feed {text!r} must be greater than zero")
     return feed
+
+
+def feed_words(feed: Feed) -> str:
+    """Return a feed as ``parse_feed`` reads it, to the last bit.
+
+    >>> feed_words(parse_feed("F 3000")), feed_words(parse_feed("10 count/tick"))
+    ('F 3000', '10.0 count/tick')
+    """
+    if feed.mode is FeedMode.F_WORD:
+        word = f"F {feed.value * 60_000.0:.12g}"
+        return word if parse_feed(word) == feed else f"F {feed.value!r} m/s"
+    return f"{feed.value!r} {FEED_UNITS.get(feed.mode, 'm/s')}"
 
 
 def parse_tolerance_m(text: str) -> float:
@@ -148,13 +174,13 @@ def parse_robust(text: str) -> float:
     Raises
     ------
     OptionError
-        If it is not above 0 % and at most 200 %.
+        If it is not within 0 % and 200 %.
     """
     value = parse_number("robust", text, "", "100 %")
-    if not 0.0 < value <= 2.0:
+    if not 0.0 <= value <= 2.0:
         raise OptionError(
-            f"robust {text!r} must be above 0 % and at most 200 % of the tolerances",
-            remedy='All of them are "100 %".',
+            f"robust {text!r} must be at least 0 % and at most 200 % of the tolerances",
+            remedy='All of them are "100 %", the machine as its file says is "0 %".',
         )
     return value
 

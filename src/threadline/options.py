@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from threadline.errors import OptionError
-from threadline.jobs.operations import Feed
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 from threadline.machine.radii import written_out
 from threadline.option_words import (
@@ -33,7 +33,9 @@ FEED_FORWARD = "40 ms"
 """Default time over which feed-forward smooths the motion."""
 OPTIMAL_FEED_FORWARD = "10 ms"
 """Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
-OF_AXES = ("interpolation", "feed", "dialect", "feed-mode", "radius", "tolerance", "limits")
+OF_AXES = (
+    "interpolation", "feed", "dialect", "feed-mode", "radius", "offset", "tolerance", "limits"
+)  # fmt: skip
 """Keys of ``describe`` that have a meaning only for machines with axes."""
 
 
@@ -111,6 +113,9 @@ class Options:
     radius
         Text of the radii at which rotary axes act on this job, ``"A=40 mm, B=2 mm"``; None is the
         machine's.
+    offset
+        Text of where the zero of a part program lies on the machine, ``"X=12 mm, A=30 deg"``; None
+        is the machine's zero.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
     limit_share
@@ -139,6 +144,7 @@ class Options:
     dialect: str | None = None
     feed_mode: str | None = None
     radius: str | None = None
+    offset: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
     shaper: str | None = None
@@ -205,6 +211,7 @@ def options_of(
     radius: str | None = None,
     contour: str | None = None,
     robust: str | None = None,
+    offset: str | None = None,
 ) -> Options:
     """Return the planning options, read from their text.
 
@@ -227,10 +234,11 @@ def options_of(
         raise OptionError(
             f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
         )
-    if feed is not None and feed_mode is not None:
+    given = None if feed is None else parse_feed(feed)
+    if given is not None and given.mode is not FeedMode.F_WORD and feed_mode is not None:
         raise OptionError(
-            f"--feed-mode {feed_mode!r} says what F means, and --feed replaces every F",
-            remedy="Leave one of them out.",
+            f"--feed-mode {feed_mode!r} says what F means, and --feed {feed!r} replaces every F",
+            remedy='Leave one of them out, or give the feed as an F, like "F 3000".',
         )
     if contour is not None and (interpolation != OPTIMAL or feed_forward):
         what = "feed-forward, whose loads follow," if feed_forward else interpolation
@@ -248,10 +256,11 @@ def options_of(
         smoothing = OPTIMAL_FEED_FORWARD if interpolation == OPTIMAL else FEED_FORWARD
     return Options(
         interpolation=interpolation,
-        feed=None if feed is None else parse_feed(feed),
+        feed=given,
         dialect=dialect,
         feed_mode=feed_mode,
         radius=None if radius is None else written_out(radius),
+        offset=offset,
         tolerance_m=parse_tolerance_m(tolerance),
         limit_share=parse_share(limits),
         shaper=shaper,

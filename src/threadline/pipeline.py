@@ -13,6 +13,7 @@ from threadline.foreign_messages import nearest
 from threadline.jobs import read_job
 from threadline.jobs.gcode.f_words import parse_feed_mode
 from threadline.jobs.operations import Job
+from threadline.jobs.shifted import shifted
 from threadline.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.kinds.rejects import rejects
 from threadline.kinds.retold import played_by
@@ -166,7 +167,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
     told = {} if options.dialect is None else {"dialect": options.dialect}
     if options.feed_mode is not None:
         told |= parse_feed_mode(options.feed_mode)
-    return read_job(job_file, with_radii(machine, options.radius), **told)
+    known = with_radii(machine, options.radius)
+    return shifted(read_job(job_file, known, **told), known, options.offset)
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:

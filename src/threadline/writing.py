@@ -2,7 +2,8 @@
 
 Every file is made beside its place under a name of its own and moved there at the end, in steps
 that can be undone. None takes the place of a file that was read, of a read-only one, of a folder,
-or of a pipe or device; a link is followed. What goes to standard output goes there last.
+or of a pipe or device; a link is followed. What goes to standard output goes there last. Folders
+that are missing on the way to a file are made.
 """
 
 from __future__ import annotations
@@ -92,16 +93,25 @@ class _Together:
     stack: ExitStack
     moves: list[_Move] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
+    unasked: list[Path] = field(default_factory=list)  # folders that no option named
+
+
+@dataclass(slots=True)
+class Appeared:
+    """What has appeared: files, and folders that were missing on the way to what was asked for."""
+
+    files: list[Path] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
 
 
 _TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
-_APPEARED: ContextVar[list[Path] | None] = ContextVar("_APPEARED", default=None)
+_APPEARED: ContextVar[Appeared | None] = ContextVar("_APPEARED", default=None)
 
 
 @contextmanager
-def noting_outputs() -> Iterator[list[Path]]:
-    """Give a list that tells in the block which files have appeared."""
-    appeared: list[Path] = []
+def noting_outputs() -> Iterator[Appeared]:
+    """Tell in the block which files have appeared, and which folders were made for them."""
+    appeared = Appeared()
     mark = _APPEARED.set(appeared)
     try:
         yield appeared
@@ -145,7 +155,8 @@ def together(*outputs: Path | None) -> Iterator[None]:
             pending.folders.clear()
             appeared = _APPEARED.get()
             if appeared is not None:
-                appeared.extend(move.place for move in pending.moves)
+                appeared.files += [move.place for move in pending.moves]
+                appeared.folders += pending.unasked
 
 
 @contextmanager
@@ -162,7 +173,8 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
     check_output(path)
     with together():
         pending = _pending()
-        folder = Path(tempfile.gettempdir()) if is_stdout(path) else _real(path).parent
+        with naming(path, _real(path).parent):
+            folder = Path(tempfile.gettempdir()) if is_stdout(path) else _made(_real(path).parent)
         with naming(path, folder), _uninterrupted():  # what is made is noted, to be removed
             handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
             made = Path(name)
@@ -187,7 +199,8 @@ def staging_folder(folder: Path) -> Iterator[Path]:
         pending = _pending()
         real = _real(folder)
         with naming(folder, real), _uninterrupted():  # what is made is noted, to be removed
-            temporary = tempfile.TemporaryDirectory(dir=_made(real), prefix=".threadline-")
+            home = _made(real, asked=True)
+            temporary = tempfile.TemporaryDirectory(dir=home, prefix=".threadline-")
             made = Path(pending.stack.enter_context(temporary))
         with naming(folder, made):
             yield made
@@ -218,13 +231,21 @@ def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _made(folder: Path) -> Path:
-    """Make ``folder`` and its parents; they are removed again if the block fails."""
+def _made(folder: Path, *, asked: bool = False) -> Path:
+    """Make ``folder`` and its parents; they are removed again if the block fails.
+
+    Parameters
+    ----------
+    asked
+        Whether the folder itself was asked for, and not a file in it.
+    """
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     for each in reversed(missing):
         with _uninterrupted():
             each.mkdir()
             _pending().folders.append(each)
+            if not asked or each != folder:
+                _pending().unasked.append(each)
     return folder
 
 

@@ -123,8 +123,15 @@ def test_wrong_options_exit_with_two_and_one_line(
         ("compile", "x-180.prg", ["--shaper", "zv:12Hz", "--mode", "3 Hz"], ['"zv:12Hz:0.02"']),
         ("compile", "x-180.prg", ["--feed-forward", "--smoothing", ""], ["not a number"]),
         ("fastest", "strap.seam.toml", ["--smoothing", "36 ms"], ["Give --feed-forward too"]),
-        ("fastest", "strap.seam.toml", ["--report", "file"], ["--mismatch alone"]),
+        ("fastest", "strap.seam.toml", ["--report", "file"], ["not a folder"]),
         ("fastest", "strap.seam.toml", ["--mismatch", "--report", "file"], ["not a folder"]),
+        (
+            "fastest",
+            "strap.seam.toml",
+            ["--band", "20 %"],
+            ["--band '20 %' does not apply to strap"],
+        ),
+        ("fastest", "letter-cycle.toml", ["--low", "1 mm/s"], ["of which commands and waits are"]),
         ("fastest", "strap.seam.toml", ["--high", "1e6 stitch/s"], ["at most 1000", "--high"]),
         ("fastest", "strap.seam.toml", ["--margin", "100 %"], ["below 100 %", '"20 %"']),
         ("fastest", "x-180.prg", ["--margin", "1 mm"], ["a percentage is wanted", '"20 %"']),
@@ -133,7 +140,7 @@ def test_wrong_options_exit_with_two_and_one_line(
             "fastest",
             "x-180.prg",
             ["--interpolation", "optimal", "--low", "1 mm/s"],
-            ["a search by feed", "Leave them out"],
+            ["a search by feed", "Leave it out"],
         ),
         ("compare", "x-180.prg", ["--contour", "0.2 mm"], ["linear", "--interpolation optimal"]),
         (
@@ -216,7 +223,6 @@ def test_a_refused_job_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
         ["prove", "--json"],
         ["compile", "--target", "csv", "-o", "inches.csv"],
         ["compare", "--no-fastest", "--interpolation", "linear"],
-        ["fastest", "--low", "10 mm/s", "--high", "11 mm/s", "--interpolation", "linear"],
     ],
     ids=lambda command: " ".join(command[:2]),
 )
@@ -233,6 +239,29 @@ def test_every_command_that_plans_gives_the_warnings(
 
     assert code == 0
     assert err.count("warning: inches.prg:2: F 90 is 38.1 mm/s, above the normal feed") == 1
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["prove", "--feed", "10 mm/s"],
+        ["fastest", "--low", "10 mm/s", "--high", "11 mm/s", "--interpolation", "linear"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_a_feed_that_is_not_in_force_is_no_doubt(
+    command: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("inches.prg").write_text("G91 G1 X 2 F 2400\nG4 P 1000\nX -2\nM30\n")
+    verb, *options = command
+    _, _, err = run(capsys, verb, "inches.prg", "-m", "lathe-winder", "--nominal", *options)
+
+    assert "P of G4 is in seconds" in err  # its other warnings stay
+    assert "normal feed" not in err
 
 
 def test_fastest_prints_the_command_that_proves_its_answer(
@@ -254,7 +283,8 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     # All shares of the limits give the same job here: one row.
     assert len(re.findall(r"100\.0% to [0-9.]+%\s+20\s+21\.1\s", out)) == 1
 
-    _, found, _ = run(capsys, *words, "--json")
+    _, found, _ = run(capsys, *words, "--json", "--report", tmp_path / "report")
+    assert (tmp_path / "report" / "report.html").is_file()
     code, again, _ = run(capsys, *shlex.split(command), "--json")
     assert code == 0
     assert json.loads(again)["criteria"] == json.loads(found)["verdict"]["criteria"]
@@ -450,7 +480,7 @@ def test_what_f_means_can_be_chosen(
         (["--feed-mode", "cadfill"], "F cannot be read as 'cadfill'"),
         (["--feed-mode", "base-axes"], "base axes go with the feed mode base-axes"),
         (["--feed-mode", "base-axes:Q"], "the base axis 'Q' is not one of"),
-        (["--feed-mode", "path", "--feed", "10 mm/s"], "--feed replaces every F"),
+        (["--feed-mode", "path", "--feed", "10 mm/s"], "--feed '10 mm/s' replaces every F"),
     ],
 )
 def test_a_meaning_that_f_cannot_have_is_refused(

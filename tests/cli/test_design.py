@@ -128,7 +128,7 @@ def test_none_within_the_bounds(capsys: pytest.CaptureFixture[str], files: Path)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("-m", "lathe-winder"), "[design]"),
+        (("-m", "stitcher-rigid"), "[design]"),
         (("-m", "mine.toml", "-o", "mine.toml"), "would be written over"),
         (("-m", "mine.toml", "-o", "found.txt"), ".toml"),
         (("-m", "mine.toml", "--plot", "belt,mass"), "belt"),

@@ -101,3 +101,39 @@ def test_a_move_that_rings_modes_far_apart_is_refused(
     assert time.process_time() - began < 30.0
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "modes at 0.003 Hz and 2 Hz" in err and "more than 80 times as fast" in err
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["size", "--gear-ratio", "3:1"], "'--gear-ratio' must be a number, got '3:1'"),
+        (
+            ["yield", "a.prg", "-m", "lathe-winder", "--variants", "2.5"],
+            "'--variants' must be a whole number, got '2.5'",
+        ),
+        (
+            ["yield", "a.prg", "-m", "lathe-winder", "--variants", "0"],
+            "'--variants' must be at least 1, got '0'",
+        ),
+        (
+            ["shaper", "--mode", "5Hz", "--damping", "small"],
+            "--damping 'small': 'small' is not a number with a unit",
+        ),
+    ],
+)
+def test_a_value_that_is_no_number_is_told_with_what_was_typed(
+    typed: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(typed, capsys)
+
+    assert (code, out) == (2, "")
+    assert said in err
+    assert err.count("\n") == 1
+    assert "Input should" not in err
+
+
+def test_a_ratio_is_typed_in_percent_or_not(capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["shaper", "--mode", "5Hz", "--kind", "si", "--json"]
+    per_cent = run([*common, "--damping", "2 %", "--band", "10 %"], capsys)
+    assert per_cent[0] == 0
+    assert per_cent == run([*common, "--damping", "0.02", "--band", "0.1"], capsys)

@@ -96,7 +96,8 @@ def test_the_commands_of_the_project_run(
     for command in commands:
         code, out, err = run(capsys, *command.split())
         assert code == 0, (command, err)
-        assert "IN SPEC" not in out or "IN SPEC (limits and time alone: placement" in out
+        assert "IN SPEC" not in out
+        assert "LIMITS KEPT" not in out or "KEPT (limits and time alone: placement" in out
         assert "--target" not in command or f"s as the planner of {firmware} runs it" in err + out
     assert (folder / "faster.gcode").read_text().startswith(begins)
 

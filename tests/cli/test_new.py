@@ -102,7 +102,7 @@ def test_a_project_that_cannot_be_written_leaves_nothing(
         ("windr", "mine", "Did you mean 'winder'?"),
         ("winder", "full", "is not empty"),
         ("winder", "file", "is not a folder"),
-        ("winder", "no/such", "does not exist"),
+        ("winder", "file/such", "is not a folder"),
     ],
 )
 def test_what_cannot_be_made_is_refused_in_one_line(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import threadline as tl
 from threadline.cli import prove
 from threadline.cli.main import main
 from threadline.cli.output import print_table
@@ -55,6 +56,32 @@ def test_what_cannot_be_written_is_refused_before_the_work(
     assert (code, err.count("\n")) == (2, 1)
     assert words in err
     assert (tmp_path / "FILE").read_text() == "mine"
+
+
+def test_folders_on_the_way_to_a_file_are_made_and_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For files by the command line and the package alike; the folder of a report was asked for."""
+    monkeypatch.chdir(tmp_path)
+    for option, place, made in (
+        ("-o", "mistyped/deep/x.csv", ["mistyped", "mistyped/deep"]),
+        ("-o", "mistyped/y.csv", []),
+    ):
+        words = ["compile", JOB, "-m", "lathe-winder", "--target", "csv", option, place]
+        with pytest.raises(SystemExit) as caught:
+            main([str(word) for word in words])
+        told = capsys.readouterr().err
+        assert caught.value.code == 0 and (tmp_path / place).is_file()
+        assert [line for line in told.splitlines() if line.startswith("made")] == [
+            f"made the folder {folder}" for folder in made
+        ]
+    with pytest.raises(SystemExit):
+        main(["new", "winder", "way/to/mine"])
+    told = capsys.readouterr().err
+    assert "made the folder way/to\n" in told and "mine" not in told
+    (file,) = tl.compile(JOB, "lathe-winder", "csv", tmp_path / "face" / "x.csv")
+    assert file.path.is_file()
+    assert capsys.readouterr().err == ""
 
 
 def test_a_report_that_fails_takes_the_recording_with_it(

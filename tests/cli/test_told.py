@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
+import pty
 import re
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -146,6 +149,37 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
     assert 0.0 < COMPILING.lasted_s() - before_s < 60.0
 
 
+def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A word of a long run that has begun is finished first: neither behind the error nor in it."""
+    began = threading.Event()
+    write = told.note
+
+    def slowly(text: str) -> None:
+        began.set()
+        time.sleep(0.2)
+        write(text)
+
+    def refuses(*_: object) -> None:
+        began.clear()
+        assert began.wait(10.0)
+        raise PlanError("too fast")
+
+    monkeypatch.setattr(told, "_EVERY_S", 0.01)
+    monkeypatch.setattr(told, "note", slowly)
+    monkeypatch.setattr(ticks, "check_limits", refuses)
+    words = ["compile", EXAMPLES / "stitcher-test-path.seam.toml", "-m", "stitcher"]
+    words += ["--target", "csv", "--interpolation", "linear", "-o", tmp_path / "t.csv"]
+    with pytest.raises(SystemExit):
+        main([str(word) for word in words])
+    time.sleep(0.5)  # for a word that is still being written
+    out, err = capsys.readouterr()
+    *said, error = err.splitlines()
+    assert (out, error) == ("", "error: [PLAN] too fast.")
+    assert said and all(line.startswith("still at work after ") for line in said)
+
+
 def test_the_word_of_each_minute_says_how_long_it_will_be(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,3 +290,61 @@ def test_only_one_file_writes_to_the_streams() -> None:
         text = file.read_text(encoding="utf-8")
         if file.name not in {"output.py", "told.py", "main.py", "start.py"}:
             assert not re.search(r"typer\.echo|sys\.std(out|err)|(?<!\w)print\(", text), file
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_sees_within_a_second_that_a_command_is_loaded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The word is taken away before anything else is printed, and comes no more."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    assert told._STARTING_S < 1.0
+    monkeypatch.setattr(told, "_STARTING_S", 0.0)
+    with told.telling(starting=True):
+        waited = threading.Event()
+        for _ in range(200):
+            if terminal.getvalue():
+                break
+            waited.wait(0.05)
+        assert terminal.getvalue() == "starting ..."
+        told.note("first")
+        told.STARTING.show()
+        told.note("second")
+    assert terminal.getvalue() == f"starting ...\r{' ' * 12}\rfirst\nsecond\n"
+
+
+def test_nothing_is_shown_of_the_start_without_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(told, "_STARTING_S", 0.0)
+    with told.telling(starting=True):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+
+
+def test_the_word_comes_before_the_command_is_loaded(tmp_path: Path) -> None:
+    """On a terminal of its own: a command whose module takes three seconds to import."""
+    slow = tmp_path / "slow.py"
+    slow.write_text(
+        "import sys, time\nfrom threadline.cli import lazy, main\n"
+        "real = lazy.import_module\n"
+        "def waits(name):\n    time.sleep(3)\n    return real(name)\n"
+        "lazy.import_module = waits\nmain.main(['machines'])\n"
+    )
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, str(slow)], stdout=subprocess.PIPE, stderr=theirs
+    ) as running:
+        os.close(theirs)
+        said = os.read(ours, 100).decode()
+        assert running.poll() is None  # it waits still
+        assert said == "starting ..."
+        out, _ = running.communicate()
+    assert b"lathe-winder" in out
+    assert os.read(ours, 100).decode().strip() == ""
+    os.close(ours)

@@ -9,7 +9,8 @@ from scipy.signal import TransferFunction, lsim
 
 from threadline.control.corner_machines import CornerResponse, corner_responses
 from threadline.control.robust_averages import (
-    RunUp,
+    ChangeOfSpeed,
+    RobustWeights,
     StepOfSpeed,
     frequencies_rad_s,
     robust_weights,
@@ -22,7 +23,18 @@ CHANGE_S, COUNT, SAMPLES = 0.1, 43, 4096
 STEP_S = CHANGE_S / 28
 GRID_S = STEP_S / 4
 MODE, DAMPING = 75.0, 0.2
-STEP = RunUp(at_s=np.zeros(1), share=np.ones(1), change_s=CHANGE_S)
+
+
+def change(stop: bool) -> ChangeOfSpeed:
+    """The speed may change in CHANGE_S, half of it before the step and half after."""
+    early_s = CHANGE_S / 4
+    return ChangeOfSpeed(
+        stop=stop,
+        early_s=early_s,
+        still_s=early_s + 0.002,
+        within_s=CHANGE_S / 2,
+        even_s=CHANGE_S / 2,
+    )
 
 
 def believed_and(factor: float) -> tuple[list[float], list[float]]:
@@ -48,9 +60,8 @@ def answer(weights: np.ndarray, factor: float, t: np.ndarray) -> np.ndarray:
     return lsim(TransferFunction(*believed_and(factor)), meant, t - t[0])[1]
 
 
-def test_no_machine_rings_more_than_is_said():
+def found_for(factors: tuple[float, ...], *stops: bool) -> RobustWeights:
     omega = frequencies_rad_s(GRID_S, SAMPLES)
-    factors = (1.0, 0.85, 1.15)
     found = robust_weights(
         StepOfSpeed(
             speed=0.1,
@@ -58,7 +69,7 @@ def test_no_machine_rings_more_than_is_said():
             current_limit_a=np.inf,
             machines=[response(factor, omega) for factor in factors],
         ),
-        STEP,
+        [change(stop) for stop in stops],
         count=COUNT,
         step_s=STEP_S,
         degree=5,
@@ -66,23 +77,39 @@ def test_no_machine_rings_more_than_is_said():
         samples=SAMPLES,
     )
     assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("stops", [(False,), (True,), (False, True)])
+def test_no_machine_rings_more_than_is_said(stops):
+    factors = (1.0, 0.85, 1.15)
+    found = found_for(factors, *stops)
     assert found.weights.sum() == pytest.approx(1.0, abs=1e-9)
     t = np.arange(-0.2, 0.6, 2e-5)
-    outside = np.abs(t) >= CHANGE_S / 2
     worst = 0.0
     for factor in factors:
         speed = answer(found.weights, factor, t)
-        off = np.abs(speed - (t > 0.0))[outside]
-        worst = max(worst, float(off.max()))
-        # By how far the load has gone when it should start: within its room.
-        assert abs(np.cumsum(speed * 2e-5)[t <= 0.0] * 0.1).max() < 1e-3 * 1.02
+        if False in stops:  # even from the end of its change on, and no way before it begins
+            worst = max(worst, float(np.abs(speed - 1.0)[t >= CHANGE_S / 2].max()))
+            assert abs(np.cumsum(speed * 2e-5)[t <= 0.0] * 0.1).max() < 1e-3 * 1.02
+        if True in stops:  # even until it, and no way after it
+            worst = max(worst, float(np.abs(speed)[t <= -CHANGE_S / 2].max()))
+            left = np.cumsum((1.0 - speed)[::-1] * 2e-5)[::-1][t >= 0.0]
+            assert abs(left * 0.1).max() < 1e-3 * 1.02
     # Rows are met to 2e-4 at instants 0.9 ms apart; between them the speed moves a little more.
     assert worst == pytest.approx(found.error, abs=3e-3)
     assert found.error < 0.02
     # The test can fail: averages of the same width that know nothing of the machines ring more.
     even = np.convolve(np.ones(22) / 22, np.ones(22) / 22)
-    plain = max(np.abs(answer(even, f, t) - (t > 0.0))[outside].max() for f in factors)
+    after = t >= CHANGE_S / 2
+    plain = max(np.abs(answer(even, f, t) - 1.0)[after].max() for f in factors)
     assert plain > 2.0 * found.error
+
+
+def test_what_serves_a_start_alone_is_better_at_it():
+    """A stop asks for the same backwards, and both share the weights that serve both."""
+    factors = (1.0, 0.8, 1.2)
+    assert found_for(factors, False).cost < 0.98 * found_for(factors, False, True).cost
 
 
 def test_a_corner_answers_as_its_closed_loop_does_in_time():

@@ -33,8 +33,9 @@ SLOW: dict[str, dict[str, str]] = {
         "python tools/memory_bounds.py": "half an hour",
     },
     "results-stitcher.md": {
-        'python -m tools.robust_corners SEAM examples/stitcher-place.spec.toml "100 %" 45': (
-            "a minute; tests/test_robust_plan.py at 42"
+        "python -m tools.robust_corners examples/stitcher-robust.seam.toml "
+        'src/threadline/machine/library/stitcher.spec.toml "100 %" 45': (
+            "a minute; tests/test_robust_plan.py on two of the nine"
         ),
         "pytest tests/twin/test_stitcher.py tests/twin/test_hybrid.py": OF_TESTS,
         "python -m tools.long_seam 1e6 FOLDER": "writes the job of the next",
@@ -54,8 +55,12 @@ SLOW: dict[str, dict[str, str]] = {
         'threadline fastest SEAM -m stitcher --feed-forward --low "20 stitch/s" --mismatch '
         "--report DIR": "nine searches",
         "threadline prove SEAM -m found.toml": "of what design found",
+        "threadline prove examples/stitcher-test-path.seam.toml -m examples/stitcher-75-place.toml "
+        "--tolerances": "half a minute, 220 runs",
         "threadline prove examples/stitcher-75-rigid.seam.toml -m examples/stitcher-75-rigid.toml "
         '--feed-forward --smoothing "20 ms" --tolerances': "half a minute, 220 runs",
+        "threadline prove examples/stitcher-even.seam.toml -m stitcher --feed-forward "
+        '--robust "0 %"': "some ten seconds; tests/test_robust_plan.py",
         "threadline prove examples/stitcher-steep.seam.toml -m stitcher --feed-forward "
         '--smoothing "42 ms"': "its file is changed by hand for each needle speed",
     },
@@ -81,6 +86,7 @@ SLOW: dict[str, dict[str, str]] = {
         "python -m tests.plc.stuck": "tests/plc/test_stuck.py",
         "python -m tests.plc.breaks --compiled FOLDER": "needs matiec; tests/plc/test_breaks.py",
         "python tools/onoff_results.py cycle": "a minute",
+        "python tools/onoff_results.py levels": "minutes",
         "threadline compare examples/letter-cycle.toml -m letter-placer": "a minute",
         "threadline compile examples/letter-cycle.toml -m letter-placer --target st --shaper zv "
         '--mode "3.04 Hz" --damping 0.17 -o cycle.st': "tests/plc run what it writes",

@@ -10,7 +10,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVEL = re.compile(
-    r"\b(nominal(ly)?|repeated|over (the )?tolerances|20 runs|(one|1) run|as drawn|yield)\b", re.I
+    r"\b(nominal(ly)?|repeated|over (the )?tolerances|20 runs|(one|1) run|as drawn|yield"
+    r"|limits and time alone)\b",
+    re.I,
 )
 """Words for how far a figure reaches; a yield is of machines within the tolerances."""
 JUDGED = re.compile(

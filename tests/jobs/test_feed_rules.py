@@ -155,11 +155,11 @@ def test_a_rule_without_u_is_refused_on_a_machine_with_u(tmp_path: Path) -> None
 def test_an_operator_stays_at_his_machine(tmp_path: Path, winder: Machine) -> None:
     """F 12000 is 200 mm/s on a machine made from the winder; 10 count/tick of X was 36 mm/s."""
     job = read(tmp_path, winder, "G91 G1 X100 F12000")
-    assert job.warnings == ()
+    assert job.suspicions(own_feed=True) == ()
     assert minutes(job, winder)[0] * 60.0 == pytest.approx(0.5)
     old = read(tmp_path, WINDER, "G91 G1 X100 F12000")
     assert minutes(old, WINDER)[0] * 60.0 > 2.0
-    assert "caps it" in old.warnings[0]
+    assert "caps it" in old.capped[0]
     assert programmed_time_s(old, WINDER) == pytest.approx(0.5)  # what F alone says
 
 

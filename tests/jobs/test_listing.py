@@ -59,7 +59,7 @@ def test_the_listing_stops_and_ends(examples: Path) -> None:
     assert [op.final for op in operations[-2:] if isinstance(op, Stop)] == [False, True]
     feeds = {op.feed for op in operations if isinstance(op, Move)}
     assert [(f.mode, f.value) for f in feeds if f] == [(FeedMode.FASTEST_AXIS, 0.2)]
-    assert job.warnings[0].startswith("cone-dome-cylinder.prg:2: F 12000 is 200.0 mm/s")
+    assert job.capped[0].startswith("cone-dome-cylinder.prg:2: F 12000 is 200.0 mm/s")
 
 
 def test_the_reversal_has_eight_points_each_way(examples: Path) -> None:
@@ -72,4 +72,4 @@ def test_the_reversal_has_eight_points_each_way(examples: Path) -> None:
     assert [1e3 * move.target[1] for move in moves] == pytest.approx(expected, abs=2e-3)
     assert moves[6].target[1] == pytest.approx(0.180, abs=1e-15)
     assert {move.feed.value for move in moves if move.feed} == {0.036}
-    assert job.warnings == ()
+    assert job.suspicions(own_feed=True) == ()

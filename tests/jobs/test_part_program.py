@@ -118,20 +118,21 @@ def test_feeds(tmp_path: Path) -> None:
 def test_warnings_name_their_line(tmp_path: Path) -> None:
     """F above the normal feed of an axis that moves, milliseconds for seconds, G64."""
     job = read(tmp_path, "G64 P0.1", "G91 G1 F2160 X1", "X1 F2200", "X1 F2200", "G4 P1500", "M30")
-    assert [w.split(":")[1] for w in job.warnings] == ["3", "5", "1"]
-    assert "above the normal feed of 10 count/tick (X 36.1 mm/s)" in job.warnings[0]
+    assert [w.split(":")[1] for w in job.suspicions(own_feed=True)] == ["3", "5", "1"]
+    assert [w.split(":")[1] for w in job.suspicions(own_feed=False)] == ["5", "1"]
+    assert "above the normal feed of 10 count/tick (X 36.1 mm/s)" in job.capped[0]
     home = read(tmp_path, "G91 G1 F9000", "G28", "M30")
-    assert "(A 99.2, X 36.1, Y 32.1 mm/s)" in home.warnings[0]
+    assert "(A 99.2, X 36.1, Y 32.1 mm/s)" in home.capped[0]
     many = [f"X1 F{3000 + k}" for k in range(20)]
-    assert read(tmp_path, "G91 G1", *many, "M30").warnings[-1] == "15 more warnings of these kinds."
+    assert read(tmp_path, "G91 G1", *many, "M30").capped[-1] == "15 more warnings of these kinds."
 
 
 def test_a_feed_is_judged_in_the_unit_in_force_where_it_is_called(tmp_path: Path) -> None:
     """F 90 is 1.5 mm/s, and in inches 38.1 mm/s: above 36.1, whichever way G20 comes into force."""
     body, main = ["O9", "G91 G1 X1 F90", "M99"], ["O1", "G20", "M98 P9", "M30"]
     before = read(tmp_path, *body, *main)
-    assert [w.split(":")[1] for w in before.warnings] == ["2"]
-    assert "F 90 is 38.1 mm/s" in before.warnings[0]
+    assert [w.split(":")[1] for w in before.capped] == ["2"]
+    assert "F 90 is 38.1 mm/s" in before.capped[0]
 
     setter, plain = ["O8", "G20", "M99"], ["O1", "M98 P9", "M30"]
     left_behind = read(tmp_path, *body, *setter, "O1", "M98 P8", "M98 P9", "M30")
@@ -139,8 +140,8 @@ def test_a_feed_is_judged_in_the_unit_in_force_where_it_is_called(tmp_path: Path
     not_called = read(tmp_path, *body, *setter, *plain)
     set_in_the_body = read(tmp_path, "O9", "G21 G91 G1 X1 F90", "M99", *main)
     inverse_time = read(tmp_path, *body, "O1", "G20 G93", "M98 P9", "M30")
-    assert [len(job.warnings) for job in (left_behind, second_pass)] == [1, 1]
-    assert [job.warnings for job in (not_called, set_in_the_body, inverse_time)] == [(), (), ()]
+    assert [len(job.capped) for job in (left_behind, second_pass)] == [1, 1]
+    assert [job.capped for job in (not_called, set_in_the_body, inverse_time)] == [(), (), ()]
 
 
 def test_numbers_in_a_comment_are_tags(tmp_path: Path) -> None:
@@ -199,7 +200,7 @@ def outcome(path: Path, plain: bool) -> tuple[list[object], str]:
     with patch.object(PlainReader, "worth_trying", return_value=plain):
         try:
             job = read_job(path, MACHINE)
-            done += [job.warnings]
+            done += [job.suspicions(own_feed=True)]
             for operation in job:
                 done.append(operation)
         except InputError as error:

@@ -56,6 +56,23 @@ def test_no_more_than_a_tenth_of_a_second_is_held() -> None:
     assert min(held[: len(ROWS) // 5 - 8]) > 10  # and it is kept full
 
 
+@pytest.mark.parametrize("tick", [70, 130, 250])
+def test_where_refills_stop_at_speed_it_brakes_within_the_limits(tick: int) -> None:
+    """At 144 mm/s a standstill at once would be three times the acceleration of X."""
+    bench = Bench().ready()
+    bench.executor.start(table_of_counts(there_and_back(peak=40.0, cruise=100)))
+    bench.go_on(tick)
+    bench.wire.mute = True
+    while not bench.wire.machine.standing:
+        bench.wire.machine.play(5)
+        message = bench.wire.receive()
+        assert message is not None
+        bench.kept.block(bench.executor.far_end.reported(message, None))
+    limit = CountLimits.of(winder()).acceleration + ROUNDING
+    rows = np.diff(bench.commanded(), axis=0, append=bench.commanded()[-1:])
+    assert (np.abs(np.diff(rows, axis=0)).max(axis=0) <= limit).all()
+
+
 @settings(max_examples=25)
 @given(st.integers(1, len(ROWS) - 1))
 def test_where_refills_stop_it_brakes_on_the_path(tick: int) -> None:
@@ -145,6 +162,7 @@ def test_a_stop_is_ahead_of_what_is_held_and_what_was_asked(tick: int) -> None:
     assert counts[-1, 0] - counts[min(at, len(counts) - 1), 0] <= 4 * 10
     causes = [cause for _, _, cause, _ in bench.kept.log]
     assert causes[causes.index(Cause.STOP) :] == [Cause.STOP, Cause.AT_REST]
+    assert not {Cause.HOLD, Cause.RESUME} & set(causes)  # dropped, not only overtaken
 
 
 def test_a_recording_of_a_stop_says_so() -> None:

@@ -38,6 +38,8 @@ PARTS = {
     "`[inputs.NAME]`": ("inputs.x",),
     "`[tool]`": ("tool",),
     "`[tolerances]`": ("tolerances",),
+    "`[guide]`": ("guide",),
+    "`[guide.connectors.NAME]`": ("guide.connectors.x",),
     "`[programs]`": ("programs",),
     "`[planner]`, grbl and FluidNC": ("planner.grbl",),
     "`[planner]`, Marlin": ("planner.marlin",),

@@ -198,3 +198,21 @@ def test_counts_of_a_stepper_without_a_load_move_its_load(tmp_path) -> None:
     (piece,) = (piece for piece in prescribed(other) if "X" in piece.axes)
     row = piece.loads[piece.axes.index("X")]
     assert row[len(piece.states) + piece.drives.index("x")] == pytest.approx(weight.si, rel=1e-12)
+
+
+def test_what_breaks_away_needs_at_least_what_slides(tmp_path) -> None:
+    """Tolerances of friction and stiction overlap: drawn alone, one would be beyond the other."""
+    file = tmp_path / "sticky.toml"
+    file.write_text(
+        'base = "lathe-winder"\n[bodies.x]\n'
+        'friction = "0.02 N m +- 50 %, assumed"\nstiction = "0.022 N m +- 50 %, assumed"\n'
+    )
+    for machine in (load_machine(file), load_machine("letter-placer+whole-scans+hysteresis")):
+        parts = np.concatenate([drawn(machine, 1, np.arange(40)), one_at_a_time(machine)])
+        found = numbers_at(machine, parts)
+        sticks = [name for name in found if name.endswith(".stiction")]
+        assert sticks
+        for name in sticks:
+            assert (found[name] >= found[name.replace("stiction", "friction")]).all()
+        for row in parts:
+            variant(machine, row)  # is refused where stiction is less than friction

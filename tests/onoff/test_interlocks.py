@@ -112,7 +112,7 @@ def test_interlocks_that_cannot_be_are_refused(
         ("1 for 0 s", "0 s is no time that a level can last"),
         ("1 for 455 ms", "no whole number of scans of 10 ms"),
         ("2 for 230 ms", "passes through level 2.000, outside the unshaped 0 ... 1"),
-        ("1 for 400 ms", "levels cover 172.00 mm of 200.00 mm"),
+        ("1 for 400 ms", "move the piston by 172.00 mm of 200.00 mm"),
         ("1 for 450 ms, 0.63 for 10 ms, 0.37 for 10 ms", "would switch again after 10 ms"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import threading
@@ -19,9 +20,11 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import ASGIApp
 
 from tests.live.bench import winder
+from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import _in_step, group_ticks
-from threadline.live.sim_rows import SimRows
-from threadline.live.wire import Connection
+from threadline.live.ways import way_of
+from threadline.live.wire import Connection, Message
+from threadline.machine import Machine
 from threadline.panel.admission import Admission
 from threadline.panel.calculating import calculate
 from threadline.panel.calculation import Calculation
@@ -37,41 +40,74 @@ PROGRAM = "%\nO 1;\nG91;\nG01 F 2000;\nN 10 A 20 X 60;\nN 20 A 20 X -60;\nM30;\n
 LOCAL = {"origin": "http://127.0.0.1"}
 
 
-@cache
-def proven(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the words and the figures of the program, proven once for all tests."""
-    (folder / "there.prg").write_text(PROGRAM, "utf-8")
-    words = Calculate(
+EXAMPLES = Path(__file__).parents[2] / "examples"
+CASES = {
+    "lathe-winder": Calculate(
         what="calculate", program="there.prg", interpolation="linear", level="nominal"
+    ),
+    "letter-placer": Calculate(
+        what="calculate", program="letter-cycle.toml", shaper="um-zv", level="nominal"
+    ),
+    "stitcher": Calculate(
+        what="calculate", program="strap.seam.toml", feed_forward=True, level="nominal"
+    ),
+    "schiffli-frame": Calculate(what="calculate", program="rosette.dst", level="nominal"),
+}
+"""What is calculated in the tests of each machine."""
+
+
+@cache
+def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the words and the figures of a program, proven once for all tests."""
+    asked = CASES[machine]
+    if asked.program == "there.prg":
+        (folder / asked.program).write_text(PROGRAM, "utf-8")
+    else:
+        shutil.copy(EXAMPLES / asked.program, folder)
+    if asked.program == "strap.seam.toml":
+        shutil.copy(EXAMPLES / "strap.csv", folder)
+        seam = (folder / asked.program).read_text("utf-8")
+        slower = seam.replace("40 stitch/s", "30 stitch/s")  # the motors keep their speed limit
+        assert slower != seam
+        (folder / asked.program).write_text(slower, "utf-8")
+    told = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
+    return told, calculate(
+        {**told, "folder": str(folder), "machine": machine, "par": None, "spec": None}
     )
-    told = {**words.model_dump(exclude={"what"}), "proof_file": str(folder / "there.proof.json")}
-    asked = {"folder": str(folder), "machine": "lathe-winder", "par": None, "spec": None}
-    return told, calculate({**told, **asked})
 
 
 class Known(Calculation):
     """A calculation that has found what it found before."""
 
     def begin(self, asked: Calculate, tell: Any) -> None:
-        words, found = proven(self._folder)
+        words, found = proven(self._folder, self._machine.name)
         tell(self._taken(dict(found), words))
 
 
-def machine_thread(end: socket.socket, speed: float, machine: SimRows | None = None) -> None:
+def simulated_of(machine: Machine, tell: Callable[[Message], None]) -> SimMachine:
+    return way_of(machine).simulated(machine, np.zeros(len(machine.axes), np.int64), tell)
+
+
+def machine_thread(
+    end: socket.socket, speed: float, machine: Machine, made: SimMachine | None = None
+) -> None:
     connection = Connection(end)
-    simulated = machine or SimRows(winder(), np.zeros(3, np.int64), connection.send)
+    simulated = made or simulated_of(machine, connection.send)
     simulated.greet()
-    _in_step(connection, simulated, group_ticks(winder(), speed), 0.005 / speed)
+    period_s = float(machine.command_clock.period_s)
+    _in_step(connection, simulated, group_ticks(machine, speed), period_s / speed)
     while not simulated.standing:
         simulated.play(5)
     connection.close()
 
 
-def own_here(server: socket.socket, link: socket.socket, folder: Path, speed: float) -> None:
+def own_here(
+    server: socket.socket, link: socket.socket, folder: Path, speed: float, machine: Machine
+) -> None:
     to = Connection(server)
-    runs = KeptRuns(folder, winder(), None, folder / "runs", "sim", speed, lambda _: None)
+    runs = KeptRuns(folder, machine, None, folder / "runs", "sim", speed, lambda _: None)
     far = Connection(link)
-    Owner(to, far, winder(), speed, runs).serve()
+    Owner(to, far, machine, speed, runs).serve()
     far.close()
     to.close()
 
@@ -79,15 +115,15 @@ def own_here(server: socket.socket, link: socket.socket, folder: Path, speed: fl
 class InThreads:
     """Starts owners with their machines in threads."""
 
-    def __init__(self, folder: Path, speed: float) -> None:
-        self._folder, self._speed = folder, speed
+    def __init__(self, folder: Path, speed: float, machine: Machine) -> None:
+        self._folder, self._speed, self._machine = folder, speed, machine
         self._threads: list[threading.Thread] = []
 
     def __call__(self) -> tuple[None, Connection]:
         ours, theirs = socket.socketpair()
         link, far = socket.socketpair()
-        self._begin(machine_thread, far, self._speed)
-        self._begin(own_here, theirs, link, self._folder, self._speed)
+        self._begin(machine_thread, far, self._speed, self._machine)
+        self._begin(own_here, theirs, link, self._folder, self._speed, self._machine)
         return None, Connection(ours)
 
     def _begin(self, work: Any, *given: Any) -> None:
@@ -105,16 +141,20 @@ def app_of(
     folder: Path,
     start: Callable[[], tuple[subprocess.Popen[bytes] | None, Connection]],
     token: str = "",
+    machine: Machine | None = None,
 ) -> ASGIApp:
-    calculation = Known(winder(), None, folder, folder)
-    panel = Panel(winder(), OwnerLink(start), calculation)
-    return make_app(panel, folder, Admission("127.0.0.1", token))
+    machine = machine or winder()
+    calculation = Known(machine, None, folder, folder)
+    panel = Panel(machine, OwnerLink(start), calculation)
+    return make_app(panel, folder, folder / "runs", Admission("127.0.0.1", token))
 
 
 @contextmanager
-def served(folder: Path, speed: float = 4.0, token: str = "") -> Iterator[TestClient]:
-    owners = InThreads(folder, speed)
-    app = app_of(folder, owners, token)
+def served(
+    folder: Path, speed: float = 4.0, token: str = "", machine: Machine | None = None
+) -> Iterator[TestClient]:
+    owners = InThreads(folder, speed, machine or winder())
+    app = app_of(folder, owners, token, machine)
     with TestClient(app, base_url="http://127.0.0.1", headers=LOCAL) as client:
         yield client
     owners.join()

@@ -60,9 +60,11 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         anna.see("holding")
         time.sleep(0.2)
         first = anna.until("state")["axes"]["X"]["commanded"]
+        gone_s = anna.state["progress"]["time_s"]
         for _ in range(5):
             anna.until("state")
         held = anna.x_mm()
+        assert anna.state["progress"]["time_s"] == pytest.approx(gone_s, abs=1e-9)  # nothing goes
         assert held == pytest.approx(1e3 * first, abs=1.0)
         assert "resume" in anna.state["allowed"]
         assert anna.act("resume") == ""
@@ -169,6 +171,31 @@ def test_moves_to_zero_need_somebody_to_the_end(project: Path) -> None:
         for _ in range(20):
             assert anna.until("state")["state"] == "idle"
         assert anna.state["axes"]["Y"]["commanded"] == y
+
+
+def test_steps_are_as_long_as_asked_and_need_somebody_to_the_end(project: Path) -> None:
+    """1 mm is done within the lease; of 50 mm no more than the lease lasts."""
+    with served(project, SPEED) as client, operator(client) as anna:
+        anna.ready()
+        for by, at_mm in ((1e-3, 1.0), (-1e-3, 0.0)):
+            assert anna.act("step", axis="X", by=by) == ""
+            anna.see("idle")
+            while anna.until("state")["state"] != "idle":
+                pass
+            assert anna.x_mm() == pytest.approx(at_mm, abs=0.5 / 55.358)  # a count
+        assert anna.act("step", axis="X", by=0.05) == ""
+        anna.see("idle")
+        assert 5.0 < anna.x_mm() < 26.0
+        assert "beyond its travel" in why_of(anna, by=0.9)
+        while "step" not in anna.until("state")["allowed"]:
+            pass  # what was refused is put aside
+        assert "there is no axis" in anna.act("step", axis="Q", by=1e-3)
+
+
+def why_of(anna: Operator, by: float) -> str:
+    """Ask for a step that cannot be, and return what is said of it."""
+    assert anna.act("step", axis="X", by=by) == ""
+    return str(anna.until("said")["text"])
 
 
 def test_a_program_that_was_changed_since_is_not_run(project: Path) -> None:

@@ -1,87 +1,22 @@
-"""The page in a browser, as an operator uses it; screenshots go to ``reports/panel``."""
+"""The page in a browser: jogs, runs, stops, control."""
 
 from __future__ import annotations
 
+import json
 import os
-import re
-import shutil
 import signal
-from collections.abc import Iterator
-from pathlib import Path
+import urllib.request
 
-import numpy as np
 import pytest
 
-from tests.live.bench import winder
-from tests.panel.bench import proven
+from tests.panel.browsing import Browser, expect, opened, press, ready, shot, state, x_mm
 from tests.panel.test_panel_killed import Plant
-from threadline.live.sim_rows import SimRows
-from threadline.panel.server import PAGE
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-if CHROMIUM is None:
-    pytest.skip("there is no chromium", allow_module_level=True)
-if not (PAGE / "index.html").exists():
-    pytest.skip("the page was not built: make panel", allow_module_level=True)
-
-from playwright.sync_api import Browser, Page, expect, sync_playwright  # noqa: E402
-
-SHOTS = Path(__file__).parents[2] / "reports" / "panel"
-SPEED = 0.5
-"""Half of real time: the page has 500 ms to renew a jog, on however busy a computer."""
-SIZE = {"width": 1280, "height": 1000}
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield found
-        found.close()
-
-
-@pytest.fixture
-def plant(tmp_path: Path) -> Iterator[Plant]:
-    proven(tmp_path)
-    SimRows(winder(), np.zeros(3, np.int64), lambda _: None)
-    found = Plant(tmp_path, tmp_path / "black-box", SPEED)
-    yield found
-    os.kill(found.server, signal.SIGKILL)
-    os.waitpid(found.server, 0)
-    found.end()
-
-
-def opened(browser: Browser, plant: Plant) -> Page:
-    page = browser.new_page(viewport=SIZE)
-    page.set_default_timeout(60_000)
-    page.goto(f"http://127.0.0.1:{plant.port}/")
-    expect(page.locator("#machine")).to_have_text("lathe-winder, simulated", timeout=60_000)
-    return page
-
-
-def shot(page: Page, name: str) -> None:
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / f"{name}.png", full_page=True)
-
-
-def press(page: Page, text: str) -> None:
-    page.get_by_role("button", name=text, exact=True).click()
-
-
-def state(page: Page, name: str) -> None:
-    """Wait for a state, whatever reason is told with it."""
-    expect(page.locator("#state")).to_have_text(re.compile(rf"{name}(:|$)"), timeout=60_000)
-
-
-def ready(page: Page) -> None:
-    press(page, "Take control")
-    press(page, "Enable")
-    press(page, "Home all")
-    state(page, "idle")
-
-
-def x_mm(page: Page) -> float:
-    return float(page.locator("#at-X").inner_text().split()[0])
+def told_mm(plant: Plant) -> float:
+    """Return where X is commanded to be: at rest the time of this machine stands still."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{plant.port}/api/state") as answer:
+        return 1e3 * float(json.load(answer)["axes"]["X"]["commanded"])
 
 
 def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant) -> None:
@@ -119,6 +54,65 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     state(page, "idle")
     expect(page.locator("#progress-text")).to_contain_text("stopped")
     shot(page, "4-stopped")
+    page.close()
+
+
+def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> None:
+    """Keys move nothing before the operator says so; a second key ends what the first began."""
+    page = opened(browser, plant)
+    ready(page)
+    page.keyboard.down("ArrowRight")
+    page.wait_for_timeout(300)
+    page.keyboard.up("ArrowRight")
+    assert x_mm(page) == 0.0
+    page.get_by_label("Jog by keys").check()
+    page.keyboard.down("ArrowRight")
+    state(page, "jogging")
+    page.wait_for_timeout(600)
+    page.keyboard.up("ArrowRight")
+    state(page, "idle")
+    there = told_mm(plant)
+    assert there > 2.0
+    page.keyboard.press("+")
+    expect(page.locator("#share-shown")).to_have_text("75 %")
+
+    page.keyboard.down("PageUp")
+    state(page, "jogging")
+    page.keyboard.down("q")  # any key
+    state(page, "idle")
+    turned = page.locator("#at-A").inner_text()
+    page.keyboard.up("q")
+    page.wait_for_timeout(700)
+    assert page.locator("#at-A").inner_text() == turned  # though PgUp is still down
+    page.keyboard.up("PageUp")
+
+    page.get_by_label("Step").select_option("1")
+    page.locator("h2").first.click()
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_timeout(1000)
+    state(page, "idle")
+    assert told_mm(plant) == pytest.approx(there - 1.0, abs=0.5 / 55.358)  # half a count
+    press(page, "Release control")
+    expect(page.get_by_label("Jog by keys")).not_to_be_checked()
+    shot(page, "7-keys")
+    page.close()
+
+
+def test_any_key_stops_a_run_and_h_holds_it(browser: Browser, plant: Plant) -> None:
+    page = opened(browser, plant)
+    ready(page)
+    press(page, "Calculate")
+    expect(page.locator("#figures")).to_contain_text("IN SPEC")
+    press(page, "Start")
+    state(page, "running")
+    page.keyboard.press("Tab")
+    page.keyboard.press("h")
+    state(page, "holding")
+    page.keyboard.press("r")
+    state(page, "running")
+    page.keyboard.press("ArrowRight")
+    state(page, "idle")
+    expect(page.locator("#progress-text")).to_contain_text("stopped")
     page.close()
 
 

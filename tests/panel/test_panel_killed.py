@@ -25,6 +25,7 @@ from tests.live.test_killed import Watched
 from tests.panel.bench import Operator, app_of, child, machine_thread, own_here, proven
 from threadline.live.sim_rows import SimRows
 from threadline.live.wire import Connection
+from threadline.machine import Machine
 
 SPEED = 2.0
 TIMES = 10
@@ -48,8 +49,11 @@ class Spoken:
 class Plant:
     """A machine, its owner and its web server, each a process."""
 
-    def __init__(self, folder: Path, box: Path, speed: float = SPEED) -> None:
+    def __init__(
+        self, folder: Path, box: Path, speed: float = SPEED, machine: Machine | None = None
+    ) -> None:
         self.box = box
+        made = machine or winder()
         listening = socket.create_server(("127.0.0.1", 0))
         self.port = listening.getsockname()[1]
         ours, theirs = socket.socketpair()
@@ -65,17 +69,19 @@ class Plant:
             only(far)
             Watched.box = {"a": [], "x": [], "load": [], "heard": [0.0], "held": [0.0]}
             connection = Connection(far)
-            watched = Watched(winder(), np.zeros(3, np.int64), connection.send)
-            machine_thread(far, speed, watched)
+            watched = None
+            if made.name == winder().name:
+                watched = Watched(winder(), np.zeros(3, np.int64), connection.send)
+            machine_thread(far, speed, made, watched)
             box.write_text(json.dumps(Watched.box), "utf-8")
 
         def be_owner() -> None:
             only(theirs, link)
-            own_here(theirs, link, folder, speed)
+            own_here(theirs, link, folder, speed, made)
 
         def be_server() -> None:
             only(listening, ours)
-            app = app_of(folder, lambda: (None, Connection(ours)))
+            app = app_of(folder, lambda: (None, Connection(ours)), machine=made)
             config = uvicorn.Config(app, log_level="critical", ws="websockets-sansio")
             uvicorn.Server(config).run(sockets=[listening])
 

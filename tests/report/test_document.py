@@ -6,6 +6,8 @@ import math
 import re
 from itertools import pairwise
 
+import pytest
+from matplotlib import image as plt_image
 from matplotlib.figure import Figure
 
 from threadline.jobs import read_job
@@ -20,11 +22,12 @@ from threadline.report.figures import error_figure
 from threadline.report.mismatch import draw_mismatch
 from threadline.report.proof import write_comparison
 from threadline.report.publish import write_document
-from threadline.report.style import AXES, LIMIT, figure_style
+from threadline.report.style import AXES, LIMIT, figure_style, headed
 from threadline.report.traces import collect
 from threadline.search import Mismatch, compare
 from threadline.search.mismatch import CYCLE, NEEDLE
-from threadline.verdict import load_spec
+from threadline.verdict import Verdict, load_spec
+from threadline.verdict.rendering import closing_of_all
 
 
 def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_path) -> None:
@@ -52,6 +55,36 @@ def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_pat
     assert set(wanted) <= set(names)
     assert "a &lt;b&gt; &amp; c" in page
     assert "mind the &lt;gap&gt;" in page
+
+
+def test_a_picture_that_leaves_its_page_says_what_it_is_of(tmp_path) -> None:
+    """Job, machine and verdict stand above the picture in its file; the page has them once."""
+    with figure_style():
+        figure = Figure(figsize=(4.0, 2.0))
+        figure.add_subplot().plot([0, 1], [0, 1])
+        width, height = figure.get_size_inches()
+        document = Document(
+            title="x.prg on winder",
+            subtitle="a winder",
+            verdicts=[("IN SPEC (nominal: 1 run)", True)],
+            tables=[],
+            figures={"one": figure},
+            captions={},
+            facts=[],
+        )
+        with headed(figure, ["x.prg on winder: $a$", "long " * 30]) as area:
+            texts = [text.get_text() for text in figure.texts]
+        page = write_document(document, tmp_path, "r").read_text(encoding="utf-8")
+    assert texts[0].startswith("x.prg on winder: $a$\nlong long") and texts[0].count("\n") == 3
+    assert area.width == width and area.height > height and not figure.texts
+    pixels = plt_image.imread(tmp_path / "r-one.png").shape
+    drawn = re.search(r'viewBox="0 0 (\S+) (\S+)"', (tmp_path / "r-one.svg").read_text())
+    assert drawn is not None
+    for across, up in ((pixels[1], pixels[0]), map(float, drawn.groups())):
+        assert up / across == pytest.approx((height + 0.4) / width, rel=0.01)
+    inner = re.search(r'viewBox="0 0 (\S+) (\S+)"', page)
+    assert inner is not None
+    assert float(inner[2]) / float(inner[1]) == pytest.approx(height / width, rel=1e-6)
 
 
 def test_the_printer_gets_every_column_and_no_scroll_bar(tmp_path) -> None:
@@ -179,6 +212,16 @@ def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
     ]
     assert not {"feed", "interpolation"} & set(facts)
     assert facts["tolerance"] == "0.1 mm"
+    # Each drawing has a picture of its own, also where the feed in its name has a point.
+    pictures = {file.stem for file in (tmp_path / "report").glob("*.png")}
+    assert len(pictures) == page.count("<figure") >= 4
+    assert any(name.startswith("comparison-auto-20.0count-per-tick-") for name in pictures)
+
+
+def test_a_case_of_limits_alone_is_told_without_runs() -> None:
+    kept = Verdict(results=(), simulated=True, limits_alone=True)
+    said = closing_of_all([kept, kept])
+    assert said.endswith("placement is not proven, the machine file has no dynamics)")
 
 
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:

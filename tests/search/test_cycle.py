@@ -250,7 +250,7 @@ def test_options_of_feeds_are_refused(capsys: pytest.CaptureFixture[str], tmp_pa
     job = CYCLE.parent / "x-180.prg"
     code, _, err = run(capsys, "fastest", job, "-m", "lathe-winder", "-o", tmp_path / "x.toml")
     assert code == 2
-    assert "--out is for move lists" in err
+    assert "--out" in err and "of which the feed is searched" in err
 
 
 def test_a_move_list_reads_back_as_itself(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_a_move_list_reads_back_as_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ('levels = "1 for 490 ms"', "levels cover 208.51 mm of 200.00 mm"),
+        ('levels = "1 for 490 ms"', "move the piston by 208.51 mm of 200.00 mm"),
         ('levels = "1 for 475 ms"', "475 ms is no whole number of scans of 10 ms"),
         ('levels = "full for 470 ms"', "'full for 470 ms' is no level for a time"),
         ('levels = "1 for 10 ms, 0 for 10 ms, 1 for 460 ms"', "would switch again after 10 ms"),
@@ -482,7 +482,7 @@ def read_job_text(text: str, machine: Machine, beside: Job) -> Job:
     [
         ('{ X = "1 for 470 ms", Y = "1 for 500 ms" }', "levels are given for 'Y', which this"),
         ('{ X = "1 for 470 ms", Z = 7 }', "levels of Z: 7 is no text of levels"),
-        ('{ X = "1 for 470 ms", Z = "1 for 100 ms" }', "levels cover 20.00 mm of 100.00 mm"),
+        ('{ X = "1 for 470 ms", Z = "1 for 100 ms" }', "move the piston by 20.00 mm of 100.00 mm"),
         ("[1, 2]", "levels = [1, 2] is no text"),
     ],
 )

@@ -308,26 +308,6 @@ def test_known_answers_are_in_the_machine_file(stitcher: Machine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "number"),
-    [
-        ("stepper-winder", "bodies.x_eye.inertia"),
-        ("letter-placer", "bodies.table.inertia"),
-        ("table-embroiderer", "bodies.x_frame.inertia"),
-    ],
-)
-def test_machines_without_loops_are_refused_before_any_work(
-    tmp_path: Path, name: str, number: str
-) -> None:
-    file = tmp_path / "m.toml"
-    file.write_text(
-        f'base = "{name}"\n[design.parameters.a]\nof = ["{number}"]\nfactor = [0.5, 2.0]\n'
-    )
-    machine = load_machine(file)
-    with pytest.raises(MachineError, match="must have a motor and a control loop"):
-        design(tmp_path / "unread", machine, load_spec(None, machine), Options())
-
-
-@pytest.mark.parametrize(
     ("text", "words"),
     [
         ('of = ["links.x_belt.stifness"]\nfactor = [1, 2]', "links.x_belt.stifness"),
@@ -370,7 +350,7 @@ def test_a_wrong_table_is_refused_with_its_file(tmp_path: Path, text: str, words
 
 def test_a_machine_without_the_table_says_so() -> None:
     with pytest.raises(MachineError, match=r"has no \[design\] table"):
-        design_space(load_machine("lathe-winder"))
+        design_space(load_machine("stitcher-rigid"))
 
 
 CROSSOVER = 'crossover = ["6 Hz exact, assumed", "{} exact, assumed"]\n'

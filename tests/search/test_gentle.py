@@ -98,7 +98,7 @@ def test_the_ladder_is_left_to_either_side(
             tried=1,
         )
 
-    def duration(_job: object, _machine: object, options: Options, _found: object) -> float:
+    def duration(_job: object, _machine: object, options: Options, *_: object) -> float:
         return 1.0 + abs(log2(options.limit_share) - wanted)
 
     monkeypatch.setattr(gentle, "fastest_feed", found)

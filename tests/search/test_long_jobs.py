@@ -24,7 +24,7 @@ from threadline.options import Options
 from threadline.search import fastest_job
 from threadline.search.distinct import distinct_parts
 from threadline.search.fastest import Fastest, Interval, find_fastest
-from threadline.search.rungs import Rung
+from threadline.search.rungs import FastestJob, Rung
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
 from threadline.verdict import Verdict, load_spec
 
@@ -179,7 +179,7 @@ def test_no_time_at_all_is_refused(
         assert said in capsys.readouterr().err
 
 
-def test_settings_are_in_the_words_of_the_controller(machine: Machine) -> None:
+def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Machine) -> None:
     """A quarter of the limits: 5 m/s^2 of X and 200 rad/s^2 of A, as grbl counts."""
     best = Interval(low=0.1, high=0.5)
     found = Fastest(intervals=(best,), limited_by="x", verdict=verdict_at(0.5), tried=3)
@@ -187,8 +187,10 @@ def test_settings_are_in_the_words_of_the_controller(machine: Machine) -> None:
         kind="grbl", junction_deviation=parse_machine_quantity("0.01 mm exact, assumed", ("m",))
     )
     rung = Rung(share=0.25, found=found, duration_s=1.0)
-    told = list(settings_words(replace(machine, planner=grbl), rung, limits=True))
+    job = written(tmp_path, winding_blocks(3), machine)
+    result = FastestJob(best=rung, rungs=(rung, rung))
+    told = list(settings_words(job, replace(machine, planner=grbl), result))
     x, a = (machine.axes[name].acceleration.si * 0.25 for name in "XA")
-    assert told[0].startswith("to set: F 30000 ")
+    assert told[0].startswith("to set: F 30000, ")
     assert f"$120={1e3 * x:.3f} (X, mm/s^2)" in told[1]
     assert f"$123={math.degrees(a):.3f} (A, deg/s^2)" in told[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -129,6 +130,32 @@ def test_corners_lie_as_far_off_as_machines_are_drawn(tmp_path: Path) -> None:
     assert worst.share >= shares.max()
 
 
+def test_a_climb_comes_to_the_worst_of_all_corners(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of six numbers all 64 corners can be tried; the climb comes there in fewer than 64 trials."""
+    file = tmp_path / "six.toml"
+    six = ("x.torque_constant", "x.back_emf", "x.resistance", "y.torque_constant", "y.back_emf")
+    varied = ["bodies.x.inertia", *(f"drives.{name}" for name in six)]
+    names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
+    others = [name for name in names if name not in varied]
+    file.write_text(
+        f'base = "lathe-winder"\nname = "six"\n[tolerances]\nexclude = {json.dumps(others)}\n'
+    )
+    machine = load_machine(file)
+    plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
+    study = MachineYield(plan, load_spec(None, machine))
+    assert len(study.numbers) == 6
+    found = study.worst()
+    assert found.of_corners
+    monkeypatch.setattr(machine_yield, "MOST_CORNERS", 0)
+    tried: list[int] = []
+    climbed = study.worst(None, tried.append)
+    assert not climbed.of_corners
+    assert climbed.share == found.share
+    assert sum(tried) < 64
+
+
 def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec]) -> None:
     plan, spec = asked
     judged = MachineYield(plan, spec)
@@ -216,6 +243,39 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
                 ]
                 assert own == [row.values[index]]
     assert any(row.name == measure for row in found.found.rows)
+
+
+@pytest.mark.parametrize(
+    ("job", "name", "more"),
+    [
+        # The frame and the feed-forward are planned by numbers that vary.
+        ("rosette.dst", "schiffli-frame", []),
+        ("x-180.prg", "lathe-winder", ["--feed-forward", "--tolerance", "0.05 mm"]),
+        ("x-180.prg", "stepper-winder", []),
+    ],
+)
+def test_the_command_that_is_told_proves_the_worst_machine(
+    job: str, name: str, more: list[str], tmp_path: Path, capsys, monkeypatch
+) -> None:
+    """It runs the commands that were planned for the machine as its file says, to the bit."""
+    monkeypatch.setattr(machine_yield, "_ROUNDS", 0)
+    worst = str(tmp_path / "worst machine.toml")
+    words = ["yield", str(JOB.parent / job), "-m", name, *more, "--variants", "2"]
+    with pytest.raises(SystemExit):
+        main([*words, "--worst", worst, "--json"])
+    content = json.loads(capsys.readouterr().out)
+    told = shlex.split(content["command"])
+    assert told[:2] == ["threadline", "prove"]
+    with pytest.raises(SystemExit):
+        main([*told[1:], "--json"])
+    proved = json.loads(capsys.readouterr().out)
+    shares = {
+        " ".join(filter(None, (c["name"], c["axis"]))): c["measured"] / c["limit"]
+        for c in proved["criteria"]
+        if c["limit"] and c["measured"] is not None
+    }
+    bad = content["worst"]
+    assert shares[bad["criterion"]] == bad["share_of_limit"]
 
 
 def test_machines_over_tolerances_of_a_frame_are_proved() -> None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from threadline.jobs import read_job
 from threadline.machine import load_machine
+from threadline.machine.numbers import number_at
+from threadline.options import Options
+from threadline.pipeline import plan_job
 from threadline.search.compare import PLACEMENT, placement_spec
-from threadline.search.design_judge import Ratios
+from threadline.search.design_judge import Ratios, design_judge
 from threadline.verdict import load_spec
 
 
@@ -48,3 +54,20 @@ def test_placement_alone_limits_and_requires_nothing_else(name: str) -> None:
         else:
             assert (after.limit, after.required) == (None, False)
     assert any(c.required for c in spec.criteria if c.name not in PLACEMENT)
+
+
+def test_an_axis_that_the_job_does_not_move_uses_nothing(tmp_path: Path) -> None:
+    """Of a job of X alone the winder's own limits of A and Y are asked, and not measured."""
+    job = tmp_path / "x.nc"
+    job.write_text("G91 G1 X20 F600\nX-20\nM30\n")
+    winder = load_machine("lathe-winder")
+    spec = load_spec(None, winder)
+    plan = plan_job(read_job(job, winder), winder, Options())
+    judge = design_judge(plan, winder, spec, np.empty(0))
+    inertia = number_at(winder, "bodies.x.inertia").si
+
+    found = judge.ratios({"bodies.x.inertia": np.array([1.0, 1.1]) * inertia})
+
+    used = dict(zip(found.names, found.others.T, strict=True))
+    np.testing.assert_array_equal(used["turning_point_error A"], [0.0, 0.0])
+    assert (used["turning_point_error X"] > 0.0).all()

@@ -14,12 +14,12 @@ from threadline.cli.found import typed
 from threadline.cli.main import main
 from threadline.jobs import read_job
 from threadline.laws import law, write_law
-from threadline.machine import load_machine
+from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.option_words import parse_feed
 from threadline.options import Options, options_of
-from threadline.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove_plan
-from threadline.search import fastest_needle, gentle, mismatch
+from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, plan_job, prove_plan
+from threadline.search import fastest_needle, gentle, mismatch, shaft
 from threadline.search.fastest import find_fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Result, Status, Verdict, load_spec
@@ -32,33 +32,90 @@ def drawn(low: float, high: float) -> list[float]:
     return [low, high, *np.random.default_rng(7).uniform(low, high, 10).tolist()]
 
 
-def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed() -> None:
-    """As built, with gaps where whole ticks do not suit; lists had them in."""
-    seam, machine = EXAMPLES / "stitcher-test-path.seam.toml", load_machine("stitcher")
-    spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", machine)
-    found = fastest_needle(seam, machine, spec, Options(), low=29.0, high=33.0, points=12, near=4)
+@pytest.fixture
+def stitcher(tmp_path: Path) -> Machine:
+    """As built, but for its dead times: they stand exactly, or each drawn one asks for a kernel."""
+    file = tmp_path / "stitcher.toml"
+    delay = 'delay = "3 ms exact, printed"\n'
+    text = f'base = "stitcher"\nname = "stitcher"\n[drives.x]\n{delay}[drives.y]\n{delay}'
+    file.write_text(text, encoding="utf-8")
+    return load_machine(str(file))
+
+
+@pytest.mark.parametrize(
+    ("trials", "low", "high"),
+    [(NOMINAL, 29.0, 33.0), (REPEATED, 27.0, 30.0), (Trials(repeats=2, machines=20), 27.0, 32.0)],
+    ids=lambda value: getattr(value, "level", None),
+)
+def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
+    stitcher: Machine, trials: Trials, low: float, high: float
+) -> None:
+    """With gaps where whole ticks do not suit; lists had them in. At every level."""
+    seam = EXAMPLES / "stitcher-test-path.seam.toml"
+    spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", stitcher)
+    points, near = (12, 4) if trials == NOMINAL else (4, 2)
+    found = fastest_needle(
+        seam, stitcher, spec, Options(), low=low, high=high, points=points, near=near, trials=trials
+    )
     assert found.intervals
     for interval in found.intervals:
         for speed in drawn(interval.low, interval.high):
-            job = read_job(seam, machine, needle_speed=f"{typed(speed)} stitch/s")
-            assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed, speed
+            job = read_job(seam, stitcher, needle_speed=f"{typed(speed)} stitch/s")
+            plan = plan_job(job, stitcher, Options())
+            assert prove_plan(plan, spec, trials=trials).verdict.passed, speed
 
 
-@pytest.mark.parametrize("trials", [NOMINAL, REPEATED])
-def test_feeds_of_the_winder_pass_as_they_are_printed(trials: Trials) -> None:
+@pytest.mark.parametrize(
+    ("interpolation", "share", "low", "high", "trials"),
+    [
+        ("linear", 1.0, 0.030, 0.045, NOMINAL),
+        ("linear", 1.0, 0.030, 0.045, REPEATED),
+        ("linear", 1.0, 0.028, 0.033, TOLERANCES),
+        ("b-spline-pulled", 1.0, 0.430, 0.470, NOMINAL),
+        ("b-spline-pulled", 1.0, 0.430, 0.470, REPEATED),
+        ("b-spline-pulled", 1.0, 0.255, 0.285, TOLERANCES),
+        ("auto", 0.42, 0.590, 0.640, NOMINAL),
+        ("auto", 0.42, 0.590, 0.640, REPEATED),
+        ("auto", 0.149, 1.0, 4.9, TOLERANCES),
+    ],
+)
+def test_feeds_of_the_winder_pass_as_they_are_printed(
+    interpolation: str, share: float, low: float, high: float, trials: Trials
+) -> None:
+    """At every level, up to the edge of what passes, for moves that are rough, smooth and timed."""
     machine = load_machine("lathe-winder")
     spec = load_spec(None, machine)
-    options = options_of("linear", None, "0.1 mm")
+    options = replace(options_of(interpolation, None, "0.1 mm"), limit_share=share)
     job = read_job(EXAMPLES / "x-180.prg", machine)
     found = fastest_feed(
-        job, machine, spec, options, low=0.030, high=0.045, points=10, near=6, trials=trials
+        job, machine, spec, options, low=low, high=high, points=6, near=2, trials=trials
     )
     assert found.intervals
     for interval in found.intervals:
         for feed in drawn(interval.low * 1e3, interval.high * 1e3):
             told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
             proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
-            assert proof.verdict.passed, feed
+            assert proof.verdict.passed and proof.verdict.level == trials.level, feed
+
+
+@pytest.mark.parametrize("trials", [NOMINAL, REPEATED, Trials(repeats=2, machines=6)])
+def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Trials) -> None:
+    """Of a frame by step tables; what is far within in one run is no proof of other machines."""
+    machine = load_machine("schiffli-frame")
+    spec = load_spec(None, machine)
+    ways = np.random.default_rng(4).integers(5, 81, (12, 2)) * np.array([1, -1])
+    design = tmp_path / "twelve.exp"
+    design.write_bytes(ways.astype(np.int8).tobytes())
+    job = read_job(design, machine)
+    found = shaft.constant_speeds(
+        job, machine, spec, Options(), low=0.7, high=1.2, points=4, near=1, trials=trials
+    )
+    assert found.intervals
+    for interval in found.intervals:
+        for speed in drawn(interval.low, interval.high):
+            told = Options(feed=parse_feed(f"{typed(60.0 * speed)} stitch/min"))
+            proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
+            assert proof.verdict.passed, speed
 
 
 def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(

@@ -195,7 +195,7 @@ def test_what_the_misread_damping_ratio_costs() -> None:
 
 
 def test_errors_say_what_is_wrong() -> None:
-    with pytest.raises(OptionError, match="damping_ratio must be in"):
+    with pytest.raises(OptionError, match="the damping ratio must be in"):
         FlexibleMode(3.04, 0.3)
     with pytest.raises(OptionError, match="zvx"):
         design("zvx", FlexibleMode(1.0))

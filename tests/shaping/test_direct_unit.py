@@ -14,7 +14,7 @@ from threadline.errors import OptionError
 from threadline.shaping.combine import convolve
 from threadline.shaping.designs import design
 from threadline.shaping.direct import Requirement, direct_shaper
-from threadline.shaping.direct_unit import direct_unit_magnitude
+from threadline.shaping.direct_unit import direct_unit_magnitude, switchings_of
 from threadline.shaping.oscillator import simulated_vibration
 from threadline.shaping.types import FlexibleMode
 
@@ -122,3 +122,12 @@ def test_command_line_has_it() -> None:
     assert code == 0
     assert {abs(a) for a in content["amplitudes"]} == {1.0}
     assert content["vibration"] < 1e-10
+
+
+def test_levels_that_are_means_of_a_wave_tell_when_it_switches() -> None:
+    """On from 0.25 to 2.6, 5.8 to 8.4, and from 11 cells on: each level is the mean of its cell."""
+    edges = np.array([0.25, 2.6, 5.8, 8.4, 11.0])
+    cells = np.arange(12.0)
+    levels = np.diff(sum(np.clip(cells - a, 0.0, b - a) for a, b in ((0.25, 2.6), (5.8, 8.4))))
+    found = switchings_of(levels, 0.01)
+    np.testing.assert_allclose(found, 0.01 * (edges - edges[0]), atol=1e-15)

@@ -229,7 +229,7 @@ def test_the_command_ranks_and_makes(capsys: pytest.CaptureFixture[str], tmp_pat
     [
         (("--mode", "0Hz", *MODE[2:]), "--mode '0Hz': a frequency must be greater than 0 Hz"),
         ((*MODE, "--damping", "2"), "--damping 2: a damping ratio must be from 0 to below 0.3"),
-        ((*MODE, "--damping", "nan"), "--damping nan: a damping ratio must be from 0"),
+        ((*MODE, "--damping", "nan"), "--damping 'nan': 'nan' is not a number"),
         (("--mode", "12Hz"), "needs the move"),
         (MODE[2:], "--move needs a mode"),
         ((*MODE[:6], "--time", "0 s"), "the time must be positive"),

@@ -408,7 +408,7 @@ def test_writing_is_all_or_nothing(tmp_path) -> None:
         assert path.read_text() == "old"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["r.csv", "r.npz", "r.plt"]
     with pytest.raises(RecordingError, match="cannot write"):
-        write_recording(good, tmp_path / "none" / "r.csv")
+        write_recording(good, tmp_path / "r.csv" / "below.csv")
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv", "plt"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from threadline.shaping import FlexibleMode
 from threadline.shaping.law_residual import lasting_windows_s, residual_m, ringing
 from threadline.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.targets.stitch_pace import Moves, Pace
-from threadline.targets.stitched import stitch
+from threadline.targets.stitched import _on_grid, stitch
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
@@ -237,3 +238,17 @@ def test_options_that_mean_nothing_are_refused(changed: dict, examples: Path) ->
     options = replace(Options(), **changed)
     with pytest.raises(OptionError, match="schiffli-frame"):
         open_job(examples / "rosette.dst", MACHINE, options)
+
+
+def test_a_stitch_between_two_units_is_named_by_its_own_line() -> None:
+    """The second of three, at 0.25 mm where the machine moves in tenths."""
+    item = SimpleNamespace(
+        targets=np.array([[1e-3, 0.0], [1e-3, 2.5e-4], [1e-3, 3e-4]]),
+        line=np.array([4, 7, 9]),
+        file="mine.dst",
+    )
+    with pytest.raises(PlanError, match=r"a stitch at 1, 0\.25 mm is between") as caught:
+        _on_grid(item, 1e-4)
+    assert "mine.dst:7" in str(caught.value)
+    whole = SimpleNamespace(targets=item.targets[[0, 2]], line=item.line[[0, 2]], file=item.file)
+    np.testing.assert_array_equal(_on_grid(whole, 1e-4), [[10, 0], [10, 3]])

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.one_hal import one_hal
 from threadline.machine import Machine
 
 _DEBIANS = "/usr/bin/python3"  # which has the module of LinuxCNC
@@ -144,7 +145,7 @@ def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) 
         (folder / f"{name}.ngc").write_text(f"G21 G90 G94\n{_BEFORE}{moves}M2\n")
     # Its real-time part refuses to be of root without another user to fall back on, who then needs
     # a folder of his own.
-    with tempfile.TemporaryDirectory() as theirs:
+    with tempfile.TemporaryDirectory() as theirs, one_hal():
         Path(theirs).chmod(0o777)
         ran = subprocess.run(
             ["linuxcnc", "-r", str(folder / "measured.ini")],

@@ -22,7 +22,7 @@ from threadline.machine.motion_planner import (
 )
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.path.types import PieceBlock
-from threadline.trajectory.firmware import trapezoids
+from threadline.trajectory.firmware import moves_in_hand, trapezoids
 from threadline.trajectory.firmware.rules import Rules
 
 
@@ -173,7 +173,7 @@ def test_moves_in_parts_are_those_of_the_whole(
     """However many moves are in hand at once, every piece is the same."""
     points, speed = zigzag(400), np.where(np.arange(400) % 11 < 6, 30.0, 140.0)
     whole = times(planned(planner, points, speed, **ON_GRBL), 400)
-    monkeypatch.setattr(trapezoids, "_AT_ONCE", 1)
+    monkeypatch.setattr(moves_in_hand, "AT_ONCE", 1)
     run = trapezoids._Run(
         Rules(planner, ("X", "Y", "Z"), np.full(3, 1e3), np.array([200.0, 180.0, 20.0]),
               np.array([800.0, 700.0, 100.0]))

@@ -24,7 +24,7 @@ from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.path import plan_path, programmed_path
 from threadline.trajectory import plan_trajectory
-from threadline.trajectory.firmware import parabolic_blends
+from threadline.trajectory.firmware import moves_in_hand
 from threadline.trajectory.types import Trajectory
 
 FEW = "G1 X20 A100 F1800\nX40 A250\nX60 A350\nX40 A450\nX0 A500\n"
@@ -158,7 +158,7 @@ def test_moves_in_parts_are_those_of_the_whole(
     whole = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
     times = np.linspace(0.0, whole.duration_s, 3001)
     places = whole(times)
-    monkeypatch.setattr(parabolic_blends, "_AT_ONCE", 3)
+    monkeypatch.setattr(moves_in_hand, "AT_ONCE", 3)
     again = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
     assert again.duration_s == pytest.approx(whole.duration_s, rel=1e-12)
     assert np.abs(again(times) - places).max() < 1e-12

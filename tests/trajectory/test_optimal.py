@@ -16,7 +16,15 @@ from threadline.laws import shortest_move
 from threadline.machine import load_machine
 from threadline.path import path_deviation, plan_path, programmed_path
 from threadline.trajectory import limit_peaks, plan_trajectory
-from threadline.trajectory.optimal import Limits, elements_of, fastest, fastest_motion, in_time
+from threadline.trajectory.optimal import (
+    Limits,
+    barrier,
+    elements_of,
+    fastest,
+    fastest_motion,
+    in_time,
+    solve,
+)
 
 AS_BUILT = load_machine("lathe-winder")
 WINDER = without_drives(AS_BUILT)
@@ -190,6 +198,47 @@ def test_moves_of_nanometres_neither_stop_it_nor_break_a_limit(points):
     assert trajectory.duration_s <= 1.005 * auto.duration_s
 
 
+def test_a_chord_of_nanometres_before_the_end_leaves_no_jump():
+    """Beside it a spline has spans of femtometres, along which no motion from rest has digits."""
+    points = [[0.0, 0.0], [-0.078, 0.0105], [-0.0309, -0.03], [-0.1051, -0.03]]
+    points.append([points[-1][0] - 2.5e-8, points[-1][1] - 1.08e-8])
+    _, path, trajectory = plan(("X", "Y"), points, 1.0)
+    assert max(peak.ratio for peak in limit_peaks(trajectory, WINDER)) <= 1.001
+    assert trajectory(trajectory.duration_s)[0] == pytest.approx(points[-1], abs=1e-15)
+    # The last chord bends away from a metre's tolerance: the path has those spans indeed.
+    last = np.concatenate([block.coefficients for block in path])[-1, 1:]
+    assert 0.0 < np.abs(last).max() < 1e-12
+
+
+@pytest.mark.parametrize("speed", [0.004, 0.03])
+def test_a_feed_far_below_the_limits_is_reached_at_once(speed):
+    """Two chords at a feed: their length at it, and less than two ramps to it.
+
+    With a corner they are no single line. The lead-ins took a second where the feed was low.
+    """
+    feed = Feed(FeedMode.FASTEST_AXIS, speed)
+    programmed = programmed_path(
+        job_of([[0.0, 0.0], [0.2, 0.0], [0.4, 0.04]], ("X", "Y"), feed), WINDER
+    )
+    trajectory = plan_trajectory(plan_path(programmed, WINDER, "optimal", 1e-4), WINDER)
+    ramp_s = shortest_move(10.0, speed, 10.5, 2100.0).duration_s - 10.0 / speed
+    assert 0.4 / speed <= trajectory.duration_s <= (0.4 / speed + ramp_s) * 1.001 + ramp_s
+
+
+def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch):
+    """Two elements a piece and one: both within the limits, and within half a percent."""
+    turn = np.linspace(0.0, 9.0, 300)
+    points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(1.3 * turn)], axis=1).tolist()
+    trajectories = []
+    for dense in (10**9, 10):
+        monkeypatch.setattr("threadline.trajectory.optimal.path_elements._DENSE", dense)
+        trajectories.append(plan(("X", "Y"), points)[2])
+    fine, coarse = trajectories
+    assert sum(map(len, coarse)) < 0.9 * sum(map(len, fine))
+    assert coarse.duration_s == pytest.approx(fine.duration_s, rel=5e-3)
+    assert max(peak.ratio for peak in limit_peaks(coarse, WINDER)) <= 1.001
+
+
 def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
     """Elements so long that their polynomials in time leave the limits, and no cut to mend it."""
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
@@ -204,3 +253,30 @@ def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
     monkeypatch.setattr(in_time, "_stretch", lambda *_: 1.0)
     _, _, unmended = plan(("X", "Y"), points)
     assert max(peak.ratio for peak in limit_peaks(unmended, WINDER)) > 1.001
+
+
+def test_a_step_is_never_taken_backwards():
+    """At 1 + 2e-16 of a limit the room over a change of 1e-20 would be a share of -1e4: b stays."""
+    elements = elements_of(
+        np.array([[[0.0], [1.0], [0.0], [0.0]]]),
+        np.zeros(0),
+        np.zeros(1),
+        np.zeros(1, int),
+        1.0,
+        from_rest=True,
+        to_rest=True,
+    )
+    limits = Limits(velocity=np.ones(1), acceleration=np.full(1, 5.0), jerk=np.full(1, np.inf))
+    problem = solve.Problem(elements, limits)
+    y = solve.bernstein(problem.b, elements.length)
+    top = problem.rows[4]
+    at = np.argmax(y.max(axis=1) / top)
+    top[at] = np.nextafter(y[at].max(), 0.0)
+    before = problem.b.copy()
+
+    share = barrier.advance(
+        problem.b, 1e-20 * before, elements.length, problem.rows, problem.tangent
+    )
+
+    assert share <= 0.0
+    np.testing.assert_array_equal(problem.b, before)

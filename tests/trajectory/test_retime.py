@@ -14,10 +14,37 @@ def largest(motion, order, count=20_001):
     return np.abs(motion(times, order)).max(axis=0)
 
 
-def test_a_single_move_has_the_time_of_its_closed_form():
-    """L 1, v 0.5, a 2, no jerk limit: L / v + v / a = 2.25 s; 1, 1, 5, 50: 1.3 s."""
-    assert 2.25 <= retime([[0.0], [1.0]], 0.5, 2.0).duration_s <= 2.25 * 1.005
-    assert 1.3 <= retime([[0.0], [1.0]], 1.0, 5.0, 50.0).duration_s <= 1.3 * 1.005
+@pytest.mark.parametrize(
+    ("length", "limits", "least_s"),
+    [
+        (1.0, (0.5, 2.0, np.inf), 2.25),  # L / v + v / a
+        (1.0, (1.0, 5.0, 50.0), 1.3),  # L / v + v / a + a / j
+        (0.05, (1.0, 5.0, 50.0), 4.0 * (0.05 / 100.0) ** (1 / 3)),
+        (0.4, (1.0, 5.0, 50.0), 0.7),  # a / j + sqrt((a / j)^2 + 4 L / a)
+        (1.0, (0.2, 5.0, 10.0), 5.0 + 2.0 * (0.2 / 10.0) ** 0.5),
+    ],
+)
+def test_a_single_move_has_the_time_of_its_closed_form(length, limits, least_s):
+    motion = retime([[0.0, 1.0], [length, 1.0]], *limits)
+    assert motion.duration_s == pytest.approx(least_s, rel=1e-12)
+    for order in (1, 2, 3):
+        assert largest(motion, order)[0] <= limits[order - 1] * (1 + 1e-9)
+    assert motion(motion.duration_s)[0] == pytest.approx([length, 1.0], abs=1e-15)
+
+
+def test_moves_of_fifteen_decades_in_one_path_cost_no_more_than_others():
+    """A corner of nanometres beside a move of a megametre is not cut ever finer.
+
+    It was: four million elements, and no end.
+    """
+    points = [[0.0], [4e3], [0.0], [2.6e3], [2.6e3 + 2e-9], [-1.6e5], [-1e4], [-1e4 + 0.03], [1e6]]
+    motion = retime(points, 0.03, 2.0, 2.3, 5.9e-6)
+    blocks = list(motion)
+    assert sum(map(len, blocks)) < 20_000
+    way = float(np.abs(np.diff(np.array(points)[:, 0])).sum())
+    assert way / 0.03 < motion.duration_s < way / 0.03 * 1.001
+    for order, limit in enumerate((0.03, 2.0, 2.3), start=1):
+        assert all(np.abs(b.evaluate(b.start_s, order)).max() <= 1.001 * limit for b in blocks)
 
 
 def test_every_limit_holds_and_one_is_used():

@@ -94,6 +94,23 @@ def test_a_jump_between_two_legs_is_seen_between_its_samples() -> None:
     assert result.status is Status.FAILED
 
 
+def test_a_short_cut_between_two_legs_that_meet_is_seen_between_its_samples() -> None:
+    """From the middle of one leg to that of the next, and back to the corner along it.
+
+    Every sample is on the path and the corner is passed, too. The halves are at right angles:
+    half-way across the tool is half of that from either.
+    """
+    points = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]]
+    commanded, operation = follow(points, 10)
+    actual = commanded.copy()
+    actual[5:11] = [[0.05, 0.0], [0.1, 0.05], [0.1, 0.04], [0.1, 0.02], [0.1, 0.01], [0.1, 0.0]]
+    spec = spec_of(*CONTOUR.criteria, lag_s=30 * TICK_S)
+    result = contour(points, actual, operation, spec=spec)
+    assert result.measured == pytest.approx(0.025, abs=1e-9)
+    assert result.time_s == pytest.approx(5.5 * TICK_S)
+    assert result.note == ""
+
+
 def test_constant_lateral_offset_is_the_error() -> None:
     commanded, operation = follow([[0, 0], [0.1, 0]], 200)
     result = contour([[0, 0], [0.1, 0]], commanded + np.array([0.0, 3e-4]), operation)

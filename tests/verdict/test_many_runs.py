@@ -26,6 +26,9 @@ from threadline.search.judge_runs import RunsJudge
 from threadline.signals import tick_table
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
+from threadline.verdict.measure import MeasureKind, OfPlan, RunReading
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.samples import Setting
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WITHIN = 1e-12
@@ -56,9 +59,26 @@ def drawn(plan: Plan, count: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
     return numbers, random.random((count, len(machine.axes)))
 
 
+def with_every_measure(plan: Plan, spec: Spec) -> Spec:
+    """Add whatever the registry has for such a plan and the specification does not name."""
+    have = {criterion.name for criterion in spec.criteria}
+    names = [
+        name
+        for name, kind in MEASURES.items()
+        if kind.of_plan(plan) is not None or any(r.run is Setting for r in runs_of(kind))
+    ]
+    more = tuple(Criterion(name=name) for name in names if name not in have)
+    return replace(spec, criteria=(*spec.criteria, *more))
+
+
+def runs_of(kind: MeasureKind) -> list[RunReading]:
+    return [reading for reading in kind.reads if not isinstance(reading, OfPlan)]
+
+
 @pytest.mark.parametrize("made", [winder, stitcher])
 def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
     plan, spec = made()
+    spec = with_every_measure(plan, spec)
     numbers, phases = drawn(plan, 19)
     found = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
     recordings = []
@@ -83,6 +103,10 @@ def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
     for row in found.rows:
         assert len(row.values) == 19
     assert np.ptp(found.row("contour_error").values) > 1e-6
+    measured = {row.name for row in found.rows if not np.isnan(row.values).all()}
+    assert {"progress_error", "velocity_ripple", "residual_vibration", "current_peak"} < measured
+    if made is stitcher:
+        assert {"seam_error", "stitches_to_speed", "stitch_speed_error"} < measured
     # Side by side in one recording, they are what they are one after the other: places too.
     together = Judge(plan, spec).verdict([simulate_runs(tick_table(plan.commands),
         Values.of(plan.machine, numbers), encoder_phase=phases)])  # fmt: skip

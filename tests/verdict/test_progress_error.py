@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.machine import load_machine
+from threadline.machine.load import library_names
 from threadline.signals import ChannelKind
 from threadline.verdict import Criterion, Status, judge, load_spec
 
@@ -194,8 +195,25 @@ def test_random_ways_against_every_matching(seed, moves, per_move, lag, per_bloc
     assert found.measured == pytest.approx(expected, abs=1e-8), (points, actual)
 
 
-@pytest.mark.parametrize("name", ["lathe-winder", "stitcher"])
-def test_the_default_specifications_limit_it(name: str) -> None:
+@pytest.mark.parametrize("name", library_names())
+def test_no_default_specification_asks_for_place_across_the_path_alone(name: str) -> None:
+    """Where the contour has a limit, so has what is along it: of the same length, and required."""
     spec = load_spec(None, load_machine(name))
-    found = [c for c in spec.criteria if c.name == "progress_error"]
-    assert [(c.limit, c.required) for c in found] == [(5e-4, True)]
+    found = {c.name: (c.limit, c.required) for c in spec.criteria}
+    assert found.get("progress_error") == found.get("contour_error")
+
+
+def test_a_winder_with_steppers_that_rings_along_its_stroke_is_out_of_spec() -> None:
+    """As the library asks: 5 mm along the stroke, and nothing beside the path."""
+    command, operation = follow(LINE, PER_MOVE, standstill=60)
+    time_s = TICK_S * np.arange(len(command))
+    ring = 5e-3 * np.sin(2 * np.pi * time_s / 0.05 + 0.1) * (time_s < 0.5)
+    actual = command.copy()
+    actual[:, 0] = np.clip(command[:, 0] + ring, 0.0, 0.2)
+    plan = plan_through(LINE, XY, move_s=PER_MOVE * TICK_S)
+    channels = {ChannelKind.LOAD: actual, ChannelKind.COMMANDED: command}
+    asked = load_spec(None, load_machine("stepper-winder"))
+    verdict = judge([record(XY, channels, operation)], plan, asked)
+    failed = {r.name for r in verdict.results if r.status is Status.FAILED}
+    assert verdict.result("contour_error").status is Status.PASSED
+    assert "progress_error" in failed

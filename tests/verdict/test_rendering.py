@@ -220,6 +220,31 @@ def test_a_verdict_says_its_level_and_how_narrowly_it_passed() -> None:
     assert Verdict(results=results[2:], simulated=True).tightest is None
 
 
+def test_a_verdict_without_a_limit_of_the_specification_says_that_limits_are_kept() -> None:
+    """Nothing but the machine's own limits was measured: that is less than being in spec."""
+
+    def of(name: str, limit: float | None, *, hard: bool = False, measured: bool = True) -> Result:
+        passed = Status.PASSED if limit else Status.REPORTED
+        return Result(
+            name=name, axis="", measured=0.5 if measured else None, limit=limit, unit="m",
+            status=passed if measured else Status.NOT_MEASURED, hard=hard,
+        )  # fmt: skip
+
+    own = of("velocity", 1.0, hard=True)
+    bare = Verdict(results=(own, of("a", None)), simulated=True)
+    assert bare.passed and not bare.answers
+    assert closing(bare) == (
+        "LIMITS KEPT (nominal: 1 run; nothing else is asked, for no criterion of the specification "
+        "has a limit)"
+    )
+    unknown = Verdict(results=(own, of("a", 1.0, measured=False)), simulated=True)
+    assert closing(unknown) == (
+        "LIMITS KEPT (nominal: 1 run; a was not measured; 1 criterion not measured)"
+    )
+    asked = Verdict(results=(own, of("a", 1.0)), simulated=True)
+    assert closing(asked) == "IN SPEC (nominal: 1 run; 50 % of a used)"
+
+
 @pytest.mark.parametrize(("measured", "limit"), [(np.inf, 1e-3), (1.0, 5e-324)])
 def test_what_is_beyond_all_multiples_of_its_limit_is_said_in_words(
     measured: float, limit: float

@@ -142,6 +142,37 @@ def test_a_swing_within_a_stitch_is_an_error_of_speed_and_none_of_length() -> No
     assert result.status is Status.FAILED
 
 
+@pytest.mark.parametrize("over", [PERIOD_S, 5 * PERIOD_S, 100 * PERIOD_S])
+def test_a_mean_over_whole_stitches_does_not_hide_a_swing(over: float) -> None:
+    """It would be 0 over whole periods of the swing: a quarter of a stitch is the longest mean.
+
+    The closed form is that of the test before. A quarter of a period is one sample here.
+    """
+    swing_m, omega = 4e-5, 2 * np.pi / PERIOD_S
+    x = SPEED_M_S * TIME_S + swing_m * np.sin(omega * TIME_S)
+    name = "stitch_speed_error"
+    result = sewn(x, names=(name,), options={"over": over}).result(name)
+    sinc = np.sin(np.pi / 4) / (np.pi / 4)
+    expected = swing_m * omega / SPEED_M_S * sinc * np.cos(np.pi / 4)
+    assert result.measured == pytest.approx(expected, rel=1e-9)
+    assert result.status is Status.FAILED
+
+
+def test_a_mean_over_more_than_a_dip_of_the_command_does_not_hide_it() -> None:
+    """The command dips to half its speed for 0.08 s, the head follows 0.01 s behind."""
+    dip = 0.5 * np.maximum(1.0 - np.abs(TIME_S - 0.4) / 0.04, 0.0)
+    speed = SPEED_M_S * (1.0 - dip)
+    x = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * TICK_S)])
+    head = np.interp(TIME_S - 0.01, TIME_S, x)
+    name = "stitches_to_speed"
+    fine, coarse = (
+        sewn(head, names=(name,), options={"over": over}, commanded=x).result(name)
+        for over in (TICK_S, 1.0)
+    )
+    assert fine.measured == pytest.approx(0.0475 / PERIOD_S, abs=TICK_S / PERIOD_S)
+    assert (coarse.measured, coarse.time_s) == (fine.measured, fine.time_s)
+
+
 def test_the_speed_of_exempt_stitches_is_not_asked() -> None:
     late = SPEED_M_S * np.maximum(TIME_S - 0.03, 0.0)
     names, options = ("stitch_speed_error",), {"over": TICK_S}

@@ -6,7 +6,7 @@ import type { Figures, State } from "./messages";
 
 const SHOWN_S = 60;
 const MOST = 3000;
-const INK = "#444", FAINT = "#9aa0a6", BLUE = "#0072b2", ORANGE = "#b35900";
+export const INK = "#444", FAINT = "#9aa0a6", BLUE = "#0072b2", ORANGE = "#b35900";
 
 export class Curves {
   private times: number[] = [];
@@ -19,13 +19,15 @@ export class Curves {
   constructor(above: HTMLElement, below: HTMLElement) {
     const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60 }];
     const x = { time: false };
-    const size = () => ({ width: Math.max(above.clientWidth, 280), height: 200 });
-    this.position = new uPlot({ ...size(), scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [6, 4] }, { label: "commanded", stroke: BLUE }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
-    this.deviation = new uPlot({ ...size(), height: 160, scales: { x }, axes, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
-    new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 200 }); this.deviation.setSize({ width, height: 160 }); }).observe(above);
+    const size = () => ({ width: Math.max(above.clientWidth, 280), height: 170 });
+    this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [6, 4] }, { label: "commanded", stroke: BLUE }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
+    this.deviation = new uPlot({ ...size(), height: 130, legend: { live: false }, scales: { x }, axes, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
+    new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 130 }); }).observe(above);
   }
 
+  /** Show what is planned, and nothing else until the machine moves. */
   plan(figures: Figures | null, axis: string, scale: number): void {
+    this.clear();
     this.planned = figures?.planned[axis] ? [figures.times_s, figures.planned[axis].map((at) => at * scale)] : [[], []];
   }
 
@@ -38,7 +40,8 @@ export class Curves {
     if (last !== undefined && state.time_s < last) this.clear(); // a new motion: its time begins at 0
     this.times.push(state.time_s);
     this.commanded.push(at.commanded === null ? null : at.commanded * scale);
-    this.measured.push(at.measured === null ? null : at.measured * scale);
+    const actual = at.measured ?? at.load; // what has no encoder is shown by its load
+    this.measured.push(actual === null ? null : actual * scale);
     if (this.times.length > MOST) { this.times.shift(); this.commanded.shift(); this.measured.shift(); }
   }
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.found import limit_words
+from threadline.cli.found import AXES_ALONE, limit_words
 from threadline.cli.level import NominalOption, TolerancesOption, trials_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -129,7 +129,7 @@ def compare(
         contour=contour,
     )
     read = open_job(job, chosen, options)
-    warn(chosen, read)
+    warn(chosen, read, own_feed=None in feeds)
     with progress_bar(not json) as progress:
         found = compare_job(
             read,
@@ -222,7 +222,7 @@ def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str
         f"{best / reference_m_s:.2f}" if reference_m_s else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",
-        limit_words(rung.found.limited_by).removesuffix(" (--high)"),
+        limit_words(rung.found.limited_by, AXES_ALONE),
     ]
 
 

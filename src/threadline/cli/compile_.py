@@ -33,6 +33,7 @@ from threadline.cli.shared_options import (
     keep_inputs,
     machine_from,
     options_of,
+    ratio,
 )
 from threadline.cli.told import note
 from threadline.cli.warn import warn
@@ -83,7 +84,10 @@ def compile_(
         ),
     ] = None,
     damping: Annotated[
-        float | None, typer.Option(help="Damping ratio of that mode; default: the machine's.")
+        float | None,
+        typer.Option(
+            parser=ratio("--damping"), help="Damping ratio of that mode; default: the machine's."
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:
@@ -138,7 +142,8 @@ def compile_(
             remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
         )
     plan = plan_job(open_job(job, chosen, options), chosen, options)
-    warn(chosen, plan.job, [*plan.intent.warnings, *tolerance_warnings(plan)])
+    more = [*plan.intent.warnings, *tolerance_warnings(plan)]
+    warn(chosen, plan.job, more, own_feed=options.feed is None)
     with together(out):
         files = write(plan, target, out)
     if json:

@@ -5,31 +5,36 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from threadline.cli.found import typed
+from threadline.jobs.gcode.f_words import of_which
+from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner, KlipperPlanner
-from threadline.search import Rung
+from threadline.search import FastestJob
+from threadline.search.feed import searched_by
 
 _GRBL_FIRST = 120  # $120 to $122: the accelerations of X, Y and Z; A, B and C follow
 _GRBL_AXES = "XYZABC"
+_SEARCHED = 2  # shares of the limits that were tried, where they make a difference
 
 
-def settings_words(machine: Machine, best: Rung, *, limits: bool) -> Iterator[str]:
+def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[str]:
     """Yield lines with F and the accelerations of the axes, as the machine's controller has them.
 
     Firmwares count in mm and degrees. Nothing is said where no feed passes.
-
-    Parameters
-    ----------
-    limits
-        Whether a share of the limits was searched.
     """
+    best = result.best
     if best.found.best is None:
         return
-    yield (
-        f"to set: F {60_000.0 * best.found.best:.6g} as the speed of the fastest axis in mm/min "
-        "(a rotary axis at its radius)"
-    )
-    if not limits:
+    by_word = result.by is FeedMode.F_WORD
+    rule = job.feed_rule if by_word else result.by.value
+    mode = f" (feed mode {rule})" if by_word else ""
+    f_word = typed(60_000.0 * best.found.best)
+    yield f"to set: F {f_word}, the speed {of_which(rule)}, in mm/min{mode}"
+    if not by_word and searched_by(job) is FeedMode.F_WORD:
+        other = f"{of_which(job.feed_rule)} (feed mode {job.feed_rule})"
+        yield f"F of this job is another speed: {other}"
+    if len(result.rungs) < _SEARCHED:
         return
     shares = []
     for name, axis in machine.axes.items():

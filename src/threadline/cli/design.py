@@ -22,11 +22,14 @@ from threadline.cli.shared_options import (
     FEED_FORWARD,
     ContourOption,
     FeedForwardOption,
+    FeedOption,
     InterpolationOption,
     JobArgument,
     JsonOption,
+    LawOption,
     MachineOption,
     ReportOption,
+    ShaperOption,
     SpecOption,
     ToleranceOption,
     keep_inputs,
@@ -36,6 +39,7 @@ from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine
 from threadline.option_words import parse_width_s
+from threadline.pipeline import with_shaping
 from threadline.report.design import (
     candidate_rows,
     change_rows,
@@ -60,6 +64,9 @@ def design(
     interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
     tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
     contour: ContourOption = None,
+    feed: FeedOption = None,
+    shaper: ShaperOption = None,
+    law: LawOption = None,
     nominal: NominalOption = False,
     repeats: RepeatsOption = None,
     tolerances: TolerancesOption = False,
@@ -127,12 +134,13 @@ def design(
             "--feed-forward the loads follow the path, not the motors",
             remedy="Leave one of them out.",
         )
+    options = options_of(interpolation, feed, tolerance, shaper=shaper, law=law, contour=contour)
     with progress_bar(not json) as progress:
         result = search_design(
             job,
             chosen,
-            load_spec(spec, chosen),
-            options_of(interpolation, None, tolerance, contour=contour),
+            with_shaping(load_spec(spec, chosen), chosen, options),
+            options,
             trials=trials,
             corners=corners,
             needle_speed=needle,

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import fastest_by_feed
 from threadline.cli.fastest_cycle import fastest_moves
 from threadline.cli.fastest_optimal import fastest_optimal
-from threadline.cli.fastest_seam import fastest_seam, needle_hz
+from threadline.cli.fastest_seam import fastest_seam
 from threadline.cli.fastest_shaft import fastest_design
 from threadline.cli.level import NominalOption, TolerancesOption, YieldOption, trials_of
 from threadline.cli.shared_options import (
@@ -35,8 +38,9 @@ from threadline.cli.shared_options import (
     report_folder,
 )
 from threadline.errors import OptionError
+from threadline.jobs.operations import Pace
 from threadline.machine.radii import with_radii
-from threadline.option_words import parse_margin, parse_number
+from threadline.option_words import parse_margin
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.verdict import load_spec
@@ -97,8 +101,8 @@ def fastest(
         typer.Option(
             parser=report_folder,
             metavar="<path>",
-            help="Folder for the picture of --mismatch (PNG, SVG); of a move list without it for "
-            "the report of the cycle that was found.",
+            help="Folder for the report of the fastest, or with --mismatch for its picture "
+            "(PNG, SVG).",
         ),
     ] = None,
     out: Annotated[
@@ -132,7 +136,6 @@ def fastest(
     """
     trials = trials_of(nominal, None, tolerances, wished)
     chosen, kept_free = with_radii(machine_from(machine, par), radius), parse_margin(margin)
-    asked = load_spec(spec, chosen).with_margin(kept_free)
     options = options_of(
         interpolation,
         None,
@@ -144,106 +147,91 @@ def fastest(
         radius=radius,
         contour=contour,
     )
-    within_s = None if within is None else parse_number("--within", within, "s", "5 min")
-    if within_s is not None and not within_s > 0.0:
-        raise OptionError(f"--within {within!r} must be greater than 0")
     read = open_job(job, chosen, options)
-    if read.paced_by != "feed":
-        _refuse_within(within)
-    other = None if actual is None else machine_from(actual, par)
-    names: dict[str, str | Path | None] = {
-        "-m": machine,
-        "-s": spec,
-        "--par": par,
-        "--actual": actual,
-    }
-    if read.paced_by == "switchings":
-        if low is not None or high is not None:
-            raise OptionError(
-                f"--low and --high are of feeds, which {chosen.name} does not have",
-                remedy="Leave them out; its moves and waits are searched.",
-            )
-        fastest_moves(
-            job, read, chosen, asked, kept_free, out, names, other, mismatch, report, trials,
-            band, json,
-        )  # fmt: skip
-    if out is not None or band is not None:
-        raise OptionError(
-            f"{'--band' if out is None else '--out'} is for move lists alone, which have "
-            "commands and waits to search and to write",
-            remedy="Leave it out; the command that proves the answer is printed.",
-        )
-    if read.paced_by == "shaft":
-        fastest_design(
-            job,
-            read,
-            chosen,
-            asked,
-            kept_free,
-            options,
-            other,
-            (low, high),
-            {**names, "--law": law},
-            mismatch,
-            report,
-            trials,
-            json,
-        )
-    if read.paced_by == "needle":
-        fastest_seam(
-            job,
-            read,
-            chosen,
-            asked,
-            kept_free,
-            options,
-            other,
-            (needle_hz(low), needle_hz(high)),
-            mismatch,
-            report,
-            trials,
-            json,
-        )
-    words: dict[str, str | Path | None] = {
-        **names,
-        "--interpolation": None if law is not None else interpolation,
-        "--law": law,
-        "--dialect": dialect,
-        "--radius": radius,
-        "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
-        "--feed-forward": "" if feed_forward else None,
-        "--smoothing": smoothing,
-        "--contour": contour,
-    }
-    if options.interpolation != OPTIMAL:
-        fastest_by_feed(
-            job, read, chosen, asked, kept_free, options, other, (low, high), mismatch, report,
-            words, trials, within_s, json,
-        )  # fmt: skip
-    _refuse_within(within)
-    fastest_optimal(
-        job,
-        read,
-        chosen,
-        asked,
-        kept_free,
-        options,
-        other,
-        (low, high),
-        mismatch,
-        report,
-        words,
-        trials,
-        json,
+    asked = Asked(
+        file=job,
+        job=read,
+        machine=chosen,
+        actual=None if actual is None else machine_from(actual, par),
+        spec=load_spec(spec, chosen).with_margin(kept_free),
+        margin=kept_free,
+        options=options,
+        words={
+            "-m": machine,
+            "-s": spec,
+            "--par": par,
+            "--actual": actual,
+            "--interpolation": None if law is not None else interpolation,
+            "--law": law,
+            "--dialect": dialect,
+            "--radius": radius,
+            "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
+            "--feed-forward": "" if feed_forward else None,
+            "--smoothing": smoothing,
+            "--contour": contour,
+        },
+        low=low,
+        high=high,
+        within=within,
+        band=band,
+        out=out,
+        mismatch=mismatch,
+        report=report,
+        trials=trials,
+        json=json,
     )
+    answer = ANSWERS[read.paced_by]
+    given = {"--low": low, "--high": high, "--within": within, "--band": band, "--out": out}
+    for name, value in given.items():
+        if value is not None and name not in answer.takes:
+            raise OptionError(
+                f"{name} {str(value)!r} does not apply to {read.name}, of which "
+                f"{answer.searched} searched",
+                remedy=f"Leave it out{_INSTEAD.get(name, '')}.",
+            )
+    answer.tell(asked)
 
 
-def _refuse_within(within: str | None) -> None:
-    if within is not None:
-        raise OptionError(
-            f"--within {within!r} is of searches for a feed",
-            remedy="Leave it out; this search takes a few plans.",
-        )
+def _by_feed(asked: Asked) -> NoReturn:
+    """Tell the fastest of a job with feeds, or of one whose timing is planned as a whole."""
+    if asked.options.interpolation == OPTIMAL:
+        fastest_optimal(asked)
+    fastest_by_feed(asked)
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """How ``threadline fastest`` answers for jobs of one pace.
+
+    Parameters
+    ----------
+    tell
+        Searches, prints what was found, and ends the program.
+    searched
+        What is searched, with its verb, for a message.
+    takes
+        Which of the options that not every search has it takes.
+    """
+
+    tell: Callable[[Asked], NoReturn]
+    searched: str
+    takes: frozenset[str]
+
+
+_SPAN = frozenset({"--low", "--high"})
+ANSWERS: Mapping[Pace, _Answer] = {
+    "feed": _Answer(_by_feed, "the feed is", _SPAN | {"--within"}),
+    "needle": _Answer(fastest_seam, "the speed of the needle is", _SPAN),
+    "shaft": _Answer(fastest_design, "the speed of the shaft is", _SPAN),
+    "switchings": _Answer(fastest_moves, "commands and waits are", frozenset({"--band", "--out"})),
+}
+"""By pace, as ``search.by_pace`` has the searches: how they are told."""
+_INSTEAD = {
+    "--within": "; this search takes few plans",
+    "--band": "; prove --tolerances judges other machines",
+    "--out": "; the command that proves the answer is printed",
+}
+"""What there is instead of an option that not every search has."""
 
 
 def register(app: typer.Typer) -> None:

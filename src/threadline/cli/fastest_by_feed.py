@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
 from threadline.cli.controller_settings import settings_words
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
+    AXES_ALONE,
+    END,
     alone_words,
     command_line,
     limit_words,
@@ -20,120 +22,126 @@ from threadline.cli.found import (
     typed,
 )
 from threadline.cli.level import level_option
-from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
+from threadline.cli.mismatch import (
+    ABOVE,
+    check_mismatch,
+    drawn_of,
+    mismatch_json,
+    report_of,
+    show_mismatch,
+)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.jobs import Job
+from threadline.jobs.gcode.f_words import as_f_words
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.option_words import parse_feed
+from threadline.option_words import feed_words, parse_feed, parse_number
 from threadline.options import Options
-from threadline.pipeline import Trials, plan_job
+from threadline.pipeline import plan_job
 from threadline.plan import Following
-from threadline.report.mismatch import write_mismatch
 from threadline.search import (
     Fastest,
     FastestJob,
     Mismatch,
-    Rung,
     fastest_job,
     feed_over_tolerances,
     feed_range_m_s,
 )
-from threadline.search.mismatch import FEED
+from threadline.search.feed import searched_by
+from threadline.search.mismatch import F_WORDS, FEED
 from threadline.search.until import Until
-from threadline.verdict import Spec, closing, criteria_json, verdict_rows
+from threadline.verdict import closing, criteria_json, verdict_rows
+
+_UNITS = {FeedMode.FASTEST_AXIS: ("mm/s", 1e3), FeedMode.F_WORD: ("F", 60_000.0)}
+"""By what a search varies: how its feeds are printed, and what one in m/s is multiplied by."""
 
 
-def fastest_by_feed(
-    job: Path,
-    read: Job,
-    machine: Machine,
-    spec: Spec,
-    margin: float,
-    options: Options,
-    actual: Machine | None,
-    span: tuple[str | None, str | None],
-    mismatch: bool,
-    report: Path | None,
-    asked: dict[str, str | Path | None],
-    trials: Trials,
-    within_s: float | None,
-    json: bool,
-) -> NoReturn:
-    """Search the feed and the share of the limits, print the result, and end the program.
-
-    Parameters
-    ----------
-    span
-        Texts of the lowest and the highest feed to try.
-    asked
-        Options of the command that proves the answer, but for those that were found.
-    within_s
-        How long the search may take; None is as long as it takes.
-    """
-    check_mismatch(mismatch, actual is not None, report)
-    low, high = (None if text is None else metres_per_second(text) for text in span)
-    warn(machine, read)
-    with progress_bar(not json) as progress:
+def fastest_by_feed(asked: Asked) -> NoReturn:
+    """Search the feed and the share of the limits, print the result, and end the program."""
+    read, machine, options = asked.job, asked.machine, asked.options
+    within_s = _seconds(asked.within)
+    check_mismatch(asked.mismatch, asked.actual is not None, asked.report)
+    by, low, high = _span(read, asked.low, asked.high)
+    warn(machine, read, own_feed=False)
+    with progress_bar(not asked.json) as progress:
         result = fastest_job(
             read,
             machine,
-            spec,
+            asked.spec,
             options,
             low=low,
             high=high,
             progress=progress,
-            actual=actual,
-            trials=trials,
+            actual=asked.actual,
+            trials=asked.trials,
             until=Until.within(within_s),
+            by=by,
         )
         best = result.best
         cells: list[Mismatch] = []
-        if mismatch:
+        if asked.mismatch:
             cells = feed_over_tolerances(
                 read,
                 machine,
-                spec,
+                asked.spec,
                 replace(options, limit_share=best.share),
                 low=low,
-                high=_end_of_mismatch(best, high, machine),
+                high=_end_of_mismatch(result, high, read, machine),
                 progress=progress,
+                by=by,
             )
-        title = f"{read.name} on {machine.name}{margin_words(margin)}"
-        drawn = None if report is None else write_mismatch(cells, title, FEED, report)
-    if best.found.best is not None or options.following is Following.MOTOR:
-        tell(tolerance_warnings(plan_job(read, machine, _at(options, best))))
-    again = None if best.found.best is None else _command(best, job, asked, trials)
-    if json:
-        said = {"margin": margin, "command": again}
-        print_json(_content(result) | said | mismatch_json(cells, drawn))
+    free = margin_words(asked.margin)
+    found = best.found.best is not None
+    if found or options.following is Following.MOTOR:
+        plan = plan_job(read, machine, _at(options, result))
+        tell(tolerance_warnings(plan))
+    searched = F_WORDS if by is FeedMode.F_WORD else FEED
+    drawn = drawn_of(cells, f"{asked.title}{free}", searched, asked)
+    if drawn is None and found:
+        drawn = report_of(plan, asked)
+    again = _command(result, asked) if found else None
+    if asked.json:
+        said = {"margin": asked.margin, "command": again}
+        print_json(_content(result, read) | said | mismatch_json(cells, drawn))
     else:
         ahead = ", feed-forward" if options.following is Following.LOAD else ""
         how = f"{options.interpolation}{ahead}"
-        _show(result, f"{read.name} on {machine.name}, {how}{margin_words(margin)}")
-        for line in settings_words(machine, best, limits=len(result.rungs) > 1):
+        _show(result, f"{asked.title}, {how}{free}", high)
+        for line in settings_words(read, machine, result):
             say(line)
         if again is not None:
             say(f"To prove it: {again}")
         if cells:
-            show_mismatch(cells, title, FEED)
+            show_mismatch(cells, f"{asked.title}{free}", searched)
         if drawn is not None:
             say(f"Report: {drawn}")
-    raise typer.Exit(0 if best.found.best is not None else 1)
+    raise typer.Exit(0 if found else 1)
 
 
-def _command(best: Rung, job: Path, asked: dict[str, str | Path | None], trials: Trials) -> str:
+def _seconds(within: str | None) -> float | None:
+    if within is None:
+        return None
+    within_s = parse_number("--within", within, "s", "5 min")
+    if not within_s > 0.0:
+        raise OptionError(f"--within {within!r} must be greater than 0")
+    return within_s
+
+
+def _command(result: FastestJob, asked: Asked) -> str:
+    best = result.best
+    assert best.found.best is not None
+    feed = Feed(result.by, best.found.best)
     return command_line(
         "prove",
-        job,
-        asked
-        | {
-            "--feed": f"{best.found.best!r} m/s",
+        asked.file,
+        {
+            **asked.words,
+            "--feed": feed_words(feed),
             "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
-            **level_option(trials),
+            **level_option(asked.trials),
         },
     )
 
@@ -152,31 +160,60 @@ def metres_per_second(text: str) -> float:
     return feed.value
 
 
-def _end_of_mismatch(best: Rung, highest: float | None, machine: Machine) -> float:
+def _span(
+    read: Job, low: str | None, high: str | None
+) -> tuple[FeedMode, float | None, float | None]:
+    """Return what the feeds of the search are of, and its ends in m/s of that.
+
+    Raises
+    ------
+    OptionError
+        If an end is in another unit than a speed, or the ends are of different kinds.
+    """
+    ends = [None if text is None else parse_feed(text) for text in (low, high)]
+    modes = {end.mode for end in ends if end is not None} or {searched_by(read)}
+    if modes == {FeedMode.F_WORD}:
+        as_f_words(1.0, read.feed_rule)
+    elif modes != {FeedMode.FASTEST_AXIS}:
+        if len(modes) > 1:
+            raise OptionError(
+                f"--low {low!r} and --high {high!r} are feeds of different kinds",
+                remedy='Write both like "36 mm/s", or both like "F 3000".',
+            )
+        metres_per_second(str(high if low is None else low))
+    values = [None if end is None else end.value for end in ends]
+    return modes.pop(), values[0], values[1]
+
+
+def _end_of_mismatch(
+    result: FastestJob, highest: float | None, read: Job, machine: Machine
+) -> float:
     """Return the highest speed that is tried over tolerances: a little above the nominal best."""
     if highest is not None:
         return highest
-    if best.found.best is None:
-        return feed_range_m_s(machine)[1]
-    return best.found.best * ABOVE
+    best = result.best.found.best
+    if best is None:
+        return feed_range_m_s(machine, result.by, read.feed_rule)[1]
+    return best * ABOVE
 
 
-def _at(options: Options, best: Rung) -> Options:
-    """Return ``options`` with the feed and the limits of ``best``.
+def _at(options: Options, result: FastestJob) -> Options:
+    """Return ``options`` with the feed and the limits that were found.
 
     Where no feed is in spec they are returned unchanged.
     """
+    best = result.best
     if best.found.best is None:
         return options
-    feed = Feed(FeedMode.FASTEST_AXIS, best.found.best)
-    return replace(options, feed=feed, limit_share=best.share)
+    return replace(options, feed=Feed(result.by, best.found.best), limit_share=best.share)
 
 
-def _content(result: FastestJob) -> dict[str, Any]:
+def _content(result: FastestJob, read: Job) -> dict[str, Any]:
     found = result.best.found
     return {
         "best": found.best,
         "unit": "m/s",
+        "feed": read.feed_rule if result.by is FeedMode.F_WORD else result.by.value,
         "intervals": [[i.low, i.high] for i in found.intervals],
         "alone": list(found.alone),
         "limited_by": found.limited_by,
@@ -203,7 +240,9 @@ def _content(result: FastestJob) -> dict[str, Any]:
     }
 
 
-def _show(result: FastestJob, title: str) -> None:
+def _show(result: FastestJob, title: str, high: float | None) -> None:
+    end = AXES_ALONE if high is None else END
+    unit, per_m_s = _UNITS[result.by]
     rows = []
     for rung in result.rungs:
         for interval in rung.found.intervals:
@@ -211,13 +250,13 @@ def _show(result: FastestJob, title: str) -> None:
             rows.append(
                 [
                     f"{rung.share:.1%}",
-                    typed(interval.low * 1e3),
-                    "alone" if interval.alone else typed(interval.high * 1e3),
+                    typed(interval.low * per_m_s),
+                    "alone" if interval.alone else typed(interval.high * per_m_s),
                     f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
-                    limit_words(rung.found.limited_by) if first else "",
+                    limit_words(rung.found.limited_by, end) if first else "",
                 ]
             )
-    header = ["acceleration limits used", "from mm/s", "to mm/s", "job s", "limited by"]
+    header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
     print_table(f"{title}: feeds in spec", header, merged(rows))
     best = result.best
     tried = sum(rung.found.tried for rung in result.rungs)
@@ -229,16 +268,22 @@ def _show(result: FastestJob, title: str) -> None:
         print_table("verdict where the search came closest", head, body)
         return
     say(
-        f"fastest: {best.duration_s:.3f} s at {typed(best.found.best * 1e3)} mm/s with "
+        f"fastest: {best.duration_s:.3f} s at {_feed_text(result.by, best.found.best)} with "
         f"{best.share:.1%} of the acceleration and jerk limits, limited by "
-        f"{limit_words(best.found.limited_by)}; "
+        f"{limit_words(best.found.limited_by, end)}; "
         f"{tried} plans tried"
     )
     say(f"feeds {resolution_words(best.found)}")
     if best.found.alone:
-        say(alone_words(best.found, "mm/s", 1e3))
+        say(alone_words(best.found, unit, per_m_s))
     print_table("verdict at the fastest", head, body)
     say(closing(best.found.verdict))
+
+
+def _feed_text(by: FeedMode, value: float) -> str:
+    unit, per_m_s = _UNITS[by]
+    number = typed(value * per_m_s)
+    return f"F {number}" if by is FeedMode.F_WORD else f"{number} {unit}"
 
 
 def _how_judged(result: FastestJob) -> Iterator[str]:

@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_robust import (
     beside_json,
     beside_table,
@@ -17,16 +18,12 @@ from threadline.cli.fastest_robust import (
 )
 from threadline.cli.found import command_line, limit_words, margin_words
 from threadline.cli.level import level_option
-from threadline.cli.mismatch import check_mismatch, mismatch_json, show_mismatch
+from threadline.cli.mismatch import check_mismatch, drawn_of, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.jobs import Job
-from threadline.machine import Machine
-from threadline.pipeline import Trials
 from threadline.report.document import Printed
-from threadline.report.mismatch import write_mismatch
 from threadline.report.switching import write_switching
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_beside import cycles_beside
@@ -36,90 +33,68 @@ from threadline.search.fastest import RANGE
 from threadline.search.mismatch import CYCLE, cycle_over_tolerances
 from threadline.search.move_list import move_list
 from threadline.targets.schedule_options import UNSHAPED_WORD
-from threadline.verdict import Spec, closing, criteria_json, verdict_rows
+from threadline.verdict import closing, criteria_json, verdict_rows
 from threadline.writing import together
 
 
-def fastest_moves(
-    job: Path,
-    read: Job,
-    machine: Machine,
-    spec: Spec,
-    margin: float,
-    out: Path | None,
-    asked: dict[str, str | Path | None],
-    actual: Machine | None,
-    mismatch: bool,
-    report: Path | None,
-    trials: Trials,
-    band_in: str | None,
-    json: bool,
-) -> NoReturn:
-    """Search the commands and waits of a move list, print the result, and end the program.
-
-    Parameters
-    ----------
-    out
-        Where the move list of the fastest is written; None to write none.
-    asked
-        Options that name the machine and what is asked of it, for the command that proves it.
-    actual
-        The machine that runs the cycles; None for the one that the commands are made for.
-    mismatch, report
-        Whether to search at the ends of the tolerances as well; and a folder for the picture of
-        that, without it for the report of the cycle that was found.
-    band_in
-        The band of frequency that the cycle is to hold over, as typed; None for the machine as its
-        file says.
-    """
-    asked = {**asked, **level_option(trials)}
-    band = None if band_in is None else parse_band(band_in)
-    check_outputs(file=out)
-    check_mismatch(mismatch, actual is not None, report if mismatch else None)
-    check_outputs(folder=report)
-    if band is not None and (actual is not None or mismatch):
+def fastest_moves(asked: Asked) -> NoReturn:
+    """Search the commands and waits of a move list, print the result, and end the program."""
+    read, machine, spec, actual = asked.job, asked.machine, asked.spec, asked.actual
+    words = {name: asked.words[name] for name in ("-m", "-s", "--par", "--actual")}
+    words |= level_option(asked.trials)
+    band = None if asked.band is None else parse_band(asked.band)
+    check_outputs(file=asked.out)
+    check_mismatch(asked.mismatch, actual is not None, asked.report)
+    if band is not None and (actual is not None or asked.mismatch):
         raise OptionError(
             "--band simulates machines all over its band, and no others",
             remedy="Leave --actual and --mismatch out.",
         )
-    warn(machine, read)
-    with progress_bar(not json) as progress:
-        found = fastest_cycle(read, machine, spec, progress=progress, actual=actual, trials=trials)
-        cells = cycle_over_tolerances(read, machine, spec, progress=progress) if mismatch else []
+    warn(machine, read, own_feed=False)
+    with progress_bar(not asked.json) as progress:
+        found = fastest_cycle(
+            read, machine, spec, progress=progress, actual=actual, trials=asked.trials
+        )
+        cells = []
+        if asked.mismatch:
+            cells = cycle_over_tolerances(read, machine, spec, progress=progress)
         robust = None
         if band is not None:
-            robust = robust_cycle(read, machine, spec, band, progress=progress, trials=trials)
+            robust = robust_cycle(read, machine, spec, band, progress=progress, trials=asked.trials)
         beside = cycles_beside(
             read, machine, spec, found, robust, band, actual=actual, progress=progress
         )
-    title = f"{read.name} on {machine.name}{margin_words(margin)}"
+    title = f"{asked.title}{margin_words(asked.margin)}"
     fastest = found.proof if robust is None else robust.proof
     moves, cycles = moves_table(found, title), beside_table(beside, title, band)
     banded = None if robust is None or band is None else robust_table(robust, title, band)
-    drawn = None
-    if report is not None:
-        mapped = write_mismatch(cells, title, CYCLE, report) if mismatch else None
-        drawn = mapped or write_switching(fastest, report, [banded or moves, cycles])
+    drawn = drawn_of(cells, title, CYCLE, asked)
+    if drawn is None and asked.report is not None:
+        drawn = write_switching(fastest, asked.report, [banded or moves, cycles])
     chosen = found.job if robust is None else robust.job
     written = None
-    if out is not None and chosen is not None:
+    if asked.out is not None and chosen is not None:
         over = "" if band is None else f" for modes within {band * 100:g} %"
-        with together(out):
-            out.write_text(
-                f"# The shortest cycle of {job.name} in spec on {machine.name}{over}, by "
+        with together(asked.out):
+            asked.out.write_text(
+                f"# The shortest cycle of {asked.file.name} in spec on {machine.name}{over}, by "
                 f"threadline fastest.\n{move_list(chosen, machine)}",
                 encoding="utf-8",
             )
-        written = out
+        written = asked.out
     again = (
-        _command(found, job, written, asked)
+        _command(found, asked.file, written, words)
         if robust is None
-        else (None if written is None else command_line("prove", written, asked))
+        else (None if written is None else command_line("prove", written, words))
     )
-    if json:
-        told = _content(found) | {"margin": margin, "command": again, "beside": beside_json(beside)}
-        told |= {} if robust is None else {"robust": robust_json(robust)}
-        print_json(told | mismatch_json(cells, drawn))
+    if asked.json:
+        said: dict[str, Any] = {
+            "margin": asked.margin,
+            "command": again,
+            "beside": beside_json(beside),
+        }
+        said |= {} if robust is None else {"robust": robust_json(robust)}
+        print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
         _show(found, moves)
         if robust is not None and banded is not None:
@@ -135,14 +110,14 @@ def fastest_moves(
 
 
 def _command(
-    found: FastestCycle, job: Path, written: Path | None, asked: dict[str, str | Path | None]
+    found: FastestCycle, file: Path, written: Path | None, words: dict[str, str | Path | None]
 ) -> str | None:
     """Return the command that proves the fastest; None where only a move list can say it."""
     if found.job is None:
         return None
     overlaps = cycle_s(found.base) < cycle_s(found.unshaped)
     if written is not None:
-        return command_line("prove", written, asked)
+        return command_line("prove", written, words)
     by_axis: dict[str, set[str]] = {}
     for move in found.moves:
         by_axis.setdefault(move.axis, set()).add(move.how)
@@ -151,7 +126,7 @@ def _command(
         return None
     shaper = ", ".join(f"{axis}={next(iter(how))}" for axis, how in by_axis.items())
     plain = all(how == {UNSHAPED_WORD} for how in by_axis.values())
-    return command_line("prove", job, {**asked, "--shaper": None if plain else shaper})
+    return command_line("prove", file, {**words, "--shaper": None if plain else shaper})
 
 
 def _content(found: FastestCycle) -> dict[str, Any]:

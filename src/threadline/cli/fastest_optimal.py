@@ -3,66 +3,54 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import metres_per_second
 from threadline.cli.found import command_line, limit_words, margin_words, typed
 from threadline.cli.level import level_option
+from threadline.cli.mismatch import report_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.jobs import Job
-from threadline.machine import Machine
 from threadline.option_words import NO_CONTOUR
-from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import Trials, plan_job, prove_plan, with_shaping
-from threadline.report import write_report
+from threadline.pipeline import plan_job, with_shaping
 from threadline.report.strips import binding_lines, binding_of
 from threadline.search import FastestJob, Rung, fastest_job
 from threadline.search.allowance import options_at
-from threadline.verdict import Spec, closing, criteria_json, verdict_rows
+from threadline.verdict import closing, criteria_json, verdict_rows
 
 
-def fastest_optimal(
-    job: Path,
-    read: Job,
-    machine: Machine,
-    spec: Spec,
-    margin: float,
-    options: Options,
-    actual: Machine | None,
-    span: tuple[str | None, str | None],
-    mismatch: bool,
-    report: Path | None,
-    asked: dict[str, str | Path | None],
-    trials: Trials,
-    json: bool,
-) -> NoReturn:
+def fastest_optimal(asked: Asked) -> NoReturn:
     """Find the fastest plan in spec, print it beside the bound, and end the program.
 
-    The bound is the shortest duration that the limits of axes and drives alone allow.
+    The bound is the shortest duration that the limits of axes and drives alone allow. The highest
+    feed caps the speed.
 
-    Parameters
-    ----------
-    span
-        Texts of the lowest and the highest feed; the highest caps the speed.
-    asked
-        Options of the command that proves the answer, but for those that were found.
+    Raises
+    ------
+    OptionError
+        If an option of a search by feed was given.
     """
-    low, high = span
-    if low is not None or mismatch:
-        raise OptionError(
-            f"--low and --mismatch belong to a search by feed, and {OPTIMAL} searches no feed",
-            remedy="Leave them out; prove --tolerances judges its plan on other machines.",
-        )
-    highest_m_s = None if high is None else metres_per_second(high)
-    spec = with_shaping(spec, machine, options)
-    warn(machine, read)
-    with progress_bar(not json) as progress:
+    wrong = {"--low": asked.low, "--within": asked.within, "--mismatch": asked.mismatch or None}
+    for name, value in wrong.items():
+        if value is not None:
+            raise OptionError(
+                f"{name} belongs to a search by feed, and {OPTIMAL} searches no feed",
+                remedy="Leave it out; prove --tolerances judges its plan on other machines.",
+            )
+    read, machine, options = asked.job, asked.machine, asked.options
+    check_outputs(folder=asked.report)
+    highest_m_s = None if asked.high is None else metres_per_second(asked.high)
+    spec = with_shaping(asked.spec, machine, options)
+    warn(machine, read, own_feed=False)
+    with progress_bar(not asked.json) as progress:
         found = fastest_job(
             read,
             machine,
@@ -70,8 +58,8 @@ def fastest_optimal(
             options,
             high=highest_m_s,
             progress=progress,
-            actual=actual,
-            trials=trials,
+            actual=asked.actual,
+            trials=asked.trials,
         )
     best = found.best
     again = None
@@ -80,20 +68,19 @@ def fastest_optimal(
             "--feed": f"{best.found.best!r} m/s",
             "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
             "--contour": None if best.contour_m is None else contour_text(best.contour_m),
-            **level_option(trials),
+            **level_option(asked.trials),
         }
-        again = command_line("prove", job, asked | words)
-    page = None
+        again = command_line("prove", asked.file, {**asked.words, **words})
     plan = plan_job(read, machine, options_at(machine, options, best, highest_m_s))
     bound = binding_of(plan)
     binds = {} if bound is None else bound.binds
-    if report is not None:
-        page = write_report(prove_plan(plan, spec, trials=trials, actual=actual), report)
-    if json:
+    page = report_of(plan, replace(asked, spec=spec))
+    if asked.json:
         told = {"report": str(page)} if page is not None else {}
-        print_json(_content(found) | {"margin": margin, "command": again, "binds": binds} | told)
+        said = {"margin": asked.margin, "command": again, "binds": binds}
+        print_json(_content(found) | said | told)
     else:
-        _show(found, f"{read.name} on {machine.name}, optimal{margin_words(margin)}")
+        _show(found, f"{asked.title}, optimal{margin_words(asked.margin)}")
         for line in [] if bound is None else binding_lines(bound):
             say(line)
         if again is not None:

@@ -2,84 +2,78 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import alone_words, limit_words, margin_words, resolution_words, typed
 from threadline.cli.level import level_words
-from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
+from threadline.cli.mismatch import (
+    ABOVE,
+    check_mismatch,
+    drawn_of,
+    mismatch_json,
+    report_of,
+    show_mismatch,
+)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError, UnitError
-from threadline.jobs import Job, read_job
+from threadline.jobs import read_job
 from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
-from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import Trials, plan_job
-from threadline.report.mismatch import write_mismatch
+from threadline.pipeline import plan_job
 from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
 from threadline.search.mismatch import NEEDLE
 from threadline.units import parse_quantity
-from threadline.verdict import Spec, closing, criteria_json, verdict_rows
+from threadline.verdict import closing, criteria_json, verdict_rows
 
 
-def fastest_seam(
-    job: Path,
-    read: Job,
-    machine: Machine,
-    spec: Spec,
-    margin: float,
-    options: Options,
-    actual: Machine | None,
-    span: tuple[float | None, float | None],
-    mismatch: bool,
-    report: Path | None,
-    trials: Trials,
-    json: bool,
-) -> NoReturn:
+def fastest_seam(asked: Asked) -> NoReturn:
     """Search the needle speed of a seam, print the result, and end the program."""
-    check_mismatch(mismatch, actual is not None, report)
-    warn(machine, read)
-    low, high = span
+    file, machine, options = asked.file, asked.machine, asked.options
+    check_mismatch(asked.mismatch, asked.actual is not None, asked.report)
+    low, high = needle_hz(asked.low), needle_hz(asked.high)
+    warn(machine, asked.job, own_feed=False)
     cells: list[Mismatch] = []
-    with progress_bar(not json) as progress:
+    with progress_bar(not asked.json) as progress:
         found = fastest_needle(
-            job,
+            file,
             machine,
-            spec,
+            asked.spec,
             options,
             low=low,
             high=high,
             progress=progress,
-            actual=actual,
-            trials=trials,
+            actual=asked.actual,
+            trials=asked.trials,
         )
-        if mismatch:
+        if asked.mismatch:
             end = found.best * ABOVE if high is None and found.best else (high or _UNKNOWN_HZ)
             cells = needle_over_tolerances(
-                job, machine, spec, options, low=low, high=end, progress=progress
+                file, machine, asked.spec, options, low=low, high=end, progress=progress
             )
-        title = f"{job.name} on {machine.name}{margin_words(margin)}"
-        written = None if report is None else write_mismatch(cells, title, NEEDLE, report)
+    title = f"{file.name} on {machine.name}{margin_words(asked.margin)}"
+    drawn = drawn_of(cells, title, NEEDLE, asked)
     if found.best is not None:
-        sewn = read_job(job, machine, needle_speed=f"{found.best!r} stitch/s")
-        tell(tolerance_warnings(plan_job(sewn, machine, options)))
-    if json:
-        print_json(_content(found) | {"margin": margin} | mismatch_json(cells, written))
+        sewn = read_job(file, machine, needle_speed=f"{found.best!r} stitch/s")
+        plan = plan_job(sewn, machine, options)
+        tell(tolerance_warnings(plan))
+        drawn = drawn or report_of(plan, asked)
+    if asked.json:
+        print_json(_content(found) | {"margin": asked.margin} | mismatch_json(cells, drawn))
     else:
         _show(found, title)
         if found.best is not None:
             say(
-                f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {job.name}, then '
-                f"threadline prove with the same options {level_words(trials)}".rstrip()
+                f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {file.name}, then '
+                f"threadline prove with the same options {level_words(asked.trials)}".rstrip()
             )
         if cells:
             show_mismatch(cells, title, NEEDLE)
-        if written is not None:
-            say(f"Report: {written}")
+        if drawn is not None:
+            say(f"Report: {drawn}")
     raise typer.Exit(0 if found.best is not None else 1)
 
 

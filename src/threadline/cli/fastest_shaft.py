@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
     alone_words,
     command_line,
@@ -15,76 +16,61 @@ from threadline.cli.found import (
     resolution_words,
 )
 from threadline.cli.level import level_option
-from threadline.cli.mismatch import ABOVE, check_mismatch, mismatch_json, show_mismatch
+from threadline.cli.mismatch import (
+    ABOVE,
+    check_mismatch,
+    drawn_of,
+    mismatch_json,
+    report_of,
+    show_mismatch,
+)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.jobs import Job
-from threadline.jobs.operations import FeedMode
-from threadline.machine import Machine
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.option_words import parse_feed, tolerance_words
-from threadline.options import Options
-from threadline.pipeline import Trials
-from threadline.report.mismatch import write_mismatch
+from threadline.pipeline import plan_job
+from threadline.plan import Plan
 from threadline.search.mismatch import SHAFT, shaft_over_tolerances
 from threadline.search.shaft import FastestShaft, fastest_shaft
-from threadline.verdict import Spec, closing, criteria_json, verdict_rows
+from threadline.verdict import closing, criteria_json, verdict_rows
 
 _MINUTE = 60.0
 
 
-def fastest_design(
-    job: Path,
-    read: Job,
-    machine: Machine,
-    spec: Spec,
-    margin: float,
-    options: Options,
-    actual: Machine | None,
-    span: tuple[str | None, str | None],
-    asked: dict[str, str | Path | None],
-    mismatch: bool,
-    report: Path | None,
-    trials: Trials,
-    json: bool,
-) -> NoReturn:
-    """Search the speed of the shaft, print the result, and end the program.
-
-    Parameters
-    ----------
-    span
-        Texts of the lowest and the highest speed to try.
-    asked
-        Options that name the machine and what is asked of it, for the command that proves it.
-    mismatch, report
-        Whether to search at the ends of the tolerances as well, and the folder of its picture.
-    """
-    check_mismatch(mismatch, actual is not None, report)
-    low, high = (None if text is None else _stitches_per_second(text) for text in span)
-    warn(machine, read)
-    with progress_bar(not json) as progress:
+def fastest_design(asked: Asked) -> NoReturn:
+    """Search the speed of the shaft, print the result, and end the program."""
+    read, machine, options = asked.job, asked.machine, asked.options
+    check_mismatch(asked.mismatch, asked.actual is not None, asked.report)
+    low, high = (
+        None if text is None else _stitches_per_second(text) for text in (asked.low, asked.high)
+    )
+    warn(machine, read, own_feed=False)
+    with progress_bar(not asked.json) as progress:
         found = fastest_shaft(
             read,
             machine,
-            spec,
+            asked.spec,
             options,
             low=low,
             high=high,
             progress=progress,
-            actual=actual,
-            trials=trials,
+            actual=asked.actual,
+            trials=asked.trials,
         )
         cells = []
-        if mismatch:
+        if asked.mismatch:
             end = found.constant.best * ABOVE if high is None and found.constant.best else high
             cells = shaft_over_tolerances(
-                read, machine, spec, options, low=low, high=end, progress=progress
+                read, machine, asked.spec, options, low=low, high=end, progress=progress
             )
-    title = f"{read.name} on {machine.name}{margin_words(margin)}"
-    drawn = None if report is None else write_mismatch(cells, title, SHAFT, report)
-    again = _command(found, job, {**asked, **level_option(trials)})
-    if json:
-        said = {"margin": margin, "command": again}
+    title = f"{asked.title}{margin_words(asked.margin)}"
+    drawn = drawn_of(cells, title, SHAFT, asked)
+    if drawn is None and asked.report is not None and found.duration_s is not None:
+        drawn = report_of(_plan(found, asked), asked)
+    again = _command(found, asked)
+    if asked.json:
+        said = {"margin": asked.margin, "command": again}
         print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
         _show(found, title)
@@ -97,6 +83,16 @@ def fastest_design(
     raise typer.Exit(0 if found.duration_s is not None else 1)
 
 
+def _plan(found: FastestShaft, asked: Asked) -> Plan:
+    """Return the plan of the fastest: a speed for each stitch, or a constant one."""
+    schedule = found.schedule
+    if schedule is not None and schedule.plan.duration_s == found.duration_s:
+        return schedule.plan
+    assert found.constant.best is not None
+    feed = Feed(FeedMode.SHAFT, found.constant.best)
+    return plan_job(asked.job, asked.machine, replace(asked.options, feed=feed))
+
+
 def _stitches_per_second(text: str) -> float:
     feed = parse_feed(text)
     if feed.mode is not FeedMode.SHAFT:
@@ -107,14 +103,17 @@ def _stitches_per_second(text: str) -> float:
     return feed.value
 
 
-def _command(found: FastestShaft, job: Path, asked: dict[str, str | Path | None]) -> str | None:
+def _command(found: FastestShaft, asked: Asked) -> str | None:
+    file, level = asked.file, level_option(asked.trials)
+    words = {name: asked.words[name] for name in ("-m", "-s", "--par", "--actual", "--law")}
+    words |= level
     if found.duration_s is None:
         return None
     if found.schedule is not None and found.schedule.plan.duration_s == found.duration_s:
         return command_line(
-            "prove", job, {**asked, "--tolerance": tolerance_words(found.tolerance_m)}
+            "prove", file, {**words, "--tolerance": tolerance_words(found.tolerance_m)}
         )
-    return command_line("prove", job, {**asked, "--feed": f"{found.constant.best!r} stitch/s"})
+    return command_line("prove", file, {**words, "--feed": f"{found.constant.best!r} stitch/s"})
 
 
 def _content(found: FastestShaft) -> dict[str, Any]:

@@ -9,15 +9,30 @@ from pathlib import Path
 from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
 
+END = "the end of the search (--high)"
+AXES_ALONE = "the velocity limits of the axes"
+"""What ends a search for a feed without --high: no axis can go faster."""
 _ENDS = {
-    RANGE: "the end of the search (--high)",
     LIMITS: "the limits of axes and drives",
     ALLOWED: "what --contour allows",
 }
 
 
-def limit_words(limited_by: str) -> str:
-    """Return what stops a search from going faster, in words: mostly the name of a criterion."""
+def limit_words(limited_by: str, end: str = END) -> str:
+    """Return what stops a search from going faster, in words: mostly the name of a criterion.
+
+    >>> limit_words("range"), limit_words("contour_error")
+    ('the end of the search (--high)', 'contour_error')
+    >>> limit_words("range", AXES_ALONE)
+    'the velocity limits of the axes'
+
+    Parameters
+    ----------
+    end
+        What the highest that was tried is.
+    """
+    if limited_by == RANGE:
+        return end
     return _ENDS.get(limited_by, limited_by)
 
 
@@ -25,7 +40,7 @@ def resolution_words(found: Fastest) -> str:
     """Return the sentence on the steps of a search and the intervals that it can miss."""
     return (
         f"tried in steps of {found.step:.0%}, about the edges of the fastest of "
-        f"{found.near_step:.1%}: a narrower interval can be missed"
+        f"{found.near_step:.1%}: a narrower interval, or a gap in one, can be missed"
     )
 
 

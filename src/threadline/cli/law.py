@@ -11,7 +11,7 @@ from threadline.cli.law_characteristics import law_json, law_row
 from threadline.cli.law_mode import study
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import JsonOption, ReportOption
+from threadline.cli.shared_options import JsonOption, ReportOption, ratio
 from threadline.errors import OptionError
 from threadline.laws import LAWS, write_law
 from threadline.shaping.law_named import law_named
@@ -30,7 +30,9 @@ def law(
     mode: Annotated[
         str | None, typer.Option(help='Rank by the vibration left on this mode: "12 Hz".')
     ] = None,
-    damping: Annotated[float, typer.Option(help="Damping ratio of the mode.")] = 0.0,
+    damping: Annotated[
+        float, typer.Option(parser=ratio("--damping"), help="Damping ratio of the mode.")
+    ] = 0.0,
     move: Annotated[str | None, typer.Option(help='Length of the move: "16.5 mm".')] = None,
     time: Annotated[str | None, typer.Option(help='Duration of the move: "120 ms".')] = None,
     mass: Annotated[str, typer.Option(help="Mass moved; the force follows.")] = "1000 kg",
@@ -48,7 +50,10 @@ def law(
     ] = None,
     band: Annotated[
         float | None,
-        typer.Option(help="Half width of the band that it serves, of the frequency; 0.1."),
+        typer.Option(
+            parser=ratio("--band"),
+            help="Half width of the band that it serves, of the frequency; 0.1.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,

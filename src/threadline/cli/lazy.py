@@ -52,6 +52,7 @@ COMMANDS = {
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
     "machines": LazyCommand("machines", "List the machines of the library, or print one."),
+    "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),
     "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),
     "cam": LazyCommand("cam", "Turn a measured cam into a motion law."),
 }

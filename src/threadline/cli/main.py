@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -22,6 +24,7 @@ from threadline.errors import (
     OptionError,
     ThreadlineError,
 )
+from threadline.foreign_messages import field_fault
 from threadline.input_files import noting_inputs
 from threadline.writing import noting_outputs
 
@@ -72,16 +75,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with terminating() as termination, noting_outputs() as appeared:
         status = _run(given, termination)
         if status == EXIT_INTERRUPTED:
-            status, said = termination.end(wrote=bool(appeared))
+            status, said = termination.end(wrote=bool(appeared.files))
             note(said.rstrip())
+        for folder in appeared.folders:
+            note(f"made the folder {_near(folder)}")
     sys.exit(status)
+
+
+def _near(folder: Path) -> Path:
+    """Return a folder as seen from the working one, if it is below that."""
+    with suppress(OSError, ValueError):  # the working folder may have gone; it may be elsewhere
+        return folder.relative_to(Path.cwd())
+    return folder
+
+
+def _of_arguments(error: TyperException) -> str:
+    """Return what is wrong with an argument: in the words of this program wherever it has some."""
+    faults = getattr(error.__cause__, "errors", None)  # of pydantic, by which typer reads values
+    if isinstance(error, typer.BadParameter) and error.param and faults is not None:
+        fault, *_ = faults()
+        if isinstance(raised := fault.get("ctx", {}).get("error"), ThreadlineError):
+            return str(raised)
+        what, remedy = field_fault(fault)
+        told = f"{error.param.get_error_hint()} {what}. {remedy}"
+        return f"[{OptionError.code}] {told} See the command's --help."
+    return (
+        f"[{OptionError.code}] {error.format_message().rstrip('.')}. "
+        "See the command's --help for its arguments and options."
+    )
 
 
 def _run(given: list[str], termination: Termination) -> int:
     """Return the exit status of a command; end the program with one line at an error."""
     try:
         _refuse_undecodable(given)
-        with telling() as told, noting_inputs():
+        with telling(starting="--help" not in given) as told, noting_inputs():
             # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
             # interrupt in none. It returns the exit status, or nothing for 0.
             status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
@@ -91,11 +119,7 @@ def _run(given: list[str], termination: Termination) -> int:
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
         _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT)
     except TyperException as error:
-        _stop(
-            f"[{OptionError.code}] {error.format_message().rstrip('.')}. "
-            "See the command's --help for its arguments and options.",
-            EXIT_WRONG_INPUT,
-        )
+        _stop(_of_arguments(error), EXIT_WRONG_INPUT)
     except BrokenPipeError:
         _nobody_reads()
     except SystemExit as stopped:  # typer ends a broken pipe with 1, which is "out of spec" here

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import limit_words
 from threadline.cli.output import print_table
 from threadline.cli.outputs import check_outputs
 from threadline.errors import OptionError
+from threadline.pipeline import prove_plan
+from threadline.plan import Plan
+from threadline.report import write_report
+from threadline.report.mismatch import write_mismatch
 from threadline.search.mismatch import Mismatch, Searched
 
 ABOVE = 1.1
@@ -16,18 +22,33 @@ ABOVE = 1.1
 
 
 def check_mismatch(mismatch: bool, actual: bool, report: Path | None) -> None:
-    """Refuse --report without --mismatch, which it draws, and --mismatch beside --actual.
+    """Refuse --mismatch beside --actual, and a folder that no report can be written into.
 
     Raises
     ------
     OptionError
         If the options do not go together, or the report cannot be written.
     """
-    if report is not None and not mismatch:
-        raise OptionError("--report has a picture of --mismatch alone", remedy="Give both.")
     if mismatch and actual:
         raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
     check_outputs(folder=report)
+
+
+def drawn_of(
+    cells: Sequence[Mismatch], title: str, searched: Searched, asked: Asked
+) -> Path | None:
+    """Return the picture of a search over tolerances; None where nothing is drawn."""
+    if asked.report is None or not asked.mismatch:
+        return None
+    return write_mismatch(cells, f"{title}\n(nominal: one run each)", searched, asked.report)
+
+
+def report_of(plan: Plan, asked: Asked) -> Path | None:
+    """Prove the fastest again, and return the page of its report; None where none is asked for."""
+    if asked.report is None:
+        return None
+    proof = prove_plan(plan, asked.spec, trials=asked.trials, actual=asked.actual)
+    return write_report(proof, asked.report)
 
 
 def mismatch_json(cells: list[Mismatch], drawn: Path | None) -> dict[str, Any]:

@@ -161,10 +161,7 @@ def _check(folder: Path) -> None:
         )
     if os.path.lexists(folder) and not folder.is_dir():
         raise OptionError(f"{str(folder)!r} is not a folder", remedy="Name another.")
-    if folder.is_dir():
-        check_outputs(folder=folder)
-    else:
-        check_outputs(file=folder, make=False)
+    check_outputs(folder=folder)
 
 
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:

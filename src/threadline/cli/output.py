@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from threadline.cli.told import STDOUT, at_work
+from threadline.cli.told import STARTING, STDOUT, at_work
 from threadline.escaping import plain
 from threadline.pipeline import Progress as ProgressCall
 
@@ -41,6 +41,7 @@ def say(text: str) -> None:
 @contextmanager
 def _to_stdout() -> Iterator[None]:
     """Name standard output in an ``OSError`` of writing to it, such as that of a full disk."""
+    STARTING.over()
     try:
         yield
     except BrokenPipeError:
@@ -114,6 +115,7 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
     def show() -> None:
         with lock:
             if not over.is_set():
+                STARTING.over()
                 bar.start()
                 shown.set()
 

@@ -13,9 +13,7 @@ _STEMS = ("report", "comparison", "shaper", "analysis", "design")
 """Names of reports' pages, without suffix, at which no folder or read-only file may be."""
 
 
-def check_outputs(
-    *, file: Path | None = None, folder: Path | None = None, make: bool = True
-) -> None:
+def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> None:
     """Refuse outputs that could not be written, before hours of work go into them.
 
     Parameters
@@ -24,8 +22,6 @@ def check_outputs(
         A file to be written; its folder may have to be made.
     folder
         A folder to be written into; it may have to be made.
-    make
-        False where the folder of ``file`` must be there.
 
     Raises
     ------
@@ -36,22 +32,22 @@ def check_outputs(
     if file is not None:
         check_output(file)
         if not is_stdout(file):
-            _check_folder(Path(os.path.realpath(file)).parent, file, made=make)
+            _check_folder(Path(os.path.realpath(file)).parent, file)
     if folder is not None:
-        _check_folder(Path(os.path.realpath(folder)), folder, made=True)
+        _check_folder(Path(os.path.realpath(folder)), folder)
         for stem, ending in product(_STEMS, ("html", "pdf")):
             if (page := folder / f"{stem}.{ending}").exists():
                 check_output(page)
 
 
-def _check_folder(folder: Path, wanted: Path, *, made: bool) -> None:
+def _check_folder(folder: Path, wanted: Path) -> None:
     there = folder
-    while made and not os.path.lexists(there) and there != there.parent:
+    while not os.path.lexists(there) and there != there.parent:
         there = there.parent
     if not there.is_dir():
-        why = "is not a folder" if os.path.lexists(there) else "does not exist"
         raise OptionError(
-            f"cannot write {str(wanted)!r}: {str(there)!r} {why}", remedy="Give another path."
+            f"cannot write {str(wanted)!r}: {str(there)!r} is not a folder",
+            remedy="Give another path.",
         )
     if not os.access(there, os.W_OK | os.X_OK):
         raise OptionError(

@@ -80,7 +80,7 @@ def panel(
     with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept:
         calculation = Calculation(chosen, spec, folder, Path(kept))
         owner = OwnerLink(lambda: start_owner(owned))
-        app = make_app(Panel(chosen, owner, calculation), folder, admission)
+        app = make_app(Panel(chosen, owner, calculation), folder, store, admission)
         listening = _listen(host, port)
         say(f"The panel of {chosen.name} is at http://{host}:{port}/ (Ctrl-C stops and ends)")
         at_work("serving", shown=True)  # what it does is seen in the browser

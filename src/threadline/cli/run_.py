@@ -94,7 +94,8 @@ def run(
         str,
         typer.Option(
             help="Link to the machine: sim is a simulated one, in its own process; "
-            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl."
+            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
+            "hal:plant are LinuxCNC's HAL without a machine."
         ),
     ] = "sim",
     speed: Annotated[
@@ -200,7 +201,11 @@ def run(
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)
         at_rest = _hold_at_rest(leaves_m, hold_limit_m(asked))
-        told = {"link": link, **({"override": override} if override else {})}
+        told = {
+            "link": link,
+            **({"label": over.label} if over.label else {}),
+            **({"override": override} if override else {}),
+        }
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
         kept = RunStore(store).begin(plan, known, told, speed, inputs, over.sent)
         with (
@@ -226,7 +231,7 @@ def run(
         write_recording(happened, recording, plot_every=plot_every(chosen))
     if ended is Ended.FAULT:
         if not json:
-            _show(verdict, plan, link)
+            _show(verdict, plan, link, over.label)
         raise LinkFaultError(
             text,
             remedy=f"What was recorded is in {kept.path}. {over.after_fault} Look at the machine, "
@@ -235,7 +240,7 @@ def run(
     if json:
         print_json(content)
     else:
-        _show(verdict, plan, link)
+        _show(verdict, plan, link, over.label)
         say(f"Run: {kept.path}")
     raise typer.Exit(0 if verdict.passed else 1)
 
@@ -249,10 +254,10 @@ def _hold_at_rest(leaves_m: float, limit_m: float) -> bool:
     return at_rest
 
 
-def _show(verdict: Verdict, plan: Plan, link: str) -> None:
+def _show(verdict: Verdict, plan: Plan, link: str, label: str) -> None:
     header, rows = verdict_rows(verdict)
     print_table(f"{plan.job.name} run on {plan.machine.name}, link {link}", header, rows)
-    say(closing(verdict))
+    say(closing(verdict) + (f"; {label}" if label else ""))
 
 
 def register(app: typer.Typer) -> None:

@@ -25,7 +25,7 @@ from threadline.cli.shaper_text import (
     suspicions,
     tolerances_of,
 )
-from threadline.cli.shared_options import JsonOption, ReportOption
+from threadline.cli.shared_options import JsonOption, ReportOption, ratio
 from threadline.cli.told import warning
 from threadline.errors import OptionError
 from threadline.option_words import parse_number
@@ -72,17 +72,26 @@ def shaper(
         ),
     ],
     damping: Annotated[
-        list[float] | None, typer.Option(help="Damping ratio: one for all modes, or one for each.")
+        list[float] | None,
+        typer.Option(
+            parser=ratio("--damping"),
+            help="Damping ratio: one for all modes, or one for each.",
+        ),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(help="Vibration allowed, of one unit impulse's: 0.05 is 5 %.")
+        float,
+        typer.Option(
+            parser=ratio("--tolerance"),
+            help="Vibration allowed, of one unit impulse's: 0.05 is 5 %.",
+        ),
     ] = 0.05,
     kind: Annotated[str, typer.Option(help=", ".join(KINDS) + '; convolved: "zv*um-2ei".')] = "zv",
     band: Annotated[
         float | None,
         typer.Option(
+            parser=ratio("--band"),
             help="Half width of the band of frequency: of si, 0.2 unless given; of --tick, the "
-            "band in which the exact shaper keeps its tolerance unless given."
+            "band in which the exact shaper keeps its tolerance unless given.",
         ),
     ] = None,
     tick: Annotated[
@@ -106,7 +115,10 @@ def shaper(
     ] = None,
     still: Annotated[
         float | None,
-        typer.Option(help="Ringing allowed after --move, of one full step's; default 0.01, 1 %."),
+        typer.Option(
+            parser=ratio("--still"),
+            help="Ringing allowed after --move, of one full step's; default 0.01, 1 %.",
+        ),
     ] = None,
     klipper: Annotated[
         bool,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -11,9 +12,23 @@ from threadline import options as planning
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
-from threadline.option_words import NO_CONTOUR
+from threadline.option_words import NO_CONTOUR, parse_number
 
 FEED_FORWARD = planning.FEED_FORWARD
+
+
+def ratio(option: str) -> Callable[[str | float], float]:
+    """Return the reader of an option that is a ratio, ``"20 %"`` or ``0.2``, for typer.
+
+    Its errors are in the words of this program; a default comes as the number that it is.
+    """
+
+    def read(text: str | float) -> float:
+        return parse_number(option, text, "", "20 %") if isinstance(text, str) else text
+
+    read.__name__ = "ratio"  # what --help calls such a value
+    return read
+
 
 JobArgument = Annotated[Path, typer.Argument(help="Part program, seam or move list.")]
 MachineOption = Annotated[
@@ -48,7 +63,11 @@ LawOption = Annotated[
     ),
 ]
 FeedOption = Annotated[
-    str | None, typer.Option(help='Replaces every programmed feed: "10 count/tick", "36 mm/s".')
+    str | None,
+    typer.Option(
+        help='Replaces every programmed feed: "10 count/tick", "36 mm/s" '
+        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant).'
+    ),
 ]
 FeedModeOption = Annotated[
     str | None,

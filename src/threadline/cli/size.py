@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.output import print_json, print_table
-from threadline.cli.shared_options import JsonOption
+from threadline.cli.shared_options import JsonOption, ratio
 from threadline.cli.told import warning
 from threadline.option_words import parse_number
 from threadline.sizing import PROFILES, Demands, Sizing
@@ -61,7 +61,11 @@ def size(
     dwell: Annotated[str, _quantity("Pause after each --move.")] = "0 s",
     profile: Annotated[str, _quantity(", ".join(PROFILES) + ".")] = "trapezoidal",
     ramp: Annotated[
-        float, _quantity("Share of the move's time in which a trapezoid accelerates.")
+        float,
+        typer.Option(
+            parser=ratio("--ramp"),
+            help="Share of the move's time in which a trapezoid accelerates.",
+        ),
     ] = 1.0 / 3.0,
     encoder_lines: Annotated[
         float | None, _quantity("Lines a motor turn; four counts each.")

@@ -25,7 +25,44 @@ _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: what is left then is no measure of the time
 _EVERY_S = 50.0  # a minute without a word is too long
 _LOOK_S = 1.0
+_STARTING_S = 0.6
+_STARTING = "starting ..."
+_ERASED = "\r" + " " * len(_STARTING) + "\r"
 _COMPILING_S = 4.0  # of compiling, after which it is said what takes so long
+
+
+class Starting:
+    """A word on a terminal while a command is loaded, which nothing else can tell of yet.
+
+    It stands on a line of its own, and is taken away before anything else is printed.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stands = False
+        self._may = False
+
+    def begin(self) -> None:
+        """Let the word appear, if standard error is a terminal."""
+        with self._lock:
+            self._may = sys.stderr is not None and sys.stderr.isatty()
+
+    def show(self) -> None:
+        """Print the word, if nothing has been printed yet."""
+        with self._lock:
+            if self._may and not self._stands:
+                self._stands = True
+                _write(_STARTING)
+
+    def over(self) -> None:
+        """Take the word away, and print it no more."""
+        with self._lock:
+            if self._stands:
+                _write(_ERASED)
+            self._may = self._stands = False
+
+
+STARTING = Starting()
 
 
 @dataclass(slots=True)
@@ -72,8 +109,13 @@ def note(text: str) -> None:
 
     Where standard error is closed, the line is lost and nothing fails.
     """
+    STARTING.over()
+    _write(plain(text) + "\n")
+
+
+def _write(text: str) -> None:
     try:
-        sys.stderr.write(plain(text) + "\n")
+        sys.stderr.write(text)
         sys.stderr.flush()
     except (OSError, ValueError):
         with suppress(OSError):  # or the interpreter would flush what is left, and complain
@@ -112,19 +154,29 @@ def _two_digits(value: float) -> str:
 
 
 @contextmanager
-def telling() -> Iterator[Telling]:
+def telling(*, starting: bool = False) -> Iterator[Telling]:
     """Collect the warnings of the block; print every minute that the command is still at work.
 
-    That machine code is compiled, which happens once on a computer, is printed once.
+    That machine code is compiled, which happens once on a computer, is printed once. With
+    ``starting`` a terminal shows within a second that the command is being loaded.
     """
     held = Telling()
     before = _TELLING.set(held)
     ended = threading.Event()
-    threading.Thread(target=_beat, args=(held, ended), daemon=True).start()
+    word = threading.Timer(_STARTING_S, STARTING.show)
+    if starting:
+        STARTING.begin()
+        word.daemon = True
+        word.start()
+    beat = threading.Thread(target=_beat, args=(held, ended), daemon=True)
+    beat.start()
     try:
         yield held
     finally:
+        word.cancel()
+        STARTING.over()
         ended.set()
+        beat.join()  # or a word that it has begun would come behind the error, or within it
         _TELLING.reset(before)
 
 

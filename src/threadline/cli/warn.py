@@ -10,9 +10,12 @@ from threadline.machine import Machine
 from threadline.plant.suspicions import suspicions
 
 
-def warn(machine: Machine, job: Job, more: Iterable[str] = ()) -> None:
-    """Warn of suspicious values of ``machine`` and ``job``, and of ``more``."""
-    tell([*suspicions(machine), *job.warnings, *more])
+def warn(machine: Machine, job: Job, more: Iterable[str] = (), *, own_feed: bool) -> None:
+    """Warn of suspicious values of ``machine`` and ``job``, and of ``more``.
+
+    The feeds of the job itself matter with ``own_feed`` alone, where no other is asked for.
+    """
+    tell([*suspicions(machine), *job.suspicions(own_feed=own_feed), *more])
 
 
 def tell(warnings: Iterable[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import ceil, log
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +12,7 @@ import typer
 
 from threadline import __version__
 from threadline.cli.cheapest import set_content, show_set
+from threadline.cli.found import command_line
 from threadline.cli.level import parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -36,21 +39,24 @@ from threadline.cli.shared_options import (
     options_of,
 )
 from threadline.cli.warn import tell, warn
+from threadline.cli.why import Why, counted, show_why, why_content, why_of
 from threadline.errors import OptionError
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
 from threadline.report.machine_yield import limited_rows, write_yield
-from threadline.search.cheapest_set import cheapest_set
-from threadline.search.influence import Influence, influence
-from threadline.search.machine_yield import MachineYield, Worst, Yield, shares_of, worst_toml
+from threadline.search.cheapest_set import MACHINES, cheapest_set
+from threadline.search.machine_yield import (
+    MachineYield,
+    Worst,
+    Yield,
+    worst_toml,
+)
 from threadline.search.yield_state import YieldState
-from threadline.verdict import CriterionRow, Spec, load_spec
+from threadline.verdict import CriterionRow, Spec, load_spec, percent_used
+from threadline.verdict.binomial import CONFIDENCE, clopper_pearson
 from threadline.verdict.rendering import shown
 from threadline.writing import together
-
-_WHY_MACHINES = 2000
-_WHY_SAMPLES = 256
 
 
 def yield_(
@@ -110,14 +116,7 @@ def yield_(
     """
     wished = None if at_least is None else parse_yield(at_least)
     chosen = machine_from(machine, par)
-    keep_inputs(worst, job, chosen.file, par, spec, resume)
-    keep_inputs(resume, job, chosen.file, par, spec)
-    check_outputs(file=worst, folder=report)
-    check_outputs(file=resume)
-    if worst is not None and resume is not None and worst.resolve() == resume.resolve():
-        raise OptionError(
-            f"--worst and --resume are the same file {str(worst)!r}", remedy="Name two files."
-        )
+    _check_files(worst, resume, report, [job, chosen.file, par, spec])
     options = options_of(
         interpolation,
         feed,
@@ -132,21 +131,22 @@ def yield_(
     plan = plan_job(open_job(job, chosen, options), chosen, options)
     asked = load_spec(spec, chosen)
     judged = MachineYield(plan, asked)
-    warn(chosen, plan.job)
+    if wished is not None:
+        _check_reachable(variants, wished, at_least or "")
+    warn(chosen, plan.job, own_feed=options.feed is None)
     state = None if resume is None else _opened(resume, plan, asked, seed)
-    through = 0
     with progress_bar(not json) as progress:
-
-        def done(count: int) -> None:
-            nonlocal through
-            through += count
-            progress("simulating and judging machines", min(through / variants, 1.0))
-
-        found = judged.drawn(variants, seed, done, state)
-        bad = judged.worst(found)
-        hangs = _why(judged, seed) if why else None
+        found = judged.drawn(
+            variants, seed, counted(progress, "simulating and judging machines", variants), state
+        )
+        bad = judged.worst(found, counted(progress, "looking for the worst machine"))
+        hangs = why_of(judged, variants, seed, progress) if why else None
         enough = found.passed == variants if wished is None else found.interval[0] >= wished
-        better = None if wished is None or enough else cheapest_set(judged, wished, seed)
+        better = None
+        if wished is not None and not enough:
+            told_set = counted(progress, "looking for the cheapest set of tolerances")
+            machines = MACHINES if judged.together else min(MACHINES, variants)
+            better = cheapest_set(judged, wished, seed, machines=machines, done=told_set)
         title = f"{plan.job.name} on {chosen.name}: {_words(found)}"
         drawn = None
         with together(worst):
@@ -154,8 +154,29 @@ def yield_(
                 worst.write_text(worst_toml(chosen, bad, chosen.reference), encoding="utf-8")
             if report is not None:
                 drawn = write_yield(found, title, report)
+    again = command_line(
+        "prove",
+        job,
+        {
+            "-m": machine,
+            "--actual": worst,
+            "-s": spec,
+            "--interpolation": _unless(DEFAULT_INTERPOLATION_TEXT, interpolation),
+            "--law": law,
+            "--feed": feed,
+            "--tolerance": _unless(DEFAULT_TOLERANCE_TEXT, tolerance),
+            "--limits": _unless(DEFAULT_LIMITS_TEXT, limits),
+            "--feed-forward": "" if feed_forward else None,
+            "--smoothing": smoothing,
+            "--robust": robust,
+            "--par": par,
+            "--nominal": "",
+        },
+    )
     if json:
         told: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
+        if worst is not None:
+            told["command"] = again
         if better is not None:
             told |= {"cheapest": set_content(better, judged)}
         print_json(_content(found, bad, judged, hangs) | told)
@@ -164,10 +185,45 @@ def yield_(
         if better is not None:
             show_set(better, judged, at_least or "")
         if worst is not None:
-            say(f"Worst machine: {worst}")
+            say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
+            say(f"  {again}")
         if drawn is not None:
             say(f"Report: {drawn}")
     raise typer.Exit(0 if enough else 1)
+
+
+def _check_files(
+    worst: Path | None,
+    resume: Path | None,
+    report: Path | None,
+    inputs: Sequence[Path | str | None],
+) -> None:
+    """Refuse outputs that would replace an input or each other, or that cannot be written."""
+    keep_inputs(worst, *inputs, resume)
+    keep_inputs(resume, *inputs)
+    check_outputs(file=worst, folder=report)
+    check_outputs(file=resume)
+    if worst is not None and resume is not None and worst.resolve() == resume.resolve():
+        raise OptionError(
+            f"--worst and --resume are the same file {str(worst)!r}", remedy="Name two files."
+        )
+
+
+def _unless(default: str, text: str) -> str | None:
+    """Return an option's text, None where it is the default."""
+    return None if text == default else text
+
+
+def _check_reachable(variants: int, wished: float, text: str) -> None:
+    """Refuse a wish that so few machines cannot prove, even if all of them are in spec."""
+    best = clopper_pearson(variants, variants)[0]
+    if best < wished:
+        tail = 0.5 * (1.0 - CONFIDENCE)
+        raise OptionError(
+            f"--at-least {text!r} cannot be proved by {variants} machines: if all of them are in "
+            f"spec, at least {100.0 * best:.4g} % of all are",
+            remedy=f"Draw more: --variants {ceil(log(tail) / log(wished))}.",
+        )
 
 
 def _opened(file: Path, plan: Plan, spec: Spec, seed: int) -> YieldState:
@@ -188,19 +244,6 @@ def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
         "seed": str(seed),
         "version of threadline": __version__,
     }
-
-
-def _why(judged: MachineYield, seed: int) -> tuple[Influence, np.ndarray, float]:
-    """Return Sobol indices of the share that is used most, and yields with tolerances halved."""
-
-    def result(parts: np.ndarray) -> np.ndarray:
-        shares, _ = shares_of(judged.judged(parts))
-        return np.minimum(shares, 10.0)
-
-    normal = [number.normal for number in judged.numbers]
-    indices = influence(result, normal, _WHY_SAMPLES, seed)
-    own = judged.drawn(_WHY_MACHINES, seed).share
-    return indices, judged.halved(_WHY_MACHINES, seed), own
 
 
 def _words(found: Yield) -> str:
@@ -226,30 +269,17 @@ def _show(
     found: Yield,
     bad: Worst,
     judged: MachineYield,
-    hangs: tuple[Influence, np.ndarray, float] | None,
+    hangs: Why | None,
     title: str,
 ) -> None:
     header = ["criterion", "half up to", "99 % up to", "most", "limit", "failed"]
     print_table(title, header, [_row(row) for row in limited_rows(found)])
     if hangs is not None:
-        indices, halves, own = hangs
-        rows = [
-            [
-                number.name,
-                f"{indices.first[k]:.2f}",
-                f"{indices.total[k]:.2f}",
-                f"{100.0 * halves[k]:.2f} %",
-            ]
-            for k, number in enumerate(judged.numbers)
-        ]
-        rows.sort(key=lambda row: -float(row[2]))
-        head = ["number", "alone", "with others", "yield if halved"]
-        own_words = f"of {_WHY_MACHINES} machines {own:.2%} in spec"
-        print_table(f"what the yield depends on; {own_words}", head, rows)
+        show_why(hangs, judged)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
-    uses = f"{100.0 * bad.share:.1f} % of {bad.binding}"
-    if not np.isfinite(bad.share):
-        uses = "it cannot be simulated, or never ends what it waits for"
+    uses = "it cannot be simulated, or never ends what it waits for"
+    if np.isfinite(bad.share):
+        uses = f"{percent_used(bad.share, 1)} of {bad.binding}"
     say(f"worst machine, {how}: {uses}")
     say(_words(found))
 
@@ -258,7 +288,7 @@ def _content(
     found: Yield,
     bad: Worst,
     judged: MachineYield,
-    hangs: tuple[Influence, np.ndarray, float] | None,
+    hangs: Why | None,
 ) -> dict[str, Any]:
     low, high = found.interval
     content: dict[str, Any] = {
@@ -292,22 +322,7 @@ def _content(
         },
     }
     if hangs is not None:
-        indices, halves, own = hangs
-        content["why"] = {
-            "machines": _WHY_MACHINES,
-            "yield": own,
-            "numbers": [
-                {
-                    "name": number.name,
-                    "first": float(indices.first[k]),
-                    "first_interval": indices.first_interval[:, k].tolist(),
-                    "total": float(indices.total[k]),
-                    "total_interval": indices.total_interval[:, k].tolist(),
-                    "yield_if_halved": float(halves[k]),
-                }
-                for k, number in enumerate(judged.numbers)
-            ],
-        }
+        content["why"] = why_content(hangs, judged)
     return content
 
 

@@ -6,14 +6,14 @@ average over time that smooths a motion for the inverse has many weights, and on
 first moment are needed to keep straight lines and times. The rest is free, and linear: the answer
 of every machine to a change of speed is a weighted sum of its answers to one shifted spline.
 
-.. math:: \min_w \epsilon, \quad |S_k(t) - [t > 0]| \le \epsilon \text{ for } |t| \ge T / 2,
-          \quad S_k(t) = \sum_i w_i B_k(t - i h)
+.. math:: \min_w \epsilon, \quad |S_k(t) - 1| \le \epsilon \text{ from the time on at which the
+          speed has to be even}, \quad S_k(t) = \sum_i w_i B_k(t - i h)
 
-over all machines k, where ``B_k`` is the answer to a run-up that the spline alone has smoothed and
-T is the time in which the load may change its speed. Within it the speed is there at ``T / 4`` and
-not yet at ``-T / 4`` (:data:`STILL`, :data:`THERE`), and the current stays within that of the
-amplifiers. The linear program is solved on the instants that bind: those that its result violates
-are added.
+over all machines k, where ``B_k`` is the answer to a step of speed at 0 that the spline alone has
+smoothed. A stop is a start backwards in time. The speed is there soon enough after the load
+departed (:data:`STILL`, :data:`THERE`), the load does not stray while another axis moves, and the
+current stays within that of the amplifiers. The linear program is solved on the instants that bind:
+those that its result violates are added.
 """
 
 from __future__ import annotations
@@ -28,14 +28,21 @@ from threadline.arrays import FloatArray
 from threadline.control.corner_machines import CornerResponse
 from threadline.errors import PlanError
 
-STILL, THERE = 0.0095, 0.955
-"""Largest share of a step that is there half of its time before its middle, and least share of it
-that every machine has half of its time after: 1 % and 95 % are asked of seams."""
+STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
+"""Largest share of its speed with which the planned load stands, least share of the wanted speed
+that every machine has where it has its speed, and largest share with which a load moves while
+another axis has its speed: 1 % and 95 % are asked of seams, and a tenth across adds 0.5 %."""
+_SPARE = 0.012  # of the wanted speed: so much more is there where it costs little
 _FIRST_ROWS = 512  # every so many instants are in the first program
 _MOST_ROUNDS = 40
 _CLOSE = 2e-4  # of the step: no instant is violated by more
-_MEAN_S = 0.0021  # over which a speed is taken, and a little more
-_SEEN = 8.0  # times the change: so long after it a load is looked at
+MEAN_S = 0.0021
+"""Time over which a speed is taken, and a little more."""
+_SEEN = 16.0  # times the time for a change: so long after it a load is looked at
+_LOOKED = 4.0  # times it: so long before and after it a current is
+_ERROR, _SHARE, _LATE = 0, 1, 2  # slacks: of the even speed, of the current, of what is there
+_LATE_COSTS = 0.1  # worth of what is not there against the largest error
+_DRIVEN = 0.05  # worth of the share of the current against the largest error
 _SPIKES = 1e-4  # worth of the largest weight against the largest error
 
 
@@ -48,8 +55,8 @@ class StepOfSpeed:
     speed
         m/s or rad/s.
     room
-        How far a load may go before a start, and after a stop, m or rad: by so much one axis may
-        move while the path is along another.
+        How far a load may go while the path is along another axis, before a start and after a
+        stop, m or rad.
     current_limit_a
         That may be used; infinite where there is no limit.
     machines
@@ -63,34 +70,33 @@ class StepOfSpeed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RunUp:
-    """A change of speed from rest as it is programmed: at ``at_s`` comes ``share`` of it.
-
-    A stop is the same backwards.
+class ChangeOfSpeed:
+    """What is asked of a start, a step of speed at the time 0; of a stop the same backwards.
 
     Parameters
     ----------
-    at_s
-        (n,) times from the start.
+    stop
+        Whether it is a stop.
+    early_s, still_s
+        How long before 0 the planned load may depart, and from when on it stands until then; before
+        that it may swing back.
+    within_s
+        Time from its departure in which every machine has the speed.
+    even_s
+        From then on the speed is even.
+    aside_s
+        Until so long before 0 another axis moves, and the load must not stray.
     share
-        (n,) with the sum 1.
-    change_s
-        Time in which the load may do it: half of it after the start, and half of it before a stop.
+        Least and largest of the speeds that are planned, in parts of the wanted one.
     """
 
-    at_s: FloatArray
-    share: FloatArray
-    change_s: float
-
-    @property
-    def middle_s(self) -> float:
-        """Mean time of the change."""
-        return float(self.at_s @ self.share)
-
-    def spectrum(self, omega_rad_s: FloatArray, sign: float) -> NDArray[np.complex128]:
-        """Return the (k,) spectrum of its acceleration; ``sign`` -1 is that of a stop."""
-        turn = np.exp(-1j * sign * omega_rad_s[:, None] * self.at_s)
-        return np.asarray(turn @ self.share)
+    stop: bool
+    early_s: float
+    still_s: float
+    within_s: float
+    even_s: float
+    aside_s: float = 0.0
+    share: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,22 +108,25 @@ class RobustWeights:
     weights
         (count,) of samples ``step_s`` apart, the one that acts first first, with the sum 1.
     error
-        Largest error of the speed of any machine outside the time that a step may take, in parts
-        of the step.
+        Largest error of the speed of any machine where it has to be even, in parts of the wanted
+        speed.
+    cost
+        What was made least: the error, and a little of what drives and weights are asked for.
     """
 
     weights: FloatArray
     error: float
+    cost: float
 
 
 @dataclass(slots=True)
 class _Band:
-    """Rows ``low - eps <= R w <= high + eps``; eps only where they are soft."""
+    """Rows ``low - slack <= R w <= high + slack``, the slack being the unknown of that column."""
 
     R: FloatArray
     low: FloatArray
     high: FloatArray
-    soft: bool
+    slack: int | None = None
 
 
 def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
@@ -129,7 +138,7 @@ def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
 
 def robust_weights(
     axis: StepOfSpeed,
-    run_up: RunUp,
+    changes: Sequence[ChangeOfSpeed],
     *,
     count: int,
     step_s: float,
@@ -143,6 +152,8 @@ def robust_weights(
 
     Parameters
     ----------
+    changes
+        That the weights are to serve: a start, a stop or both.
     count, step_s
         Number of weights, and the time between samples.
     degree
@@ -154,14 +165,16 @@ def robust_weights(
     omega = frequencies_rad_s(grid_s, samples)
     spline = np.sinc(omega * step_s / (2.0 * np.pi)) ** (degree + 1)
     shift_s: FloatArray = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step_s)
-    early = samples // 2
-    t: FloatArray = np.asarray((np.arange(samples) - early) * grid_s)
-    turn = np.exp(-1j * omega[:, None] * (shift_s + early * grid_s))
-    bands: list[_Band] = []
-    for sign in (1.0, -1.0):
-        shape = (spline * run_up.spectrum(omega, sign))[:, None] * turn
-        for index, one in enumerate(axis.machines):
-            bands += _bands(axis, one, index == 0, t, run_up, sign, shape)
+    middle = samples // 2
+    t: FloatArray = np.asarray((np.arange(samples) - middle) * grid_s)
+    turn = np.exp(-1j * omega[:, None] * (shift_s + middle * grid_s))
+    shape = spline[:, None] * turn
+    bands = [
+        band
+        for change in changes
+        for index, one in enumerate(axis.machines)
+        for band in _bands(axis, one, index == 0, t, change, shape)
+    ]
     return _least(bands, np.asarray(shift_s / step_s))
 
 
@@ -169,12 +182,12 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
     """Return the weights, of the moment 0 about ``shift``, with the least error over all bands."""
     from scipy.optimize import linprog
 
-    # Unknowns: the weights, the error, and the size of the largest weight.
+    # Unknowns: the weights, then the slacks, and the size of the largest weight.
     count = len(shift)
-    cost = np.append(np.zeros(count), [1.0, _SPIKES * count])
-    sums = np.zeros((2, count + 2))
+    cost = np.append(np.zeros(count), [1.0, _DRIVEN, _LATE_COSTS, _SPIKES * count])
+    sums = np.zeros((2, count + 4))
     sums[0, :count], sums[1, :count] = 1.0, shift
-    spikes = np.zeros((2 * count, count + 2))
+    spikes = np.zeros((2 * count, count + 4))
     spikes[:, :count] = np.vstack([np.eye(count), -np.eye(count)])
     spikes[:, -1] = -1.0
     chosen = [np.arange(0, len(band.R), _FIRST_ROWS) for band in bands]
@@ -183,9 +196,10 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
         for band, at in zip(bands, chosen, strict=True):
             for sign, bound in ((1.0, band.high[at]), (-1.0, -band.low[at])):
                 kept = np.isfinite(bound)
-                part = np.zeros((int(kept.sum()), count + 2))
+                part = np.zeros((int(kept.sum()), count + 4))
                 part[:, :count] = sign * band.R[at][kept]
-                part[:, -2] = -1.0 if band.soft else 0.0
+                if band.slack is not None:
+                    part[:, count + band.slack] = -1.0
                 rows.append(part)
                 limits.append(bound[kept])
         found = linprog(
@@ -194,20 +208,22 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
             b_ub=np.concatenate(limits),
             A_eq=sums,
             b_eq=[1.0, 0.0],
-            bounds=[(None, None)] * count + [(0.0, None)] * 2,
+            bounds=[(None, None)] * count + [(0.0, None), (0.0, 1.0), (0.0, _SPARE), (0.0, None)],
             method="highs-ds",
         )
         if found.x is None:
             return None
-        weights, error = np.asarray(found.x[:count]), float(found.x[-2])
+        weights, slack = np.asarray(found.x[:count]), np.asarray(found.x[count:])
         done = True
         for number, band in enumerate(bands):
-            peaks = _violated(band, weights, error)
+            peaks = _violated(band, weights, slack)
             if len(peaks):
                 chosen[number] = np.union1d(chosen[number], peaks)
                 done = False
         if done:
-            return RobustWeights(weights=weights, error=error)
+            return RobustWeights(
+                weights=weights, error=float(slack[_ERROR]), cost=float(np.asarray(cost) @ found.x)
+            )
     raise PlanError(
         f"averages for machines within their tolerances: {_MOST_ROUNDS} linear programs do not "
         "settle",
@@ -215,10 +231,11 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
     )
 
 
-def _violated(band: _Band, weights: FloatArray, error: float) -> NDArray[np.intp]:
+def _violated(band: _Band, weights: FloatArray, slack: FloatArray) -> NDArray[np.intp]:
     """Return the rows at which a band is left by most, in their neighbourhood."""
     value = band.R @ weights
-    over = np.maximum(value - band.high, band.low - value) - (error if band.soft else 0.0)
+    allowed = 0.0 if band.slack is None else float(slack[band.slack])
+    over = np.maximum(value - band.high, band.low - value) - allowed
     before, after = np.append(-np.inf, over[:-1]), np.append(over[1:], -np.inf)
     return np.flatnonzero((over > _CLOSE) & (over >= before) & (over >= after))
 
@@ -228,42 +245,46 @@ def _bands(
     one: CornerResponse,
     planned: bool,
     t: FloatArray,
-    run_up: RunUp,
-    sign: float,
+    change: ChangeOfSpeed,
     shape: NDArray[np.complex128],
 ) -> list[_Band]:
-    """Return what is asked of one machine at a start (``sign`` 1) or a stop (-1)."""
+    """Return what is asked of one machine."""
 
     def steps(answer: NDArray[np.complex128]) -> FloatArray:
         return np.asarray(np.cumsum(np.fft.irfft(answer[:, None] * shape, len(t), axis=0), axis=0))
 
-    half, quarter, middle = 0.5 * run_up.change_s, 0.25 * run_up.change_s, sign * run_up.middle_s
     S = steps(one.load)
+    if change.stop:
+        # Backwards in time a stop is a start. The weights have the sum 1.
+        last = len(t) - 1  # its opposite would be one further
+        S = 1.0 - S[np.concatenate([[last], np.arange(last, 0, -1)])]
+    least, most = change.share
     # A speed is seen as a mean: it has to last as long.
-    there = np.flatnonzero((t >= middle + quarter - _MEAN_S) & (t <= middle + quarter))
-    still = np.flatnonzero((t >= middle - quarter) & (t <= middle - quarter + _MEAN_S))
-    if sign > 0.0:
-        out, level = np.flatnonzero(t >= half), 1.0
-        bands = [_Band(S[there], *_at_least(THERE, len(there)), False)]
-    else:
-        out, level = np.flatnonzero(t <= -half), 0.0
-        bands = [_Band(S[still], *_at_most(1.0 - THERE, len(still)), False)]
-    out = out[np.abs(t[out]) <= _SEEN * run_up.change_s]
-    exact = np.full(len(out), level)
-    bands.append(_Band(S[out], exact, exact, True))
-    if planned and sign > 0.0:
-        bands.append(_Band(S[still[:1]], *_at_most(STILL, 1), False))
-    elif planned:
-        bands.append(_Band(S[there[-1:]], *_at_least(1.0 - STILL, 1), False))
-    bands.append(_Band(*_strayed(S, t, sign, axis.speed / axis.room), False))
+    due = change.within_s - change.early_s
+    there = np.flatnonzero((t >= due - MEAN_S) & (t <= due))
+    even = np.flatnonzero((t >= change.even_s) & (t <= _SEEN * change.within_s))
+    asked = np.ones(len(even))
+    bands = [
+        _Band(S[there] * least, *_at_least(THERE + _SPARE, len(there)), _LATE),
+        _Band(S[even] * least, *_at_least(1.0, len(even)), _ERROR),
+        _Band(S[even] * most, -np.inf * asked, asked, _ERROR),
+    ]
+    if planned:
+        still = np.flatnonzero((t >= -change.still_s) & (t <= -change.early_s))
+        bands.append(_Band(S[still], *_within(STILL, len(still))))
+    # While another axis has its even speed, what this one adds across makes the load faster.
+    across = S[t <= -(change.aside_s + change.within_s)]
+    bands.append(_Band(across, *_within(ACROSS, len(across))))
+    way = np.cumsum(S, axis=0)[t <= -change.aside_s] * ((t[1] - t[0]) * axis.speed / axis.room)
+    bands.append(_Band(way, *_within(1.0, len(way))))
     if one.current_s_a_m is not None and np.isfinite(axis.current_limit_a) and axis.speed > 0.0:
         # In parts of the limit, so that all rows are of one size.
         share = steps(one.current_s_a_m) * (axis.speed / axis.current_limit_a)
-        near = np.flatnonzero(np.abs(t) <= 2.0 * run_up.change_s)
+        near = np.abs(t) <= _LOOKED * change.within_s
         # A stop takes away what the motion needed, which is at the limit's side already.
-        cruise = 0.0 if sign > 0.0 else float(one.current_s_a_m[0].real) * axis.speed
-        level_a, most = cruise / axis.current_limit_a, np.ones(len(near))
-        bands.append(_Band(share[near], level_a - most, level_a + most, False))
+        cruise = float(one.current_s_a_m[0].real) * axis.speed if change.stop else 0.0
+        level = np.full(int(near.sum()), cruise / axis.current_limit_a)
+        bands.append(_Band(share[near], level, level, _SHARE))
     return bands
 
 
@@ -271,20 +292,5 @@ def _at_least(bound: float, count: int) -> tuple[FloatArray, FloatArray]:
     return np.full(count, bound), np.full(count, np.inf)
 
 
-def _at_most(bound: float, count: int) -> tuple[FloatArray, FloatArray]:
-    return np.full(count, -np.inf), np.full(count, bound)
-
-
-def _strayed(
-    S: FloatArray, t: FloatArray, sign: float, per_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the way before a start, or that is left after a stop, in parts of its room."""
-    step_s = float(t[1] - t[0])
-    if sign > 0.0:
-        rows = np.cumsum(S, axis=0)[t <= 0.0] * (step_s * per_s)
-        end = np.zeros(len(rows))
-    else:
-        # The weights have the sum 1: what is left is the integral of 1 - S, from the end on.
-        rows = -np.cumsum(S[::-1], axis=0)[::-1][t >= 0.0] * (step_s * per_s)
-        end = -np.cumsum(np.ones(len(rows)))[::-1] * (step_s * per_s)
-    return rows, end - 1.0, end + 1.0
+def _within(bound: float, count: int) -> tuple[FloatArray, FloatArray]:
+    return np.full(count, -bound), np.full(count, bound)

@@ -8,6 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import Place, PlanError
+from threadline.jobs.gcode.f_words import as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 
@@ -107,10 +108,14 @@ def wanted_feed(
     ------
     PlanError
         If there is none of these, or it is not above 0.
+    OptionError
+        If ``given`` is of F words and the job has none that are a speed.
     """
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
     if given is not None:
+        if given.mode is FeedMode.F_WORD:
+            return as_f_words(given.value, job.feed_rule)
         return given
     if programmed is None:
         if machine.operator is None:

@@ -33,6 +33,7 @@ class FeedMode(StrEnum):
     IN_TURN = "in-turn"  # m/s along X Y Z; if they rest along U V W, else A B C, 1 deg as 1 mm
     COUNT_PER_TICK = "count-per-tick"  # encoder counts per tick of the fastest axis
     INVERSE_TIME = "inverse-time"  # moves per second: the move takes 1 / value
+    F_WORD = "f-word"  # m/s of what the F words of the job are the speed of
     SHAFT = "shaft"  # stitches per second: turns of the machine's main shaft
     RAPID = "rapid"  # as fast as the machine's limits allow; value unused
 
@@ -288,6 +289,9 @@ class Job:
         Re-iterable operations; later stages refer to an operation by its index here.
     warnings
         Suspicious things found by the reader, each with its place.
+    capped
+        Feeds of its own that the machine's normal feed caps, each with its place: they matter where
+        no other feed is asked for.
     feed_rule
         Name of the rule for the meaning of F; empty for a job without F.
     drawn
@@ -308,6 +312,7 @@ class Job:
     start: tuple[float, ...]
     operations: Stream[Operation]
     warnings: tuple[str, ...] = ()
+    capped: tuple[str, ...] = ()
     paced_by: Pace = "feed"
     feed_rule: str = ""
     drawn: tuple[DrawnLine, ...] = ()
@@ -315,6 +320,10 @@ class Job:
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)
+
+    def suspicions(self, *, own_feed: bool) -> tuple[str, ...]:
+        """Return its warnings: with those of its own feeds, where no other feed is asked for."""
+        return (*self.capped, *self.warnings) if own_feed else self.warnings
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Return the operations, with moves in runs of arrays where the reader makes them."""

@@ -35,7 +35,7 @@ from threadline.trajectory import (
     check_limits,
     even_averages,
     plan_trajectory,
-    with_run_ups,
+    with_steps,
 )
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Spec
@@ -114,15 +114,15 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     # A demand above its limit is no error: the verdict shows what comes of it.
     if timing.smoothing_s is None:
         followed = followed_by_motors(timed, machine, job, shaper)
-    else:
-        if timing.robust_share is None:
-            averages = even_averages(timing.smoothing_s)
-        else:
-            timed = with_run_ups(timed)
-            averages = robust_averages(
-                timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
-            )
+    elif timing.robust_share is None:
+        averages = even_averages(timing.smoothing_s)
         followed = followed_by_loads(timed, machine, job, averages)
+    else:
+        averages = robust_averages(
+            timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
+        )
+        stepped = with_steps(timed)
+        followed = followed_by_loads(timed, machine, job, averages, stepped=stepped)
     motion = Motion(
         programmed=programmed,
         path=path,

@@ -103,7 +103,7 @@ class AtRest:
         self.far_end.leave()
 
     def home(self) -> None:
-        """Home the machine.
+        """Home the machine; a stop ends that, and it is enabled then, not homed.
 
         Raises
         ------
@@ -112,13 +112,23 @@ class AtRest:
         """
         self._go(Cause.HOME)
         try:
-            self._stands = self.far_end.home()
+            found = self.far_end.home(self._desk.fileno(), self._stopped)
         except LinkFaultError as error:
             self._fault(error.message)
             self.over = True
             raise
-        self._homed = True
+        self._homed = found is not None
+        if found is None:
+            self._go(Cause.AT_REST_UNHOMED)
+            return
+        self._stands = found
         self._go(Cause.HOMED)
+
+    def _stopped(self) -> bool:
+        """Take up what was asked while the machine homes; return whether it is a stop."""
+        self._desk.woken()
+        self.obey()
+        return self.state is State.STOPPING
 
     def stand(self, patience_s: float) -> None:
         """Listen to a machine at rest, for ``patience_s`` at most, and obey what is asked."""

@@ -114,7 +114,7 @@ class Executor(AtRest):
         CommandError
             If the machine is not idle, has no such axis, or the speed is above the manual feed.
         """
-        next_state(self.state, Cause.JOG)
+        self._refuse_by_hand()
         self._set_out_by_hand(JogAhead(self._machine, self._stands, axis, velocity))
 
     def move(self, axis: str, to_counts: int, lease_s: float = LEASE_S) -> None:
@@ -132,10 +132,19 @@ class Executor(AtRest):
         CommandError
             If the machine is not idle, has no such axis, or the position is beyond its travel.
         """
-        next_state(self.state, Cause.JOG)
+        self._refuse_by_hand()
         self._set_out_by_hand(
             MoveAhead(self._machine, self._stands, axis, to_counts), min(lease_s, LEASE_S)
         )
+
+    def _refuse_by_hand(self) -> None:
+        """Refuse a motion by hand that is not possible now, or never on this machine."""
+        next_state(self.state, Cause.JOG)
+        if not self._way.by_hand:
+            raise CommandError(
+                f"{self._machine.name} has no axes that move one at a time by hand",
+                remedy="Home it: that brings it to where its programs begin.",
+            )
 
     def _set_out_by_hand(self, jog: JogAhead, lease_s: float = LEASE_S) -> None:
         self._lease_until = ticks_in(lease_s, self._machine)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import select
+import time
+from collections.abc import Callable
 from fractions import Fraction
 from math import ceil
 
@@ -62,10 +65,33 @@ class FarEnd:
         """Switch the drives off; nothing is answered."""
         self._link.send(Message("disable"))
 
-    def home(self) -> IntArray:
-        """Home the machine, and return its (axes,) position in counts."""
+    def home(self, wakes: int, stopped: Callable[[], bool]) -> IntArray | None:
+        """Home the machine; return its (axes,) position in counts, or None where it was stopped.
+
+        Parameters
+        ----------
+        wakes
+            Descriptor that is readable where somebody may have asked for a stop.
+        stopped
+            Takes up what was asked; returns whether that is a stop.
+        """
         self._link.send(Message("home"))
-        return np.array(self._expect("homed").head["position"], dtype=np.int64)
+        told, until = False, time.monotonic() + _ANSWER_S
+        while (left_s := until - time.monotonic()) > 0.0:
+            if not self._link.waiting:
+                select.select([wakes, self._link.fileno()], [], [], left_s)
+            if not told and stopped():
+                told = True
+                self._link.send(Message("stop-home"))
+            message = self._link.receive(0.0)
+            if message is None and self._link.lost:
+                break
+            if message is None or _of_before(message):
+                continue
+            if told:  # whether it has come home or not: nobody wants it any more
+                return None
+            return np.array(self._as(message, "homed").head["position"], dtype=np.int64)
+        raise _silent("homed")
 
     def leave(self) -> None:
         """Tell the machine that the executor leaves."""
@@ -96,14 +122,22 @@ class FarEnd:
         while message is not None and _of_before(message):
             message = self._link.receive(_ANSWER_S)
         if message is None:
-            raise LinkFaultError(
-                f"the machine did not answer: {kind!r} was due",
-                remedy="Look whether it is switched on and connected.",
-            )
+            raise _silent(kind)
+        return self._as(message, kind)
+
+    def _as(self, message: Message, kind: str) -> Message:
+        """Return a message that is of a kind, as it must be."""
         if message.kind != kind:
             why = message.head.get("why", f"it answered {message.kind!r}")
             raise LinkFaultError(f"the machine refused: {why}")
         return message
+
+
+def _silent(kind: str) -> LinkFaultError:
+    return LinkFaultError(
+        f"the machine did not answer: {kind!r} was due",
+        remedy="Look whether it is switched on and connected.",
+    )
 
 
 def _of_before(message: Message) -> bool:

@@ -15,6 +15,7 @@ from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_port import Port
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import Program, program_of, runs_out
+from threadline.live.hal_link import HalLink
 from threadline.live.kept import Sink
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_process import REAL_TIME, sim_link
@@ -25,7 +26,7 @@ from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.signals import Ended
 
-LINKS = ("sim", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
+LINKS = ("sim", "hal:loopback", "hal:plant", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
 
 
 class Running(Protocol):
@@ -40,6 +41,9 @@ class Running(Protocol):
 
 class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
+
+    label: str
+    """What is at its far end, where that is neither a machine nor its twin; else empty."""
 
     @property
     def after_fault(self) -> str:
@@ -81,6 +85,8 @@ class SimLink:
     fault
         Injected fault, or None.
     """
+
+    label = ""
 
     def __init__(self, speed: float, fault: SimFault | None) -> None:
         self._speed, self._fault = speed, fault
@@ -148,6 +154,8 @@ class GrblLink:
     OptionError
         If no program for grbl can be written for the machine.
     """
+
+    label = ""
 
     def __init__(self, address: str, machine: Machine) -> None:
         if "grbl" not in kind_of(machine).targets:
@@ -223,10 +231,10 @@ def link_of(text: str, machine: Machine, speed: float, fault: SimFault | None) -
     name, _, address = text.partition(":")
     if text == "sim":
         return SimLink(speed, fault)
-    if name != "grbl" or not address:
+    if name not in {"grbl", "hal"} or not address:
         raise OptionError(f"unknown link {text[:40]!r}", remedy=f"Use {', '.join(LINKS)}.")
     if speed != REAL_TIME or fault is not None:
         raise OptionError(
             "--speed and --inject are of the simulated machine", remedy="Leave them out."
         )
-    return GrblLink(address, machine)
+    return HalLink(address, machine) if name == "hal" else GrblLink(address, machine)

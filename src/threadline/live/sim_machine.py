@@ -56,7 +56,7 @@ class SimMachine(ABC):
         self._answers: dict[str, Callable[[Message], None]] = {
             "enable": self._enable, "disable": self._disable, "home": self._home,
             "begin": self._begin, "refill": self._refill, "finish": self._finish,
-            "leave": self._leave,
+            "leave": self._leave, "stop-home": lambda _: None,  # it is home already
             "go": lambda _: None,  # it only lets time go on (see ``sim_process``)
         }  # fmt: skip
 
@@ -116,7 +116,7 @@ class SimMachine(ABC):
 
     @property
     def standing(self) -> bool:
-        """Whether it holds nothing more, so that the commands stand still."""
+        """Whether it has no more rows to play, so that the commands stand still."""
         return not self.held
 
     @property

@@ -7,18 +7,15 @@ after the executor has answered the last report, so that the load of the compute
 
 from __future__ import annotations
 
-import os
-import pickle
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
 
 from threadline.arrays import IntArray
+from threadline.live.machine_process import be_told, process_link
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import LATE, SimMachine
 from threadline.live.ways import way_of
@@ -26,16 +23,13 @@ from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
 REAL_TIME = 1.0
+HOMING_S = 0.5
+"""Time that homing takes in real time, s; the simulated machine stands at its home already."""
 LEAST_SPEED = 1e-3
 """Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
 """Shortest period of reports in s; several shorter ticks are played at a time."""
-_SEND_S = 2.0
-"""Time in s after which a message that cannot be sent means that the other side is gone."""
-_JOIN_S = 10.0
 _CHILD = "from threadline.live.sim_process import be_machine; be_machine()"
-"""Program of the child process. A forked process would share open files with its parent, and a
-process of ``multiprocessing`` would run the main program of the caller again."""
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
@@ -61,35 +55,14 @@ def sim_link(
     fault
         Injected fault, or None.
     """
-    ours, theirs = socket.socketpair()
-    process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
-        [sys.executable, "-c", _CHILD, str(theirs.fileno())],
-        stdin=subprocess.PIPE,
-        pass_fds=(theirs.fileno(),),
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        start_new_session=True,  # keys of the terminal are for the executor
-    )
-    theirs.close()
-    assert process.stdin is not None
-    with suppress(BrokenPipeError), process.stdin as told:  # it may have died: nobody greets then
-        pickle.dump((machine, start, speed, fault), told)
-    ours.settimeout(_SEND_S)
-    connection = Connection(ours)
-    try:
+    with process_link(_CHILD, (machine, start, speed, fault)) as connection:
         yield connection
-    finally:
-        connection.close()
-        try:
-            process.wait(_JOIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def be_machine() -> None:
     """Serve as the simulated machine that the parent process describes through a pipe."""
-    told = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
-    serve(socket.socket(fileno=int(sys.argv[1])), *told)
+    end, told = be_told()
+    serve(end, *told)
 
 
 def serve(
@@ -144,7 +117,9 @@ def _in_real_time(
     while not (connection.lost or simulated.left):
         wait_s = None if due is None else due - time.monotonic()
         message: Message | None = connection.receive(wait_s)
-        if message is not None:
+        if message is not None and message.kind == "home" and simulated.standing:
+            _home(connection, simulated, message)
+        elif message is not None:
             simulated.take(message)
             if due is None and simulated.begun and not simulated.standing:
                 due = time.monotonic()
@@ -158,3 +133,16 @@ def _in_real_time(
             connection.close()
         # Never caught up by bursts: after a late tick the others come a whole period apart.
         due = (time.monotonic() if late_by > LATE else due) + group * period_s
+
+
+def _home(connection: Connection, simulated: SimMachine, asked: Message) -> None:
+    """Take the time that homing takes, and heed a stop in it."""
+    until = time.monotonic() + HOMING_S
+    while (left_s := until - time.monotonic()) > 0.0 and not connection.lost:
+        message = connection.receive(left_s)
+        if message is not None and message.kind == "stop-home":
+            connection.send(Message("refused", {"what": "home", "why": "it was stopped"}))
+            return
+        if message is not None:
+            simulated.take(message)
+    simulated.take(asked)

@@ -15,6 +15,7 @@ from threadline.live.wire import Message, event_of
 from threadline.machine import Machine
 from threadline.signals import Channel, Ended, Event, RecordingBlock, TickBlock
 from threadline.twin import session_of
+from threadline.twin.row_session import RowSession
 
 
 class SimRows(SimMachine):
@@ -28,12 +29,16 @@ class SimRows(SimMachine):
         fault: SimFault | None = None,
     ) -> None:
         super().__init__(machine, start, tell, fault)
-        self._session = session_of(machine, start)
+        self._session = self._new_session()
         self._rows: deque[tuple[IntArray, int]] = deque()  # held, one for each tick from now on
         self._events: deque[Event] = deque()
         self._wanted_until = 0  # tick from which on what is held is the spare tail
         self._position = np.zeros(len(machine.axes), dtype=np.int64)
         self._last = False  # what is held ends with the last row of the run
+
+    def _new_session(self) -> RowSession:
+        """Return what the rows are played on, at rest at the start."""
+        return session_of(self._machine, self._start)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -68,7 +73,7 @@ class SimRows(SimMachine):
         if self._session.tick:
             self._start = self._start + self._position
             self._position = np.zeros_like(self._position)
-            self._session = session_of(self._machine, self._start)
+            self._session = self._new_session()
         self._wanted_until, self._last = 0, False
         return ""
 

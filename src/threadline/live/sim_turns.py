@@ -37,6 +37,7 @@ class SimTurns(SimMachine):
         fault: SimFault | None = None,
     ) -> None:
         super().__init__(machine, start, tell, fault)
+        self._home_at = start
         self._session: StitchingSession | None = None  # until it has its tables
         self._idle = 0  # samples without tables
         self._last = False
@@ -67,6 +68,11 @@ class SimTurns(SimMachine):
     def _drop(self) -> None:
         if self._session is not None:
             self._session.drop_from(self.tick)
+
+    def _home(self, message: Message) -> None:
+        if self._enabled and self.standing:  # the frame goes back to where it was switched on
+            self._start, self._session = self._home_at, None
+        super()._home(message)
 
     def _start_anew(self) -> str:
         self._start = self._start + self.position

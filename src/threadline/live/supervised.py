@@ -143,7 +143,9 @@ def run_commands(
         executor.connect()
         executor.enable()
         executor.home()
-        assert executor.state is State.IDLE
+        if executor.state is not State.IDLE:
+            executor.close()
+            return Ended.STOPPED, "stopped by the operator while it homed", 0
         executor.start(commands, pass_stops=pass_stops, hold_at_rest=hold_at_rest)
         while not executor.over:
             executor.step()

@@ -135,6 +135,8 @@ class Way:
     hold_deviation_m
         Returns how far beside its path a hold would stand, in m; infinite where work is held at
         its rests alone.
+    by_hand
+        Whether its axes can be moved by hand, one at a time.
     """
 
     start: Callable[[Commands], IntArray]
@@ -143,6 +145,7 @@ class Way:
     guards: Callable[[Machine], Watch]
     halts: Callable[[Commands], Iterable[Event]]
     hold_deviation_m: Callable[[Plan], float]
+    by_hand: bool = False
 
 
 _WAYS: dict[type[Commands], Way] = {
@@ -153,6 +156,7 @@ _WAYS: dict[type[Commands], Way] = {
         guards=Guards,
         halts=halts_of_rows,
         hold_deviation_m=hold_deviation_m,
+        by_hand=True,
     ),
     SwitchSchedule: Way(
         start=lambda _: np.zeros(0, dtype=np.int64),

@@ -49,6 +49,7 @@ from threadline.machine.sources import (
 )
 from threadline.machine.stitching import Shaft, Tables
 from threadline.machine.tolerances import Tolerances, check_named, quantities
+from threadline.machine.wiring import Guide
 from threadline.signals import Clock
 
 Drive = Annotated[DcMotor | Stepper | PulseServo | Kinematic, Field(discriminator="kind")]
@@ -96,6 +97,8 @@ class Machine:
         Numbers that ``threadline design`` may change.
     tolerances
         How its numbers vary within their ``+-``.
+    guide
+        Connectors and presets, for ``threadline guide``.
     sha256
         Hash of the content, base file and overlays included.
     file, reference
@@ -129,6 +132,7 @@ class Machine:
     planner: FirmwarePlanner | None = None
     design: Design | None = None
     tolerances: Tolerances = Field(default_factory=Tolerances)
+    guide: Guide = Field(default_factory=Guide)
     sha256: str = ""
     file: str = ""
     reference: str = ""

@@ -80,17 +80,23 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
     OptionError
         If the machine has no such number.
     """
+    new: dict[str, Any] = {}
     for path, value in numbers.items():
         old = number_at(machine, path)
         share = 1.0 if old.si == 0.0 else abs(value / old.si)
         exact = None if old.exact_s is None else exact_time_s(value)
-        new = dataclasses.replace(
+        *parents, last = path.split(".")
+        below = new
+        for key in parents:
+            below = below.setdefault(key, {})
+        below[last] = dataclasses.replace(
             old,
             si=float(value),
             tolerance_si=old.tolerance_si * share,
             exact_s=exact,
         )
-        machine = _replaced(machine, path.split("."), new)
+    # At once: of two numbers that hold together, one alone may be refused.
+    machine = _replaced(machine, new)
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
     sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
     return dataclasses.replace(machine, sha256=sha256)
@@ -101,9 +107,10 @@ def exact_time_s(seconds: float) -> Fraction:
     return Fraction(float(seconds)).limit_denominator(_PER_SECOND)
 
 
-def _replaced(node: Any, keys: list[str], value: Quantity) -> Any:
-    key, rest = keys[0], keys[1:]
-    if isinstance(node, Mapping):
-        return {**node, key: _replaced(node[key], rest, value) if rest else value}
-    below = _replaced(getattr(node, key), rest, value) if rest else value
-    return dataclasses.replace(node, **{key: below})
+def _replaced(node: Any, new: Mapping[str, Any]) -> Any:
+    named = isinstance(node, Mapping)
+    made = {}
+    for key, value in new.items():
+        below = node[key] if named else getattr(node, key)
+        made[key] = _replaced(below, value) if isinstance(value, Mapping) else value
+    return {**node, **made} if named else dataclasses.replace(node, **made)

@@ -77,6 +77,13 @@ class Stepper:
             raise ValueError("a curve has two points at least, and begins at speed 0")
         if any(b.speed.si <= a.speed.si for a, b in pairwise(self.curve)):
             raise ValueError("the speeds of a curve must rise")
+        for slower, faster in pairwise(self.curve):
+            if faster.torque.si > slower.torque.si:
+                raise ValueError(
+                    f"the torque of a curve rises, from {slower.torque.si:g} at "
+                    f"{slower.speed.si:g} to {faster.torque.si:g} at {faster.speed.si:g}; the "
+                    "largest torque of a stepper falls with its speed, so leave a bump out"
+                )
         return self
 
     @property

@@ -37,6 +37,7 @@ _MACHINE = (
     "contacts.*",
 )  # fmt: skip
 _COUNTS = "axes.*.counts"
+_FRICTION, _STICTION = ".friction", ".stiction"
 _PLANNED = (
     "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.jerk", "axes.*.travel.*",
     "axes.*.stroke", "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
@@ -211,6 +212,11 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
                 found[path] = np.array([float(_delay(quantity, part)) for part in column])
             else:
                 found[path] = quantity.si + column * quantity.tolerance_si
+    for path in [name for name in found if name.endswith(_STICTION)]:
+        # What breaks away needs at least what slides: tolerances may overlap, machines do not.
+        slides = path.removesuffix(_STICTION) + _FRICTION
+        least = found.get(slides, number_at(machine, slides).si)
+        found[path] = np.maximum(found[path], least)
     return found
 
 

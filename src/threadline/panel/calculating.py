@@ -23,11 +23,22 @@ from threadline.jobs.operations import Job, Move, MoveRun
 from threadline.live.ways import way_of
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
-from threadline.panel.project_programs import planned
-from threadline.pipeline import NOMINAL, REPEATED, Proof, check_machine, prove_plan, with_shaping
+from threadline.panel.priorities import PROGRAMMED, by_priority
+from threadline.panel.project_programs import planned, program_path, words_of
+from threadline.panel.wound_on import mandrel_of
+from threadline.pipeline import (
+    NOMINAL,
+    REPEATED,
+    Proof,
+    Trials,
+    check_machine,
+    open_job,
+    prove_plan,
+    with_shaping,
+)
 from threadline.proof_file import read_proof, write_proof
 from threadline.signals import ChannelKind
-from threadline.verdict import closing, load_spec
+from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 
 _SHOWN = 2000  # points of a plot
@@ -52,17 +63,32 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
     machine = machine_of(told)
     check_machine(machine)
     with noting_inputs():
-        plan, options = planned(Path(told["folder"]), told, machine)
         asked = load_spec(None if told["spec"] is None else Path(told["spec"]), machine)
+        folder, trials = Path(told["folder"]), _LEVELS[told["level"]]
+        words = _by_priority(folder, told, machine, asked, trials)
+        plan, options = planned(folder, {**told, **words}, machine)
         spec = with_shaping(asked, machine, options)
-        proof = prove_plan(plan, spec, _share, _LEVELS[told["level"]])
+        proof = prove_plan(plan, spec, _share, trials)
         write_proof(proof, told["proof_file"])
     starts = way_of(machine).start(plan.commands).tolist()
     return {
         **figures(proof),
+        "feed": {**told, **words}["feed"],
         "starts": starts,
+        "words": words,
         "proof": read_proof(told["proof_file"]).content["sha256"],
     }
+
+
+def _by_priority(
+    folder: Path, told: Mapping[str, Any], machine: Machine, asked: Spec, trials: Trials
+) -> Mapping[str, Any]:
+    if told["priority"] == PROGRAMMED:
+        return {}
+    options = words_of(told)
+    job = open_job(program_path(folder, str(told["program"])), machine, options)
+    spec = with_shaping(asked, machine, options)
+    return by_priority(str(told["priority"]), job, machine, spec, options, trials, _share)
 
 
 def figures(proof: Proof) -> dict[str, Any]:
@@ -83,6 +109,7 @@ def figures(proof: Proof) -> dict[str, Any]:
         "warnings": doubts(proof),
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
+        "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),
         "planned": {name: [round(float(p), 7) for p in at] for name, at in planned_at.items()},
     }
 

@@ -127,7 +127,7 @@ class Calculation:
 
     def _taken(self, found: dict[str, Any], words: Mapping[str, Any]) -> Figures:
         self._starts = found.pop("starts")
-        self._words = words
+        self._words = {**words, **found.pop("words")}
         self.figures = Figures.model_validate(found)
         self.proven = Proven(
             program=str(words["program"]),
@@ -137,9 +137,14 @@ class Calculation:
         )
         return self.figures
 
-    async def close(self) -> None:
+    def cancel(self) -> None:
         """End a calculation that is under way."""
         if self._task is not None:
             self._task.cancel()
+
+    async def close(self) -> None:
+        """End a calculation that is under way, and wait for its end."""
+        self.cancel()
+        if self._task is not None:
             with suppress(asyncio.CancelledError):
                 await self._task

@@ -102,6 +102,8 @@ class KeptRuns:
         self._simulated = True
         self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
         self._progress: dict[str, Any] | None = None
+        self._held = 0  # ticks of the run that it was held
+        self._held_from: int | None = None  # when the hold that lasts began
         self.why = ""
 
     # --- the sink of the executor ----------------------------------------------------------
@@ -120,6 +122,11 @@ class KeptRuns:
         self.why = text
         if self._open is not None:
             self._open[0].state(tick, state, cause, text)
+        if state is State.HOLDING:
+            self._held_from = tick if self._held_from is None else self._held_from
+        elif self._held_from is not None:
+            self._held += tick - self._held_from
+            self._held_from = None
 
     # --- a run -----------------------------------------------------------------------------
 
@@ -178,6 +185,7 @@ class KeptRuns:
         stack.enter_context(run)
         run.begin(self._channels, self._simulated)
         self._open = (run, ready, stack)
+        self._held, self._held_from = 0, None
         self._progress = {
             "run": run.path.name,
             "program": ready.plan.job.name,
@@ -224,10 +232,15 @@ class KeptRuns:
         return _Finished(content, closing(verdict))
 
     def progress(self, time_s: float) -> dict[str, Any] | None:
-        """Return how far the open run is, or how the last one ended; None where there was none."""
-        if self._progress is None:
-            return None
-        return {**self._progress, **({"time_s": time_s} if self._open is not None else {})}
+        """Return how far the open run is, or how the last one ended; None where there was none.
+
+        Time that it was held does not count: what is left of a run is its duration without that.
+        """
+        if self._progress is None or self._open is None:
+            return self._progress
+        period_s = float(self._machine.command_clock.period_s)
+        since = 0.0 if self._held_from is None else time_s - self._held_from * period_s
+        return {**self._progress, "time_s": time_s - self._held * period_s - max(since, 0.0)}
 
     def _break_off(self, error: BaseException | None) -> None:
         if self._open is not None:

@@ -23,6 +23,7 @@ from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.panel.kept_runs import KeptRuns, Prepared
 from threadline.panel.move_sequence import MoveSequence
+from threadline.panel.positions import positions, signals
 
 SILENT_S = 1.0
 """Silence of the server in s after which the machine is stopped."""
@@ -165,6 +166,11 @@ class Owner:
             self._refuse_impossible(Cause.JOG)
             ways = [(str(axis), int(to)) for axis, to in head["to"]]
             self._moves.begin(ways, asked.stops, time.monotonic())
+        elif what == "step":
+            self._refuse_impossible(Cause.JOG)
+            k = self._machine.axis_names.index(str(head["axis"]))
+            to = int(executor.stands[k]) + int(head["by"])
+            self._moves.begin([(str(head["axis"]), to)], asked.stops, time.monotonic())
         elif what == "start":
             self._refuse_impossible(Cause.START)
             self._runs.prepare(head, asked.stops)
@@ -237,19 +243,14 @@ class Owner:
         if now_s - self._told_s < TELL_S and executor.state is self._told:
             return
         self._told_s, self._told = now_s, executor.state
-        scale = machine.counts_per_unit
-        axes = {}
-        for k, name in enumerate(machine.axes):
-            commanded = executor.latest.get(f"{name}.commanded")
-            if commanded is None and k < len(executor.stands):
-                commanded = float(executor.stands[k] / scale[k])
-            axes[name] = [commanded, executor.latest.get(f"{name}.measured")]
+        channels = executor.far_end.channels
         self._say(
             "now",
             state=executor.state.value,
             why=self._runs.why,
             time_s=executor.time_s,
-            axes=axes,
+            axes=positions(channels, executor.latest, machine, executor.stands),
+            signals=signals(channels, executor.latest),
             late_ticks=executor.late_ticks,
             moving=executor.under_way or bool(self._moves.left),
             busy=self._runs.busy,

@@ -10,6 +10,7 @@ from threadline.errors import CommandError, ThreadlineError
 from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
 from threadline.live.states import TRANSITIONS, Cause, State
+from threadline.live.ways import way_of
 from threadline.live.wire import Message
 from threadline.machine import Machine
 from threadline.panel import protocol as say
@@ -17,6 +18,7 @@ from threadline.panel.calculation import Calculation
 from threadline.panel.clients import SEEN_S, Client
 from threadline.panel.control import CONTROL_LEASE_S, ControlLease, Lease
 from threadline.panel.owner_link import OwnerLink
+from threadline.panel.wound_on import mandrel_of
 
 BEAT_S = 0.04
 """Period of the states that clients are sent, s."""
@@ -24,7 +26,8 @@ _SAFE = frozenset({"let-go", "hold"})
 """Commands for which it does not matter how old the state is that a client has seen."""
 _CAUSES = {
     "enable": Cause.ENABLE, "disable": Cause.DISABLE, "home": Cause.HOME, "jog": Cause.JOG,
-    "zero": Cause.JOG, "zero-axis": Cause.JOG, "approach": Cause.JOG, "start": Cause.START,
+    "step": Cause.JOG, "zero": Cause.JOG, "zero-axis": Cause.JOG, "approach": Cause.JOG,
+    "start": Cause.START,
     "hold": Cause.HOLD, "resume": Cause.RESUME, "reset": Cause.RESET,
 }  # fmt: skip
 _OF_IDLE = frozenset({Cause.JOG, Cause.START, Cause.HOME, Cause.DISABLE})
@@ -91,6 +94,7 @@ class Panel:
                     )
                     for axis_name, axis in machine.axes.items()
                 ],
+                mandrel=mandrel_of(machine),
                 jog_lease_s=LEASE_S,
                 control_lease_s=CONTROL_LEASE_S,
             )
@@ -162,10 +166,17 @@ class Panel:
                 f"the state that you have seen is older than {SEEN_S:g} s", remedy="Look again."
             )
         if command.what not in {*self.allowed(), "renew", "let-go"}:
-            state = self._owner.now.get("state", "not known")
-            raise CommandError(f"{command.what!r} is not possible now: the machine is {state}")
+            now = self._owner.now
+            state, busy = now.get("state", "not known"), now.get("busy", False)
+            raise CommandError(
+                f"{command.what!r} is not possible now: the machine is {state}"
+                f"{', and busy with what was asked before' if busy else ''}",
+                remedy="Wait." if busy else "",
+            )
         if isinstance(command, say.Calculate):
             self.calculation.begin(command, self._told)
+        elif command.what == "cancel":
+            self.calculation.cancel()
         elif command.what == "reconnect":
             self.connect()
         else:
@@ -176,7 +187,7 @@ class Panel:
         client.tell(say.Answer(number=act.number, ok=True))
 
     def _pass_on(
-        self, command: say.Simple | say.ZeroAxis | say.Jog | say.Start, number: int
+        self, command: say.Simple | say.ZeroAxis | say.Jog | say.Step | say.Start, number: int
     ) -> None:
         owner, machine = self._owner, self._machine
         names = list(machine.axes)
@@ -188,6 +199,9 @@ class Panel:
                 owner.send(
                     "jog", number=number, axis=command.axis, velocity=command.share * float(most)
                 )
+            case say.Step():
+                by = round(command.by * machine.counts_per_unit[self._axis(command.axis)])
+                owner.send("step", number=number, axis=command.axis, by=by)
             case say.ZeroAxis():
                 self._axis(command.axis)
                 owner.send("zero-axis", number=number, to=[[command.axis, 0]])
@@ -230,11 +244,12 @@ class Panel:
             for what, cause in _CAUSES.items()
             if (state, cause) in TRANSITIONS and (at_rest or cause not in _OF_IDLE)
         ]
-        if not self._machine.axes:
+        if not way_of(self._machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
             found = [what for what in found if what not in {"start", "approach"}]
-        return [*found, *(["calculate"] if at_rest else [])]
+        calculates = ["cancel"] if calculation.share is not None else []
+        return [*found, *(["calculate"] if at_rest else calculates)]
 
     # --- what is shown ---------------------------------------------------------------------
 
@@ -273,9 +288,10 @@ class Panel:
             age_s=round(now_s - self._owner.heard_s, 3),
             time_s=float(now.get("time_s", 0.0)),
             axes={
-                name: say.Where(commanded=at[0], measured=at[1])
+                name: say.Where(commanded=at[0], measured=at[1], load=at[2])
                 for name, at in now.get("axes", {}).items()
             },
+            signals=now.get("signals", {}),
             late_ticks=int(now.get("late_ticks", 0)),
             control=say.Holder(
                 client=holder,

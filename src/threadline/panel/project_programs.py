@@ -23,6 +23,8 @@ MOST_UPLOAD = 8 << 20
 _MOST_FILES = 500
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
 _ENDINGS = tuple(ending for known in FORMATS for ending in known.extensions)
+_BESIDE = (".svg", ".dxf", ".csv")
+"""Drawings and tables that stand beside a program."""
 _PART_PROGRAMS = FORMATS[0].extensions
 _REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
 """Bytes that a controller acts on wherever they stand, even in a comment."""
@@ -64,10 +66,10 @@ def take_program(folder: Path, name: str, content: bytes) -> None:
         If its name, its format or its content is not taken.
     """
     path = program_path(folder, name)
-    if not name.lower().endswith(_ENDINGS):
+    if not name.lower().endswith((*_ENDINGS, *_BESIDE)):
         raise JobError(
-            f"{name[:60]!r} has the ending of no format of jobs",
-            remedy=f"Known: {', '.join(_ENDINGS)}.",
+            f"{name[:60]!r} has the ending of no format of jobs or drawings",
+            remedy=f"Known: {', '.join((*_ENDINGS, *_BESIDE))}.",
         )
     if len(content) > MOST_UPLOAD:
         raise JobError(
@@ -103,7 +105,12 @@ def words_of(told: Mapping[str, Any]) -> Options:
         interpolation=str(told["interpolation"]),
         feed=told["feed"],
         tolerance=str(told["tolerance"]),
+        limits=str(told["limits"]),
+        shaper=told["shaper"],
         feed_forward=bool(told["feed_forward"]),
+        smoothing=told["smoothing"],
+        radius=told["radius"],
+        offset=told["offset"],
     )
 
 

@@ -11,12 +11,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from threadline.options import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
+from threadline.options import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 
 PANEL_PROTOCOL = 1
 MOST_TEXT = 1 << 16
 """Longest message of a client, in bytes."""
 
+MOST_PROFILE = 20_000
+"""Longest text of the radii of a mandrel."""
+MOST_STEP = 10.0
+"""Longest step of an axis, in m or rad."""
+
+Priority = Literal["programmed", "accuracy", "optimum", "speed"]
+"""What the operator wants: the feed of the program or of the message; the operator's normal feed;
+the fastest that keeps 20 % of every limit free; the fastest in spec."""
 Text = Annotated[str, Field(max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=40)]
 
@@ -33,12 +41,13 @@ class Simple(_Strict):
 
     ``home`` finds the positions of the axes; ``zero`` moves every axis to 0, linear ones first;
     ``approach`` moves them to where the proven program begins; ``let-go`` ends a jog or a move;
-    ``renew`` prolongs one by its lease; ``reconnect`` begins with a new process and link.
+    ``renew`` prolongs one by its lease; ``cancel`` ends a calculation; ``reconnect`` begins with a
+    new process and link.
     """
 
     what: Literal[
         "enable", "disable", "home", "zero", "approach", "renew", "let-go", "hold", "resume",
-        "reset", "reconnect",
+        "reset", "reconnect", "cancel",
     ]  # fmt: skip
 
 
@@ -58,15 +67,31 @@ class Jog(_Strict):
     """Of the manual feed; its sign is the direction."""
 
 
+class Step(_Strict):
+    """Move an axis by a distance, as long as that is renewed."""
+
+    what: Literal["step"]
+    axis: Name
+    by: Annotated[float, Field(ge=-MOST_STEP, le=MOST_STEP)]
+    """In m or rad; its sign is the direction."""
+
+
 class Calculate(_Strict):
     """Plan, simulate and judge a program of the project folder."""
 
     what: Literal["calculate"]
     program: Text
+    priority: Priority = "programmed"
     interpolation: Text = DEFAULT_INTERPOLATION
     feed: Text | None = None
     tolerance: Text = DEFAULT_TOLERANCE
+    limits: Text = DEFAULT_LIMITS
     feed_forward: bool = False
+    smoothing: Text | None = None
+    shaper: Text | None = None
+    radius: Annotated[str, Field(max_length=MOST_PROFILE)] | None = None
+    offset: Text | None = None
+    """Where the zero of the program lies on the machine: ``X=12 mm, A=30 deg``."""
     level: Literal["nominal", "repeated"] = "repeated"
 
 
@@ -79,7 +104,7 @@ class Start(_Strict):
     override: Text | None = None
 
 
-Command = Annotated[Simple | ZeroAxis | Jog | Calculate | Start, Field(discriminator="what")]
+Command = Annotated[Simple | ZeroAxis | Jog | Step | Calculate | Start, Field(discriminator="what")]
 
 
 # --- messages of a client ------------------------------------------------------------------------
@@ -147,6 +172,15 @@ class Axis(BaseModel):
     manual_feed: float
 
 
+class Mandrel(BaseModel):
+    """What is wound on, m: it turns with ``axis``, and has ``radius`` at the places ``at``."""
+
+    axis: str
+    along: str
+    at: list[float]
+    radius: list[float]
+
+
 class Welcome(BaseModel):
     """Answer to a hello: who the client is, and what machine there is."""
 
@@ -158,15 +192,20 @@ class Welcome(BaseModel):
     link: str
     simulated: bool
     axes: list[Axis]
+    mandrel: Mandrel | None
     jog_lease_s: float
     control_lease_s: float
 
 
 class Where(BaseModel):
-    """An axis now, SI units; None where nothing is known."""
+    """An axis now, SI units; None where nothing is known.
+
+    ``load`` is where the driven mass is, which a simulated machine alone can tell.
+    """
 
     commanded: float | None
     measured: float | None
+    load: float | None
 
 
 class Holder(BaseModel):
@@ -215,6 +254,8 @@ class State(BaseModel):
     time_s: float
     """Time of the machine in this motion."""
     axes: dict[str, Where]
+    signals: dict[str, float]
+    """State of each digital input and output."""
     late_ticks: int
     control: Holder
     progress: Progress | None
@@ -249,6 +290,8 @@ class Figures(BaseModel):
     passed: bool
     closing: str
     duration_s: float
+    feed: str | None
+    """Feed that was planned with, where it is not the program's."""
     ticks: int | None
     circuits: int | None
     ticks_per_circuit: int | None
@@ -258,6 +301,8 @@ class Figures(BaseModel):
     times_s: list[float]
     planned: dict[str, list[float]]
     """Planned positions of each axis at ``times_s``."""
+    mandrel: Mandrel | None
+    """As the plan has it."""
 
 
 class Said(BaseModel):

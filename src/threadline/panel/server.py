@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
-from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 from fastapi.staticfiles import StaticFiles
 from pydantic import ValidationError
+from starlette.background import BackgroundTask
 from starlette.types import ASGIApp
 
-from threadline.errors import InputError
+from threadline.errors import InputError, StoreError
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.clients import Client
+from threadline.panel.drawing_requests import add_drawing
+from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
 from threadline.panel.panel import Panel
 from threadline.panel.project_programs import MOST_UPLOAD, program_names, take_program
 
@@ -26,18 +30,29 @@ PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
 _HELLO_S = 5.0  # time in which a client has to say who it is
 _NO_PAGE = "The page was not built: run make panel.\n"
+_REFUSALS: dict[int | str, dict[str, Any]] = {
+    404: {"description": "there is none of that name"},
+    409: {"description": "the lease is not that in force"},
+    413: {"description": "more than is taken"},
+    422: {"description": "what was sent is not taken, or cannot be read; a line says why"},
+}
 _REFUSED, _UNREADABLE, _OTHER_PROTOCOL, _SLOW = 4401, 4400, 4406, 4408  # codes of a close
 
 
-def make_app(panel: Panel, folder: Path, admission: Admission) -> ASGIApp:
-    """Return the application.
+def make_app(panel: Panel, folder: Path, store: Path, admission: Admission) -> ASGIApp:
+    """Return the application, which is reached by admitted requests alone; see ``make_api``."""
+    return AdmittingApp(make_api(panel, folder, store, admission), admission)
+
+
+def make_api(panel: Panel, folder: Path, store: Path, admission: Admission) -> FastAPI:
+    """Return what answers the requests that are admitted.
 
     Parameters
     ----------
     panel
         The panel.
-    folder
-        Folder of the programs.
+    folder, store
+        Folders of the programs and of the runs.
     admission
         Who is let in.
     """
@@ -52,11 +67,17 @@ def make_app(panel: Panel, folder: Path, admission: Admission) -> ASGIApp:
             await beat
         await panel.close()
 
-    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
+    app = FastAPI(
+        title="Threadline operator panel", version=str(say.PANEL_PROTOCOL), lifespan=lifespan,
+        docs_url=None, redoc_url=None, openapi_url=None,
+    )  # fmt: skip
     _add_requests(app, panel, folder)
+    _add_runs(app, store)
+    add_drawing(app)
+    _add_schema(app)
     _add_live(app, panel, admission)
     _add_page(app)
-    return AdmittingApp(app, admission)
+    return app
 
 
 def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
@@ -68,10 +89,6 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         answer.headers.update(HEADERS)
         return answer
 
-    @app.get("/api/schema")
-    def schema() -> JSONResponse:
-        return JSONResponse(say.schema())
-
     @app.get("/api/state")
     def state() -> JSONResponse:
         return JSONResponse(panel.state().model_dump())
@@ -80,7 +97,7 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
     def programs() -> JSONResponse:
         return JSONResponse(program_names(folder))
 
-    @app.put("/api/programs/{name}")
+    @app.put("/api/programs/{name}", status_code=204, responses=_REFUSALS)
     async def upload(name: str, request: Request) -> PlainTextResponse:
         if not panel.may_change(request.headers.get("x-lease", "")):
             return PlainTextResponse("you are not in control\n", 409)
@@ -96,10 +113,55 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         panel.calculation.forget()
         return PlainTextResponse("", 204)
 
-    @app.post("/api/stop")
+    @app.post("/api/stop", status_code=204)
     def stop() -> PlainTextResponse:
         panel.stop("a request")
         return PlainTextResponse("", 204)
+
+
+def _add_schema(app: FastAPI) -> None:
+    """Add the schema of the messages, and the description of the requests above."""
+
+    @app.get("/api/schema")
+    def schema() -> JSONResponse:
+        return JSONResponse(schema_of(app))
+
+
+def schema_of(api: FastAPI) -> dict[str, Any]:
+    """Return the schema of the messages of both directions, and of the requests."""
+    return {**say.schema(), "http": api.openapi()}
+
+
+def _add_runs(app: FastAPI, store: Path) -> None:
+    """Add the runs that were kept; they are only read."""
+
+    @app.get("/api/runs", responses=_REFUSALS)
+    async def runs() -> Response:
+        try:
+            return JSONResponse(await asyncio.to_thread(kept_runs, store))
+        except StoreError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+
+    @app.get("/api/runs/{run}/trace", responses=_REFUSALS)
+    async def trace(run: str) -> Response:
+        return await _read_trace(store, run, "json")
+
+    @app.get("/api/runs/{run}/recording.{ending}", responses=_REFUSALS)
+    async def recording(run: str, ending: Literal["csv", "npz", "plt", "mcap"]) -> Response:
+        return await _read_trace(store, run, ending)
+
+
+async def _read_trace(store: Path, run: str, ending: str) -> Response:
+    """Return the trace of a run in another form, made by a process of its own."""
+    try:
+        file = await asyncio.to_thread(trace_file, store, run)
+    except StoreError as error:
+        return PlainTextResponse(f"{error}\n", 404)
+    out = temporary(ending)
+    gone = BackgroundTask(shutil.rmtree, out.parent)
+    if why := await in_process(file, out):
+        return PlainTextResponse(f"{why}\n", 422, background=gone)
+    return FileResponse(out, background=gone)
 
 
 def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:

@@ -44,7 +44,8 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
             label = f"{proof.plan.motion.path.interpolation}, feed {proof.plan.options['feed']}"
             stem = label.replace(", feed ", "-").replace(" ", "").replace("/", "-per-")
             for name, figure in _figures(proof, traces).items():
-                figure.axes[0].set_title(f"{label}: {figure.axes[0].get_title(loc='left')}")
+                # On a line of its own: beside the title stands the legend.
+                figure.axes[0].set_title(f"{label}:\n{figure.axes[0].get_title(loc='left')}")
                 figures[f"{stem}-{name}"] = figure
                 captions[f"{stem}-{name}"] = (
                     f"{label}. Programmed, planned and actual; lines are told apart by dash."

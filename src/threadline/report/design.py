@@ -15,7 +15,7 @@ from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.search.design_result import Candidate, DesignResult, Found
-from threadline.verdict import Verdict, closing, verdict_rows
+from threadline.verdict import Verdict, closing, percent_used, verdict_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,9 +64,9 @@ def gain_rows(found: Found) -> _Table:
     for path, value in found.numbers.items():
         if path.startswith("controllers."):
             rows.append([path, f"{value:.5g}"])
-    if candidate.smoothing_s is None:
+    if candidate.smoothing_s is None and found.machine.axes:
         rows.append(["acceleration and jerk, of the machine's", f"{candidate.acceleration:.1%}"])
-    else:
+    elif candidate.smoothing_s is not None:
         rows.append(["feed-forward, smoothed over", f"{candidate.smoothing_s * 1e3:.3g} ms"])
     if candidate.delay_s is not None:
         rows.append(["needle down after the command", f"{candidate.delay_s * 1e3:.3g} ms"])
@@ -90,7 +90,7 @@ def _row(title: str, names: list[str], candidate: Candidate) -> list[str]:
         title,
         *(f"{candidate.factors[n]:.3g}" for n in names),
         f"{candidate.cost:.2f}",
-        f"{min(candidate.ratio, 999.0):.0%}",
+        percent_used(min(candidate.ratio, 999.0)),
         candidate.binding.replace("_", " "),
     ]
 
@@ -116,7 +116,7 @@ def what_binds(result: DesignResult) -> str:
     binding = nearest.binding.replace("_", " ")
     return (
         f"no change within the bounds is in spec ({result.level}): {binding} binds, "
-        f"at best {nearest.ratio:.0%} of its limit in {result.screened}{refused}"
+        f"at best {percent_used(nearest.ratio)} of its limit in {result.screened}{refused}"
     )
 
 
@@ -280,7 +280,7 @@ def _mark(
 ) -> None:
     assert result.region is not None
     x, y = (candidate.factors[name] for name in result.region.names)
-    used = f"{min(candidate.ratio, 99.0):.0%} of the limit, {result.screened}"
+    used = f"{percent_used(min(candidate.ratio, 99.0))} of the limit, {result.screened}"
     panel.plot(
         [x], [y], linestyle="none", marker=marker, markersize={"*": 13, "o": 18}.get(marker, 9),
         markerfacecolor="#E69F00" if filled else "none", markeredgecolor="black", clip_on=False,

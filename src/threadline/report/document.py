@@ -24,12 +24,13 @@ _FAILED = ("failed", "OUT")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table of a document; ``note`` stands below it."""
+    """A table of a document; ``note`` stands below it, and ``words`` names columns of words."""
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    words: Sequence[str] = ()
 
     @property
     def headed(self) -> bool:
@@ -38,9 +39,11 @@ class Table:
 
     @property
     def left_aligned(self) -> tuple[bool, ...]:
-        """Whether each column is of words: the first, a note, and both of two without names."""
+        """Whether each column is of words: the first, notes, and both of two without names."""
         return tuple(
-            column == 0 or name == "note" or (len(self.header) == 2 and not self.headed)
+            column == 0
+            or name in ("note", *self.words)
+            or (len(self.header) == 2 and not self.headed)
             for column, name in enumerate(self.header)
         )
 

@@ -13,7 +13,7 @@ from threadline.report.drawn_run import run_words, worst_result
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
 from threadline.report.thinning import envelope
 from threadline.report.traces import Traces
-from threadline.verdict import Result, Status, of_moving_axes
+from threadline.verdict import Result, Status, of_moving_axes, percent_used
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +23,7 @@ DEGREES = 180.0 / np.pi
 
 PROFILE_IN = (7.2, 4.6)
 """Size of the profile of an axis, inches: two of them stand on a page of paper."""
+_BELOW = 0.04  # share of the height of a panel that is below 0
 _BAR_IN = 0.19  # inches of a bar with its label, which must not touch the next
 
 
@@ -260,8 +261,9 @@ def _contour_along(proof: Proof, traces: Traces, panel: Axes) -> None:
         panel.plot([worst.time_s], [worst.measured * 1e3], label=_worst_label(worst, note), **WORST)
     else:
         panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center")
-    panel.set_ylim(bottom=0.0)
     panel.margins(y=0.15)
+    top = panel.get_ylim()[1]
+    panel.set_ylim(-_BELOW * top, top)  # a tool on the path draws a line at 0, above the frame
     panel.set_xlabel("time [s]")
     panel.set_ylabel("contour error [mm]")
     panel.set_title("Contour error along the job, at the tool (lag along the path does not count)")
@@ -276,7 +278,9 @@ def _worst_label(worst: Result, note: str) -> str:
 
 
 def _legend_beside(panel: Axes) -> None:
-    """Put the legend below the panel's time axis, where it covers no curve."""
+    """Put the legend below the panel's time axis, where it covers no curve; none for no curves."""
+    if not panel.get_legend_handles_labels()[0]:
+        return
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, borderaxespad=0.0)
 
 
@@ -299,7 +303,7 @@ def _bars(proof: Proof, panel: Axes) -> None:
         panel.text(
             max(bar.get_width() + 2, 102.0 if 88.0 < percent < 100.0 else 0.0),
             bar.get_y() + bar.get_height() / 2,
-            f"{percent:.0f} %",
+            percent_used(percent / 100.0),
             va="center",
             fontsize=7,
         )

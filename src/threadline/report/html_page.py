@@ -14,12 +14,19 @@ from threadline.report.document import Document, failing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 
-def svg_text(figure: Figure) -> str:
-    """Return a figure as SVG; the same figure gives the same text each time."""
+def svg_text(figure: Figure, area: Bbox | None = None) -> str:
+    """Return a figure as SVG; the same figure gives the same text each time.
+
+    Parameters
+    ----------
+    area
+        Which part of the plane is drawn, inches; None is the figure itself.
+    """
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches=area)
     return buffer.getvalue()
 
 

@@ -159,10 +159,11 @@ def facts(proof: Proof) -> list[tuple[str, str]]:
 
 def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str, str]]:
     """Return versions, files and options, without the options in ``leave_out``."""
-    plan = proof.plan
+    plan, origin = proof.plan, proof.recording.origin
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        *((name, origin[name]) for name in ("link", "label") if name in origin),
         *options_facts(plan.options, plan.machine, leave_out),
     ]
 

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from threadline.report.document import Document
+from threadline.report.style import headed
 from threadline.writing import remove_with, staging_folder, together
 
 _PNG_DPI = 160
@@ -33,10 +34,15 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
             svgs = {}
             for name, figure in document.figures.items():
                 svgs[name] = svg_text(figure)
-                (temporary / f"{stem}-{name}.svg").write_text(svgs[name], encoding="utf-8")
-                figure.savefig(
-                    temporary / f"{stem}-{name}.png", dpi=_PNG_DPI, metadata={"Software": None}
-                )
+                # A picture that leaves its page takes along what it is of, and how it was judged.
+                with headed(figure, _head(document)) as area:
+                    # Not by with_suffix, to which the feed in "auto-0.6m-per-s" has one.
+                    alone = f"{temporary / stem}-{name}"
+                    Path(f"{alone}.svg").write_text(svg_text(figure, area), encoding="utf-8")
+                    figure.savefig(
+                        f"{alone}.png", dpi=_PNG_DPI, metadata={"Software": None},
+                        bbox_inches=area,
+                    )  # fmt: skip
             page = temporary / f"{stem}.html"
             page.write_text(html_page(document, svgs), encoding="utf-8")
             write_pdf(document, temporary / f"{stem}.pdf")
@@ -44,6 +50,12 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         for name in old - made:
             remove_with(folder / name)
     return folder / f"{stem}.html"
+
+
+def _head(document: Document) -> list[str]:
+    """Return what stands above a picture that is looked at without its page."""
+    about = ": ".join(filter(None, (document.title, document.subtitle)))
+    return [about, *(text for text, _ in document.verdicts)]
 
 
 def _figure_files(folder: Path, stem: str) -> set[str]:

@@ -12,7 +12,7 @@ from threadline.pipeline import Proof
 from threadline.report.drawn_run import DrawnRun, drawn_run, worst_result
 from threadline.report.style import WORST
 from threadline.signals import Recording
-from threadline.verdict import Criterion, SewnStitches, sewn_stitches
+from threadline.verdict import Criterion, SewnStitches, percent_used, sewn_stitches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,7 +166,7 @@ def _draw(
     worst = int(np.argmax(share))
     panel.plot(
         points[worst : worst + 1, 0], points[worst : worst + 1, 1],
-        label=f"worst: stitch {number[worst]}, {share[worst]:.0%} of its limit",
+        label=f"worst: stitch {number[worst]}, {percent_used(float(share[worst]))} of its limit",
         **{**WORST, "markerfacecolor": "none", "marker": "o", "markersize": 13},
     )  # fmt: skip
     panel.set_aspect("equal", adjustable="datalim")

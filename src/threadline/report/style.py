@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 # Okabe and Ito's palette, ordered so that neighbours differ in grey value too; every line also
 # differs in dash, so that nothing depends on colour.
@@ -67,3 +72,39 @@ def figure_style() -> Iterator[None]:
     mpl.use("Agg")
     with mpl.rc_context(_RC):
         yield
+
+
+_HEAD_SIZE = 8.0  # points
+_LINE_IN = 0.16
+_LETTERS_PER_IN = 13.5  # that surely have room beside each other
+
+
+@contextmanager
+def headed(figure: Figure, lines: Sequence[str]) -> Iterator[Bbox]:
+    """Write lines above a figure, whose own size and layout stay; they are gone after the block.
+
+    Parameters
+    ----------
+    lines
+        Broken where the figure ends.
+
+    Yields
+    ------
+    Bbox
+        The figure and the lines above it, inches.
+    """
+    from matplotlib.transforms import Bbox
+
+    width, height = figure.get_size_inches().tolist()
+    most = int(width * _LETTERS_PER_IN)
+    broken = [part for line in lines for part in textwrap.wrap(line, most) or [""]]
+    strip = _LINE_IN * (len(broken) + 0.5)
+    text = figure.text(
+        0.08 / width, 1.0 + strip / height, "\n".join(broken), va="top", ha="left",
+        fontsize=_HEAD_SIZE, linespacing=1.25, color="0.2", parse_math=False,
+    )  # fmt: skip
+    text.set_in_layout(False)
+    try:
+        yield Bbox.from_extents(0.0, 0.0, width, height + strip)
+    finally:
+        text.remove()

@@ -13,14 +13,15 @@ from threadline.errors import MachineError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Job
 from threadline.kinds import kind_of
+from threadline.kinds.retold import retold
 from threadline.machine import Machine
+from threadline.machine.dynamics import check_dynamics
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
 from threadline.pipeline import (
     REPEATED,
     Progress,
     Trials,
-    check_loops,
     plan_job,
     simulate,
     try_plan,
@@ -93,13 +94,8 @@ def design(
     MachineError, JobError, PlanError, OptionError
         If the input is wrong, or the machine as it is cannot be told to do the job.
     """
-    if not kind_of(machine).together(machine):
-        raise MachineError(
-            f"{machine.name} cannot be redesigned: design simulates many machines side by side, "
-            "and every axis must have a motor and a control loop for that",
-            place=machine.place,
-            remedy="Try changes as overlays, one by one: threadline prove JOB -m FILE+OVERLAY.",
-        )
+    check_dynamics("what a change of its parts would do", machine)
+    kind_of(machine).check_options(machine, options)
     space = design_space(machine, smoothing_s)
 
     def read(for_machine: Machine) -> Job:
@@ -120,7 +116,7 @@ def design(
         spec,
         options,
         OtherRuns.of(space, trials, corners=corners),
-        effort or (FEW if smoothing_s else THOROUGH),
+        effort or (FEW if smoothing_s or space.alone else THOROUGH),
     )
     tried = first_sample(space, evaluator, report("sampling", 0.0, 0.25))
     tried = least_change(space, evaluator, tried, report("narrowing", 0.25, 0.55))
@@ -290,7 +286,7 @@ def _prove(
     numbers |= space.slower(candidate.acceleration)
     redesigned = with_numbers(machine, numbers)
     asked = with_delay(spec, candidate.delay_s)
-    check_loops(redesigned)
+    kind_of(redesigned).check(redesigned)
     plan = plan_job(
         evaluator.read(redesigned), redesigned, evaluator.options_at(_level(space, candidate))
     )
@@ -319,8 +315,8 @@ def _at_corners(
     for corner in space.corners(point[None]):
         off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
         machine = with_numbers(redesigned, off)
-        check_loops(machine)
-        recordings.append(simulate(plan.commands, machine))
+        kind_of(machine).check(machine)
+        recordings.append(simulate(retold(plan.commands, machine), machine))
     return Judge(plan, spec).verdict(recordings[:1], recordings[1:])
 
 

@@ -14,6 +14,7 @@ from threadline.machine import Machine
 from threadline.machine.numbers import with_numbers
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, plan_job
+from threadline.search.design_alone import NO_COMMANDS, AloneProofs
 from threadline.search.design_gains import design_gains
 from threadline.search.design_judge import HOPELESS, DesignJudge, Ratios, design_judge
 from threadline.search.design_runs import OtherRuns
@@ -47,7 +48,7 @@ class Effort:
 
 THOROUGH = Effort()
 FEW = Effort(sample_log2=4, proposals=10, rounds=8, trade_rounds=0, side=0)
-"""For feed-forward: every candidate has commands of its own, and takes a second or two."""
+"""For candidates with commands of their own, each of which takes a second or two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,6 +108,8 @@ class Tried:
 class Evaluator:
     """Plans a job once for each share of the acceleration, then judges candidates in batches.
 
+    Machines that are not simulated side by side are planned for and proved one by one.
+
     Parameters
     ----------
     space
@@ -133,7 +136,12 @@ class Evaluator:
         self.read, self._spec, self._options = read, spec, options
         self.simulated = 0
         self.judges: tuple[DesignJudge, ...] = ()
+        self._alone: AloneProofs | None = None
         if space.ahead:
+            return
+        if space.alone:
+            plan_job(read(space.machine), space.machine, options)  # which may refuse it
+            self._alone = AloneProofs(read, spec, options, self.others.repeats)
             return
         judges = []
         for share in space.levels:
@@ -145,6 +153,8 @@ class Evaluator:
 
     def delay_s(self, level: int, delay: int) -> float | None:
         """Return a needle delay; None where the job has no stitches."""
+        if self._alone is not None:
+            return None
         if self.space.ahead:
             return float(self.space.delays_s[delay])
         delays = self.judges[level].delays_s
@@ -162,6 +172,8 @@ class Evaluator:
         """
         if self.space.ahead:
             return self._ahead(points, level, beyond)
+        if self._alone is not None:
+            return self._one_by_one(self._alone, points, level, beyond)
         order = np.argsort(level, kind="stable")
         parts = [
             self._at_level(points[order][level[order] == k], k, beyond)
@@ -185,12 +197,31 @@ class Evaluator:
             return self._options
         return replace(self._options, feed_forward_s=self.space.levels[level])
 
+    def _one_by_one(
+        self, proofs: AloneProofs, points: FloatArray, level: IntArray, beyond: float
+    ) -> Tried:
+        """Prove every candidate by itself."""
+        found = []
+        for point, share in zip(points, level.tolist(), strict=True):
+            numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
+            numbers |= self.space.slower(self.space.levels[share])
+            found.append(proofs.used(with_numbers(self.space.machine, numbers), beyond))
+        self.simulated = proofs.simulated
+        return Tried(
+            points=points,
+            level=np.asarray(level, dtype=np.int64),
+            ratio=np.array([worst for _, worst, _ in found]),
+            nominal=np.array([first for first, _, _ in found]),
+            delay=np.zeros(len(points), dtype=np.int64),
+            binding=tuple(binding for _, _, binding in found),
+        )
+
     def _ahead(self, points: FloatArray, level: IntArray, beyond: float) -> Tried:
         """Plan every candidate through its own inverse, then judge it."""
         count = len(points)
         ratio = np.full(count, HOPELESS)
         nominal = ratio.copy()
-        binding = ["no commands"] * count
+        binding = [NO_COMMANDS] * count
         for index, (point, width) in enumerate(zip(points, level.tolist(), strict=True)):
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
             machine = with_numbers(self.space.machine, numbers)

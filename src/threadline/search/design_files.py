@@ -102,7 +102,8 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
         if criterion.hard:
             lines.append('limit = "machine"')
         elif criterion.limit is not None:
-            unit = kind.unit(machine.axes[criterion.axis].kind if criterion.axis else "linear")
+            moved = machine.axes.get(criterion.axis)
+            unit = kind.unit("linear" if moved is None else moved.kind)
             limit = f"{criterion.limit!r} {unit}"
             if not unit and criterion.limit > 1.0:  # more than the whole: only with its unit
                 limit = f"{100.0 * criterion.limit!r} %"

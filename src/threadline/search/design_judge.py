@@ -142,13 +142,19 @@ class DesignJudge:
 
 
 def _used(criterion: Criterion, found: EachRun) -> FloatArray:
-    """Return (runs,) the largest share of a limit that any of the axes it is asked of uses."""
+    """Return (runs,) the largest share of a limit that any of the axes it is asked of uses.
+
+    An axis that the job does not move uses nothing.
+    """
     shares = [
-        _share(row.values, criterion.limit)
-        for row in found.rows
-        if row.name == criterion.name and criterion.axis in ("", row.axis)
+        np.zeros(found.runs),
+        *(
+            _share(row.values, criterion.limit)
+            for row in found.rows
+            if row.name == criterion.name and criterion.axis in ("", row.axis)
+        ),
     ]
-    return np.asarray(np.max(shares, axis=0, initial=0.0))
+    return np.asarray(np.max(shares, axis=0))
 
 
 def _share(values: FloatArray, limit: float | None) -> FloatArray:

@@ -47,7 +47,8 @@ class OtherRuns:
         return cls(
             space=space,
             repeats=trials.repeats,
-            corners=(corners or every) and space.corner_count > 1,
+            # One by one they would take hours: they are left to the proof, too.
+            corners=(corners or every) and space.corner_count > 1 and not space.alone,
         )
 
     @property

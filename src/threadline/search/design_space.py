@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.errors import MachineError, OptionError
+from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.machine.controllers import LeadFilter
 from threadline.machine.design import Design, DesignParameter
@@ -45,6 +46,8 @@ class Space:
         Shares of the acceleration that are tried; with ``ahead`` the widths of the smoothing, s.
     ahead
         Whether the commands go through the exact inverse of each candidate: feed-forward.
+    alone
+        Whether candidates are planned for and proved one by one.
     delays_s
         (D,) needle delays that are tried; empty where they are the specification's.
     """
@@ -59,6 +62,7 @@ class Space:
     levels: tuple[float, ...]
     delays_s: FloatArray
     ahead: bool = False
+    alone: bool = False
     known: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
@@ -138,6 +142,7 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
         low.append(np.log(first))
         high.append(np.log(last))
     ahead = bool(smoothing_s)
+    _check_settings(machine, design)
     low_set, high_set = ([], []) if ahead else _gain_bounds(machine, design)
     return Space(
         machine=machine,
@@ -150,6 +155,7 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
         levels=smoothing_s or _levels(design),
         delays_s=np.zeros(1) if ahead else _delays(design),
         ahead=ahead,
+        alone=not kind_of(machine).together(machine),
         known={name: known.factors for name, known in design.known.items()},
     )
 
@@ -193,6 +199,29 @@ def _bounds(machine: Machine, name: str, parameter: DesignParameter) -> tuple[fl
             f"{where}.range runs from {parameter.range[0]} to {parameter.range[1]}", place=place
         )
     return first, last
+
+
+def _check_settings(machine: Machine, design: Design) -> None:
+    """Refuse settings of what the machine does not have.
+
+    Raises
+    ------
+    MachineError
+        If there is no axis whose acceleration could be less, or no lead filter to design.
+    """
+    settings = design.settings
+    if settings.acceleration is not None and not machine.axes:
+        raise MachineError(
+            f"design.settings.acceleration: {machine.name} has no axis with such a limit",
+            place=place_in(machine, "design.settings.acceleration"),
+            remedy="Take it out.",
+        )
+    if settings.crossover is not None and not machine.controllers:
+        raise MachineError(
+            f"design.settings.crossover: {machine.name} has no controller",
+            place=place_in(machine, "design.settings.crossover"),
+            remedy="Take it out; only lead filters are designed.",
+        )
 
 
 def _gain_bounds(machine: Machine, design: Design) -> tuple[list[float], list[float]]:

@@ -104,6 +104,21 @@ class Fastest:
         return tuple(interval.high for interval in self.intervals if interval.alone)
 
 
+def check_range(low: float, high: float, unit: str) -> None:
+    """Refuse a range of feeds without one to try.
+
+    Raises
+    ------
+    OptionError
+        If the lowest is not above 0 and below the highest, or that is infinite.
+    """
+    if not 0.0 < low < high < math.inf:
+        raise OptionError(
+            f"nothing to scan from {low:.6g} {unit} to {high:.6g} {unit}",
+            remedy="Give a --low below --high; each has a value of its own where it is not given.",
+        )
+
+
 def find_fastest(
     judged: Judged,
     low: float,
@@ -147,11 +162,7 @@ def find_fastest(
     """
     if points < 2:
         raise ValueError(f"nothing to scan with {points} points, two are the least")
-    if not 0.0 < low < high < math.inf:
-        raise OptionError(
-            f"nothing to scan from {low:.6g} {unit} to {high:.6g} {unit}",
-            remedy="Give a --low below --high; each has a value of its own where it is not given.",
-        )
+    check_range(low, high, unit)
     seen: dict[float, Verdict] = {}
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = _INSIDE if near else 0

@@ -6,7 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from threadline.errors import LimitError
+from threadline.jobs.feed_times import feed_time_s
+from threadline.jobs.gcode.f_words import RULES, as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
@@ -24,15 +28,36 @@ from threadline.search.until import Until
 from threadline.verdict import Spec, Verdict
 
 
-def feed_range_m_s(machine: Machine) -> tuple[float, float]:
+def searched_by(job: Job) -> FeedMode:
+    """Return what a search for a feed varies: F as the job has it, or the fastest axis' speed."""
+    named = job.feed_rule.partition(":")[0]
+    if named not in RULES or RULES[named][0] is FeedMode.FASTEST_AXIS:
+        return FeedMode.FASTEST_AXIS
+    return FeedMode.F_WORD
+
+
+def feed_range_m_s(
+    machine: Machine, by: FeedMode = FeedMode.FASTEST_AXIS, rule: str = ""
+) -> tuple[float, float]:
     """Return the feeds between which a search makes sense, m/s of the fastest axis.
 
     From one count per tick of the coarsest axis, below which a reference stands still between
-    ticks, to the highest velocity limit at the tool.
+    ticks, to the highest velocity limit at the tool. With ``by`` of F words, of F by ``rule``,
+    ``Job.feed_rule``: from the F at which the coarsest axis alone makes a count per tick, to that
+    at which all axes are as fast as they can be.
     """
     tick_s = float(machine.tick_clock.period_s)
-    low = float((machine.radius_m / machine.counts_per_unit).max()) / tick_s
-    high = float((machine.velocity_limit * machine.radius_m).max())
+    speeds = np.stack([1.0 / machine.counts_per_unit / tick_s, machine.velocity_limit])
+    if by is FeedMode.F_WORD:
+        axes = machine.axis_names
+        unit = as_f_words(1.0, rule)
+        # How much F a speed of each axis alone is: what a way of a second takes at F 1.
+        alone = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
+        together = feed_time_s(speeds[1:], unit, axes, machine)
+        each = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
+        low, high = float(alone.max()), float(max(together.max(), each.max()))
+    else:
+        low, high = (float((of_axes * machine.radius_m).max()) for of_axes in speeds)
     return _typed(low, math.ceil), _typed(high, math.floor)
 
 
@@ -58,6 +83,7 @@ def fastest_feed(
     trials: Trials = NOMINAL,
     parts: Sequence[Job] = (),
     until: Until | None = None,
+    by: FeedMode = FeedMode.FASTEST_AXIS,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
 
@@ -76,9 +102,11 @@ def fastest_feed(
         Jobs that are judged in the place of this one: its distinct stretches.
     until
         When the search has to come to an answer.
+    by
+        What the feed is of: the fastest axis, or F words, by the job's rule for them.
     """
     judged_jobs = list(parts or (job,))
-    lowest, highest = feed_range_m_s(machine)
+    lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
 
     def judged(feed_m_s: float) -> Verdict:
         for at, part in enumerate(judged_jobs):
@@ -90,7 +118,7 @@ def fastest_feed(
         return verdict
 
     def judged_part(part: Job, feed_m_s: float) -> Verdict:
-        feed = Feed(FeedMode.FASTEST_AXIS, feed_m_s)
+        feed = Feed(by, feed_m_s)
         try:
             plan = plan_job(part, machine, replace(options, feed=feed))
         except LimitError as error:

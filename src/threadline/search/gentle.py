@@ -18,8 +18,14 @@ from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job, try_plan
 from threadline.search.allowance import fastest_allowed
 from threadline.search.distinct import distinct_parts
-from threadline.search.fastest import NEAR_POINTS, Fastest, Interval, worst_criterion
-from threadline.search.feed import fastest_feed
+from threadline.search.fastest import (
+    NEAR_POINTS,
+    Fastest,
+    Interval,
+    check_range,
+    worst_criterion,
+)
+from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
 from threadline.search.rungs import FastestJob, Rung
 from threadline.search.until import HaltError, Until
 from threadline.trajectory import Pace
@@ -44,6 +50,7 @@ def fastest_job(
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
     until: Until | None = None,
+    by: FeedMode | None = None,
 ) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 
@@ -53,13 +60,16 @@ def fastest_job(
     Parameters
     ----------
     low, high
-        Feeds to search between, m/s of the fastest axis.
+        Feeds to search between, m/s of the fastest axis or of F words.
     actual
         The machine that does the job, where it isn't the one that plans are made for.
     trials
         Which runs a feed is judged by.
     until
         When the search has to come to an answer; not of ``optimal``.
+    by
+        What the feed is of; when None F where the job's rule for it is another than the fastest
+        axis, else that. ``optimal`` is always capped by the fastest axis.
 
     Notes
     -----
@@ -71,6 +81,9 @@ def fastest_job(
         return fastest_allowed(
             job, machine, spec, options, high=high, progress=progress, actual=actual, trials=trials
         )
+    by = searched_by(job) if by is None else by
+    lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
+    check_range(lowest if low is None else low, highest if high is None else high, "m/s")
     if progress is not None:
         progress("looking for what repeats", 0.0)
     parts = distinct_parts(job, machine)
@@ -96,9 +109,10 @@ def fastest_job(
                 trials=trials,
                 parts=parts,
                 until=until,
+                by=by,
             )
             rungs[share] = Rung(
-                share=share, found=found, duration_s=_duration_s(job, machine, chosen, found)
+                share=share, found=found, duration_s=_duration_s(job, machine, chosen, found, by)
             )
             if not found.complete:
                 raise HaltError
@@ -120,12 +134,12 @@ def fastest_job(
     best = min(rungs.values(), key=_order)
     ended = "" if until is None else until.ended
     if parts == (job,):
-        return FastestJob(best=best, rungs=_ordered(rungs), ended=ended)
+        return FastestJob(best=best, rungs=_ordered(rungs), ended=ended, by=by)
     whole = not ended
     if whole and best.duration_s is not None:
         if progress is not None:
             progress("the whole job", 0.0)
-        best = _of_whole(best, job, machine, spec, options, actual, trials)
+        best = _of_whole(best, job, machine, spec, options, actual, trials, by)
         rungs[best.share] = best
     return FastestJob(
         best=best,
@@ -135,6 +149,7 @@ def fastest_job(
         parts=len(parts),
         whole=whole,
         ended=ended,
+        by=by,
     )
 
 
@@ -170,6 +185,7 @@ def _of_whole(
     options: Options,
     actual: Machine | None,
     trials: Trials,
+    by: FeedMode,
 ) -> Rung:
     """Return ``best`` as the whole job has it, with the highest feed at which that is in spec."""
     interval = best.found.fastest
@@ -177,7 +193,7 @@ def _of_whole(
     feed_m_s = interval.high
     chosen = replace(options, limit_share=best.share)
     for _ in range(_LOWERED):
-        feed = Feed(FeedMode.FASTEST_AXIS, feed_m_s)
+        feed = Feed(by, feed_m_s)
         plan = plan_job(job, machine, replace(chosen, feed=feed))
         verdict = try_plan(plan, spec, trials, actual).verdict
         if verdict.passed:
@@ -206,8 +222,10 @@ def _order(rung: Rung) -> float:
     return float("inf") if rung.duration_s is None else rung.duration_s
 
 
-def _duration_s(job: Job, machine: Machine, options: Options, found: Fastest) -> float | None:
+def _duration_s(
+    job: Job, machine: Machine, options: Options, found: Fastest, by: FeedMode
+) -> float | None:
     if found.best is None:
         return None
-    feed = Feed(FeedMode.FASTEST_AXIS, found.best)
+    feed = Feed(by, found.best)
     return plan_job(job, machine, replace(options, feed=feed)).duration_s

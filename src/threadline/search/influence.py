@@ -36,6 +36,11 @@ class Influence:
     total_interval: FloatArray
 
 
+def judgements(numbers: int, samples: int) -> int:
+    """Return for how many machines ``influence`` asks."""
+    return (numbers + 2) * samples
+
+
 def influence(
     result: Callable[[FloatArray], FloatArray], normal: list[bool], samples: int, seed: int
 ) -> Influence:
@@ -49,7 +54,7 @@ def influence(
         (n,) whether a number is distributed normally, cut off at 3 standard deviations; else
         uniformly over its tolerance.
     samples
-        A power of 2; (n + 2) times as many results are asked for.
+        A power of 2; ``judgements`` tells how many results are asked for.
     """
     cut = truncnorm(-FARTHEST, FARTHEST, scale=1.0 / _PER_PART)
     alike = uniform(-1.0, 2.0)

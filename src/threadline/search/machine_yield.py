@@ -30,13 +30,14 @@ from threadline.search.judge_runs import RunsJudge
 from threadline.search.yield_state import YieldState
 from threadline.signals import tick_table
 from threadline.twin import fastest_rates
-from threadline.verdict import CriterionRow, EachRun, Spec
+from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
 from threadline.verdict.binomial import clopper_pearson
 
 AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
 _STARTS = 4  # samples from which the worst case is looked for
+_STARTS_ALONE = 1  # where machines are simulated one by one, a second each
 _ROUNDS = 8
 _COUNTS = "axes.*.counts"
 
@@ -142,6 +143,11 @@ class MachineYield:
         return np.asarray(np.concatenate([ends, np.stack(corners)]) * self._ends)
 
     @property
+    def together(self) -> bool:
+        """Whether machines are simulated many at once; else one by one, a second each."""
+        return self._many is not None
+
+    @property
     def _ends(self) -> FloatArray:
         """(n,) how far a number is off at most, in parts of its tolerance."""
         return np.array([number.farthest for number in self.numbers])
@@ -189,13 +195,18 @@ class MachineYield:
                 state.add(found[-1])
         return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
 
-    def worst(self, known: Yield | None = None) -> Worst:
+    def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:
         """Return the worst machine within the tolerances that is found.
 
         With up to 12 numbers every corner is tried. With more the search starts from the worst
-        machines in ``known``: each number is tried at either end, the worst of these machines is
-        taken, and so on until none is worse. Counts per unit keep their value, because commands
-        are written in counts.
+        machines in ``known``: each number is tried at its other end, those ends that are worse are
+        tried together, the worst of these machines is taken, and so on until none is worse. Counts
+        per unit keep their value, because commands are written in counts.
+
+        Parameters
+        ----------
+        done
+            Called with the number of machines that were tried.
         """
         free = [k for k, number in enumerate(self.numbers) if not _counted(number)]
         if len(free) <= MOST_CORNERS:
@@ -203,32 +214,46 @@ class MachineYield:
             parts = np.zeros((2 ** len(free), len(self.numbers)))
             parts[:, free] = ends.reshape(len(free), -1).T
             parts *= self._ends
-            shares, binding = shares_of(self.judged(parts))
+            shares, binding = shares_of(self.judged(parts, done))
             at = int(np.argmax(shares))
             return self._worst(parts[at], float(shares[at]), binding[at], of_corners=True)
         starts = np.zeros((1, len(self.numbers)))
         if known is not None:
-            order = np.argsort(-shares_of(known.found)[0], kind="stable")[:_STARTS]
+            most = _STARTS if self._many is not None else _STARTS_ALONE
+            order = np.argsort(-shares_of(known.found)[0], kind="stable")[:most]
             starts = drawn(self.plan.machine, known.seed, order)
             starts = np.where(starts < 0.0, -1.0, 1.0) * self._ends
         held = [k for k in range(len(self.numbers)) if k not in free]
         starts[:, held] = 0.0
-        return max((self._climbed(start, free) for start in starts), key=lambda w: w.share)
+        climbed = [self._climbed(start, free, done) for start in np.unique(starts, axis=0)]
+        return self._worst(*max(climbed, key=lambda one: one[1]), of_corners=False)
 
-    def _climbed(self, start: FloatArray, free: list[int]) -> Worst:
-        """Step from one machine to worse ones, a number to an end at a time."""
-        shares, binding = shares_of(self.judged(start[None]))
+    def _climbed(
+        self, start: FloatArray, free: list[int], done: Done | None
+    ) -> tuple[FloatArray, float, str]:
+        """Step from a machine to worse ones; return the last, its share and its criterion."""
+        shares, binding = shares_of(self.judged(start[None], done))
         best, share, bound = start, float(shares[0]), binding[0]
         for _ in range(_ROUNDS if np.isfinite(share) else 0):
-            tried = np.repeat(best[None], 2 * len(free), axis=0)
-            for row, k in enumerate(free):
-                tried[2 * row, k], tried[2 * row + 1, k] = -self._ends[k], self._ends[k]
-            shares, binding = shares_of(self.judged(tried))
-            at = int(np.argmax(shares))
-            if shares[at] <= share:
+            ends = [(k, end) for k in free for end in (-self._ends[k], self._ends[k])]
+            moves = [(k, end) for k, end in ends if best[k] != end]
+            tried = np.repeat(best[None], len(moves), axis=0)
+            for row, (k, end) in zip(tried, moves, strict=True):
+                row[k] = end
+            shares, binding = shares_of(self.judged(tried, done))
+            worse = [at for at in np.argsort(shares, kind="stable").tolist() if shares[at] > share]
+            if not worse:
                 break
-            best, share, bound = tried[at], float(shares[at]), binding[at]
-        return self._worst(best, share, bound, of_corners=False)
+            best, share, bound = tried[worse[-1]], float(shares[worse[-1]]), binding[worse[-1]]
+            together = best.copy()
+            for at in worse:  # of a number's two ends the worse one comes last
+                k, end = moves[at]
+                together[k] = end
+            if len(worse) > 1 and np.isfinite(share):
+                shares, binding = shares_of(self.judged(together[None], done))
+                if shares[0] > share:
+                    best, share, bound = together, float(shares[0]), binding[0]
+        return best, share, bound
 
     def _worst(self, parts: FloatArray, share: float, binding: str, *, of_corners: bool) -> Worst:
         share, binding = self._told_alone(parts, share, binding)
@@ -248,7 +273,7 @@ class MachineYield:
             return share, binding
         return float(shares[0]), names[0]
 
-    def halved(self, variants: int, seed: int) -> FloatArray:
+    def halved(self, variants: int, seed: int, done: Done | None = None) -> FloatArray:
         """Return (n,) the yield if the tolerance of one number were half of what it is.
 
         The same machines are drawn, but for that number, so that differences are its own.
@@ -258,7 +283,7 @@ class MachineYield:
         for k in range(len(self.numbers)):
             fewer = parts.copy()
             fewer[:, k] *= 0.5
-            found[k] = self.judged(fewer).passed.mean()
+            found[k] = self.judged(fewer, done).passed.mean()
         return found
 
 
@@ -296,7 +321,7 @@ def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
         for path, value in worst.numbers.items()
     }
     lines = [
-        f"# The worst machine found within the tolerances: {100.0 * worst.share:.4g} % of",
+        f"# The worst machine found within the tolerances: {percent_used(worst.share, 1)} of",
         f"# {worst.binding}, by threadline yield.",
         f"base = {toml_string(base)}",
         f"name = {toml_string(machine.name.split('+')[0] + '-worst')}",

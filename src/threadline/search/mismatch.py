@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.errors import OptionError
-from threadline.jobs.operations import Job
+from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options
@@ -55,6 +55,9 @@ class Searched:
 
 NEEDLE = Searched(name="needle speed", best="fastest", unit="stitch/s", per_unit=1.0, done="sewn")
 FEED = Searched(name="feed", best="fastest", unit="mm/s", per_unit=1e3, done="done")
+F_WORDS = Searched(
+    name="F", best="fastest", unit="mm/min by its rule", per_unit=60_000.0, done="done"
+)
 SHAFT = Searched(
     name="speed of the shaft", best="fastest", unit="stitch/min", per_unit=60.0, done="sewn"
 )
@@ -145,14 +148,17 @@ def feed_over_tolerances(
     low: float | None = None,
     high: float,
     progress: Progress | None = None,
+    by: FeedMode = FeedMode.FASTEST_AXIS,
 ) -> list[Mismatch]:
     """Return the feeds in spec at the ends of the tolerances, as ``needle_over_tolerances`` does.
 
     Parameters
     ----------
     low, high
-        Feeds to search between, m/s of the fastest axis; ``low`` is a quarter of ``high`` when
+        Feeds to search between, m/s of what ``by`` says; ``low`` is a quarter of ``high`` when
         None.
+    by
+        As ``fastest_feed`` takes it.
 
     Raises
     ------
@@ -173,6 +179,7 @@ def feed_over_tolerances(
                 near=0,
                 edge_relative=_EDGE,
                 actual=actual,
+                by=by,
             )
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from threadline.jobs.operations import FeedMode
 from threadline.search.fastest import Fastest
 
 
@@ -65,6 +66,8 @@ class FastestJob:
         Whether the best plan of the whole job was judged, too, where tries were judged by parts.
     ended
         Why the search stopped before its end; empty where it did not.
+    by
+        What its feeds are of.
     """
 
     best: Rung
@@ -75,3 +78,4 @@ class FastestJob:
     parts: int = 0
     whole: bool = True
     ended: str = ""
+    by: FeedMode = FeedMode.FASTEST_AXIS

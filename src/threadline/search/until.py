@@ -30,7 +30,7 @@ class Until:
 
     @classmethod
     def within(cls, span_s: float | None) -> Until:
-        """Return one that ends so many seconds from now, or never."""
+        """Return an end that comes ``span_s`` seconds from now; without a span it never comes."""
         return cls(math.inf if span_s is None else time.monotonic() + span_s)
 
     def check(self) -> None:

@@ -67,7 +67,7 @@ class FlexibleMode:
             )
         if not 0.0 <= self.damping_ratio < MAX_DAMPING_RATIO:
             raise OptionError(
-                f"mode {self.frequency_hz:g} Hz: damping_ratio must be in "
+                f"mode {self.frequency_hz:g} Hz: the damping ratio must be in "
                 f"[0, {MAX_DAMPING_RATIO:g}), got {self.damping_ratio!r}",
                 remedy="A ratio is dimensionless: the real part of an eigenvalue divided by "
                 "its modulus, not the real part itself.",

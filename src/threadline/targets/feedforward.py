@@ -37,6 +37,7 @@ def followed_by_loads(
     job: Job,
     averages: Averages,
     model: Values | None = None,
+    stepped: Trajectory | None = None,
 ) -> Followed:
     """Return the commands with which the loads follow ``planned``, smoothed by ``averages``.
 
@@ -52,6 +53,9 @@ def followed_by_loads(
         Over time, of the motion of all axes.
     model
         The numbers that the inverses believe in; the machine's own when None.
+    stepped
+        The motion that is smoothed, with other run-ups than ``planned``, at the same times;
+        ``planned`` itself when None.
 
     Raises
     ------
@@ -65,8 +69,10 @@ def followed_by_loads(
     before_s, after_s = _rests_s(machine, planned.axes, model)
     width_s = averages.width_s
     half_s = 0.5 * width_s
-    timed = held_trajectory(planned, job, width_s, before_s + half_s, after_s + half_s)
-    trajectory = averaged_trajectory(timed, averages)
+    rests_s = (before_s + half_s, after_s + half_s)
+    timed = held_trajectory(planned, job, width_s, *rests_s)
+    held = timed if stepped is None else held_trajectory(stepped, job, width_s, *rests_s)
+    trajectory = averaged_trajectory(held, averages)
     check_limits(trajectory, machine)
     # The first reading finds the demands; of a short motion it is kept for the commands.
     reading = _References(trajectory, machine, model)

@@ -107,7 +107,10 @@ def _where(
 
 
 def _weakest(found: list[tuple[Said, ...]]) -> tuple[tuple[Said, ...], ...]:
-    """Return the conditions that no other of them is a part of; none where one is empty."""
+    """Return the conditions without those that ask for more than another one of them does.
+
+    Where one of them asks for nothing there is no condition at all.
+    """
     kept = [
         one for one in dict.fromkeys(found) if not any(set(other) < set(one) for other in found)
     ]

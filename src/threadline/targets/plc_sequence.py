@@ -219,7 +219,7 @@ def _named(
 def _what(
     place: NetPlace, scheduled: Scheduled, inputs: Mapping[str, str], outputs: Mapping[str, str]
 ) -> str:
-    """Return what happens until the time of a place has come, for people."""
+    """Return words on what happens in a place, until the time to leave it has come."""
     if place.wait is not None:
         return f"{inputs[place.wait[0]]} must be {'on' if place.wait[1] else 'off'} by then"
     machine, tick = scheduled.machine, place.begin_tick

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import ceil, log2
 
 import numpy as np
@@ -10,8 +11,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.control.corner_machines import corner_responses
 from threadline.control.robust_averages import (
+    MEAN_S,
+    ChangeOfSpeed,
     RobustWeights,
-    RunUp,
     StepOfSpeed,
     frequencies_rad_s,
     robust_weights,
@@ -20,7 +22,7 @@ from threadline.errors import PlanError
 from threadline.jobs.operations import FeedMode, Job, Move
 from threadline.machine import Machine
 from threadline.machine.vary import corners
-from threadline.trajectory import Trajectory
+from threadline.trajectory import Trajectory, leads_of, with_steps
 from threadline.trajectory.averaged import DEGREE, Averages
 
 TURNS = 4
@@ -33,10 +35,33 @@ _SEEN_S = 2.0
 _SAMPLED = (4096, 8192)  # least and most instants: memory grows with them
 _LEAST_CHANGE_S = 0.01
 _SUPPLY = 0.95  # of the current limit: the supply of a bad day
-_PLACE_M = 4.7e-4  # of the 0.5 mm that the founding cases may be off at a corner
+_RIPPLE = 0.937  # of that, if it can be: references come in steps, and the current ripples
+_PLACE_M = 4.2e-4  # of the 0.5 mm that the founding cases may be off at a corner
 _WEAK, _STRONG = 0.9, 0.43  # of it, for the axis with the largest error and for others: 1 in square
-_LOOKS = 88  # at the run-up of a motion
+_DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # how long before its step a start may begin, in two turns
+_WITHIN = (1.0, 0.8)  # the same, in its run-up
+_ENOUGH = 0.04  # of the speed: an error with which a load may stand in the corners
+_STANDS_S = 1.5 * MEAN_S  # before and after a corner, so that it is seen to stand
+_CLOSE = 2e-3  # of the speed: an error that is nearer to the least possible is good enough
 _STRAIGHT = 1e-9
+_BEND = 0.3  # of the speed: smaller steps need next to no current
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Steps:
+    """The steps of the speed of a motion.
+
+    Parameters
+    ----------
+    speeds, bends
+        (axes,) the highest speed, and the largest step between pieces that move.
+    bent
+        Whether some pieces are not straight.
+    """
+
+    speeds: FloatArray
+    bends: FloatArray
+    bent: bool
 
 
 def robust_averages(
@@ -49,16 +74,19 @@ def robust_averages(
 ) -> Averages:
     """Return averages over time that leave the least error of speed on nine machines.
 
+    They are of the motion with its run-ups as steps (``with_steps``).
+
     Parameters
     ----------
     planned
-        Before it is smoothed; its velocity steps from piece to piece.
+        Before it is smoothed, with its run-ups.
     job
         Its needle says how long a change of speed may take, unless ``smoothing_s`` does.
     radius_m
         (axes,) at which the axes act on the job.
     share
-        Of the tolerances of loads and springs: the machines are at the ends of it.
+        Of the tolerances of loads and springs: the machines are at the ends of it. With 0 there is
+        one machine, that of its file.
 
     Raises
     ------
@@ -79,10 +107,10 @@ def robust_averages(
     grid_s = step_s / _FINE
     samples = min(max(2 ** ceil(log2(_SEEN_S / grid_s)), _SAMPLED[0]), _SAMPLED[1])
     omega = frequencies_rad_s(grid_s, samples)
-    run_up, speeds = _run_up(planned, change_s)
-    machines = corners(machine, share)
+    steps = _steps(with_steps(planned))
+    machines = corners(machine, share) if share else [machine]
     axes = []
-    for axis, speed, radius in zip(planned.axes, speeds, radius_m, strict=True):
+    for axis, speed, radius in zip(planned.axes, steps.speeds, radius_m, strict=True):
         limit = machine.drive_of(axis).amplifier.current_limit
         axes.append(
             StepOfSpeed(
@@ -92,43 +120,180 @@ def robust_averages(
                 machines=corner_responses(machine, axis, machines, omega),
             )
         )
+    program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
+    leads, wanted = leads_of(planned), _shares(job)
+    own = {
+        stop: program.least(
+            [
+                [
+                    [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted)]
+                    for early_s in alike
+                ]
+                for alike in _departures_s(change_s, leads_s[0])
+            ]
+        )
+        for stop, leads_s in ((False, leads.starts_s), (True, leads.stops_s))
+    }
+    even = own[False]
+    if steps.bent or steps.bends.any():
+        # A step between pieces that move may be the start of one axis and the stop of another.
+        if (steps.bends < _BEND * steps.speeds).all():
+            program.axes = [replace(axis, current_limit_a=np.inf) for axis in axes]
+        even = program.least(
+            [[[_change(change_s, 0.25 * change_s, stop=stop) for stop in (False, True)]]]
+        )
+    return Averages(
+        weights=_acting(even),
+        step_s=step_s / _SAMPLES,
+        starts=_acting(own[False]),
+        stops=_acting(own[True]),
+    )
 
-    def solved(step: StepOfSpeed) -> RobustWeights | None:
+
+_Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
+"""Of ways that are as good as each other the best is taken; later ones where it is not enough."""
+
+
+class _Program:
+    """The linear programs of all axes."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        axes: Sequence[StepOfSpeed],
+        *,
+        change_s: float,
+        grid_s: float,
+        samples: int,
+    ) -> None:
+        self.axes = axes
+        self._names = names
+        self._change_s, self._grid_s, self._samples = change_s, grid_s, samples
+
+    def least(self, ways: _Ways) -> list[RobustWeights]:
+        """Return the best weights of every axis.
+
+        Raises
+        ------
+        PlanError
+            If an axis has none.
+        """
+        found = []
+        for name, axis in zip(self._names, self.axes, strict=True):
+            best = self._best(axis, ways)
+            if best is None:
+                raise PlanError(
+                    f"axes.{name}: no average over time changes the speed by {axis.speed:.4g} "
+                    f"within {self._change_s * 1e3:.4g} ms and {axis.current_limit_a:.4g} A on all "
+                    "machines within the tolerances",
+                    remedy="Give a longer --smoothing, or lower the speed.",
+                )
+            found.append(best)
+        # Where two axes meet both are off: what the weaker takes of the room the others give.
+        weakest = int(np.argmax([weights.cost for weights in found]))
+        if len(found) == 1 or _good(found[weakest], ways):
+            return found
+        shared = []
+        for column, axis in enumerate(self.axes):
+            room = axis.room / np.sqrt(0.5) * (_WEAK if column == weakest else _STRONG)
+            other = self._best(replace(axis, room=float(room)), ways)
+            if other is None or other.cost >= found[weakest].cost:
+                return found
+            shared.append(other)
+        return shared
+
+    def _best(self, axis: StepOfSpeed, ways: _Ways) -> RobustWeights | None:
+        found: list[RobustWeights] = []
+        for part in (_RIPPLE, 1.0):
+            spared = replace(axis, current_limit_a=part * axis.current_limit_a)
+            for alike in ways:
+                tried = [self._solved(spared, changes) for changes in alike]
+                found += [weights for weights in tried if weights is not None]
+                if any(weights.error <= _ENOUGH for weights in found):
+                    return min(found, key=lambda weights: weights.cost)
+        return min(found, key=lambda weights: weights.cost, default=None)
+
+    def _solved(self, axis: StepOfSpeed, changes: Sequence[ChangeOfSpeed]) -> RobustWeights | None:
         return robust_weights(
-            step,
-            run_up,
+            axis,
+            changes,
             count=_COUNT,
-            step_s=step_s,
+            step_s=self._change_s / _STEPS,
             degree=DEGREE,
-            grid_s=grid_s,
-            samples=samples,
+            grid_s=self._grid_s,
+            samples=self._samples,
         )
 
-    found: list[RobustWeights] = []
-    for name, step in zip(planned.axes, axes, strict=True):
-        weights = solved(step)
-        if weights is None:
-            raise PlanError(
-                f"axes.{name}: no average over time changes the speed by {step.speed:.4g} within "
-                f"{change_s * 1e3:.4g} ms and {step.current_limit_a:.4g} A on all machines within "
-                "the tolerances",
-                remedy="Give a longer --smoothing, or lower the speed.",
-            )
-        found.append(weights)
-    if len(axes) > 1:
-        # Where two axes meet both are off: what the weaker takes of the room the others give.
-        weakest = int(np.argmax([weights.error for weights in found]))
-        tried = []
-        for column, step in enumerate(axes):
-            room = step.room / np.sqrt(0.5) * (_WEAK if column == weakest else _STRONG)
-            other = solved(replace(step, room=float(room)))
-            if other is None or other.error >= found[weakest].error:
-                break
-            tried.append(other)
-        found = tried if len(tried) == len(axes) else found
-    # A sample acts the later the earlier it is in the window of a control point.
-    coarse = np.stack([weights.weights[::-1] for weights in found], axis=1)
-    return Averages(weights=_refined(coarse), step_s=step_s / _SAMPLES)
+
+def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
+    """Return how long before its step a start may depart: with its run-up, and earlier.
+
+    Where none departs before its run-up the motion really stands in the corner.
+    """
+    earlier = [part for k in _DEPARTURES if (part := 0.5 * k * change_s) > lead_s]
+    within = [part for k in _WITHIN if (part := k * (lead_s - _STANDS_S)) > 0.0]
+    return [within, earlier] if within else [earlier]
+
+
+def _good(weights: RobustWeights, ways: _Ways) -> bool:
+    """Say whether the error is next to what the planned speed itself is off the wanted one."""
+    planned = max(abs(1.0 - end) for change in ways[0][0] for end in change.share)
+    return weights.error < planned + _CLOSE
+
+
+def _change(
+    change_s: float,
+    early_s: float,
+    *,
+    stop: bool,
+    leads_s: tuple[float, float] = (0.0, 0.0),
+    share: tuple[float, float] = (1.0, 1.0),
+) -> ChangeOfSpeed:
+    """Return what is asked where a load may depart ``early_s`` before the step."""
+    within_s = 0.5 * change_s
+    return ChangeOfSpeed(
+        stop=stop,
+        early_s=early_s,
+        still_s=max(early_s, leads_s[1]) + _STANDS_S,
+        within_s=within_s,
+        even_s=within_s - leads_s[1],
+        aside_s=leads_s[0],
+        share=share,
+    )
+
+
+def _acting(found: Sequence[RobustWeights]) -> FloatArray:
+    """Return the weights of fine samples; one acts the later the earlier it is in its window."""
+    return _refined(np.stack([weights.weights[::-1] for weights in found], axis=1))
+
+
+def _shares(job: Job) -> tuple[float, float]:
+    """Return the least and largest length of stitches that must keep it, over the wanted one."""
+    least, most = np.inf, -np.inf
+    for move in job:
+        if isinstance(move, Move) and "target_m" in move.tags and not move.tags["exempt"]:
+            share = float(move.tags["length_m"]) / float(move.tags["target_m"])
+            least, most = min(least, share), max(most, share)
+    return (least, most) if least <= most else (1.0, 1.0)
+
+
+def _steps(stepped: Trajectory) -> _Steps:
+    """Read the motion once; its pieces meet with steps of speed."""
+    width = len(stepped.axes)
+    speeds, bends, bent = np.zeros(width), np.zeros(width), False
+    before = np.zeros(width)
+    for block in stepped:
+        lasts_s = block.duration_s[:, None]
+        speed = block.coefficients[:, 1:].sum(axis=1) / lasts_s
+        curved = (block.coefficients[:, 2:] != 0.0).any(axis=(1, 2))
+        bent = bent or bool(curved.any())
+        speeds = np.maximum(speeds, np.abs(speed).max(axis=0))
+        joined = np.concatenate([before[None], np.where(curved[:, None], 0.0, speed)])
+        moves = (joined != 0.0).any(axis=1)
+        steps = np.abs(np.diff(joined, axis=0))[moves[1:] & moves[:-1]]
+        bends = np.maximum(bends, steps.max(axis=0, initial=0.0))
+        before = joined[-1]
+    return _Steps(speeds=speeds, bends=np.where(bends > _STRAIGHT * speeds, bends, 0.0), bent=bent)
 
 
 def _change_s(job: Job) -> float:
@@ -161,33 +326,3 @@ def _refined(weights: FloatArray) -> FloatArray:
     spread = np.zeros(((len(weights) - 1) * _SAMPLES + 1, weights.shape[1]))
     spread[::_SAMPLES] = weights
     return np.stack([np.convolve(column, mask) for column in spread.T], axis=1)
-
-
-def _run_up(planned: Trajectory, change_s: float) -> tuple[RunUp, FloatArray]:
-    """Return how the motion comes to its speed from its first rest, and every axis' highest speed.
-
-    Speeds are those of pieces on the whole, as chords at programmed times have them.
-    """
-    most = np.zeros(len(planned.axes))
-    begin_s: float | None = None
-    for block in planned:
-        steps = block.coefficients[:, 1:].sum(axis=1) / block.duration_s[:, None]
-        most = np.maximum(most, np.abs(steps).max(axis=0))
-        moving = np.flatnonzero(np.abs(steps).max(axis=1) > 0.0)
-        if begin_s is None and len(moving):
-            begin_s = float(block.start_s[moving[0]])
-    step = RunUp(at_s=np.zeros(1), share=np.ones(1), change_s=change_s)
-    if begin_s is None:
-        return step, most
-    # In the middle of short stretches: where pieces meet the speed may step.
-    width_s = 0.5 * change_s / _LOOKS
-    looks = begin_s + width_s * (np.arange(_LOOKS) + 0.5)
-    middle_s: FloatArray = np.asarray(looks[looks < planned.duration_s])
-    speed = np.linalg.norm(planned(middle_s, 1), axis=1)
-    gained = np.diff(np.maximum.accumulate(speed), prepend=0.0)
-    kept = gained > _STRAIGHT * speed.max(initial=0.0)
-    if not kept.any():
-        return step, most
-    # What is gained between two looks came half-way between them; the first at the start.
-    at_s = np.maximum(middle_s[kept] - begin_s - 0.5 * width_s, 0.0)
-    return RunUp(at_s=at_s, share=gained[kept] / gained[kept].sum(), change_s=change_s), most

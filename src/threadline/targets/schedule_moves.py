@@ -221,7 +221,8 @@ def written_levels(
     commanded_m = covered * tick_s * speed_m_s
     if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
         raise PlanError(
-            f"levels cover {commanded_m * 1e3:.2f} mm of {distance_m * 1e3:.2f} mm",
+            f"the levels move the piston by {commanded_m * 1e3:.2f} mm of "
+            f"{distance_m * 1e3:.2f} mm",
             place=place,
             remedy="Level times duration must add up to distance over speed."
             if valves.at_once

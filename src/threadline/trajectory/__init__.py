@@ -11,11 +11,12 @@ from threadline.trajectory.budget import check_budget
 from threadline.trajectory.limits import Peak, check_limits, limit_peaks
 from threadline.trajectory.path_to_trajectory import Pace, plan_trajectory
 from threadline.trajectory.retime import retime
-from threadline.trajectory.run_ups import with_run_ups
+from threadline.trajectory.speed_steps import Leads, leads_of, with_steps
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 __all__ = [
     "Averages",
+    "Leads",
     "Pace",
     "Peak",
     "Trajectory",
@@ -26,8 +27,9 @@ __all__ = [
     "check_limits",
     "even_averages",
     "held_trajectory",
+    "leads_of",
     "limit_peaks",
     "plan_trajectory",
     "retime",
-    "with_run_ups",
+    "with_steps",
 ]

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, floor
 
 import numpy as np
 
@@ -30,6 +30,7 @@ STEPS = _AVERAGES * (_SAMPLES - 1) + DEGREE + 1
 """Width of the kernel in sampling steps."""
 _CHUNK = 8192
 _KEPT = 1 << 16
+_STILL = 1e-9  # of the fastest speed so far
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,15 +43,26 @@ class Averages(Locked):
         (2 m + 1, axes), or (2 m + 1, 1) for all axes alike; each column has the sum 1.
     step_s
         Time between samples.
+    starts, stops
+        Weights of steps from rest and to rest, of the same shape and first moment; None where they
+        are those of the rest of the motion.
     """
 
     weights: FloatArray
     step_s: float
+    starts: FloatArray | None = None
+    stops: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", read_only(self.weights, "weights", ndim=2))
-        if len(self.weights) % 2 == 0:
-            raise ValueError(f"the number of weights must be odd, got {len(self.weights)}")
+        for name in ("weights", "starts", "stops"):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            object.__setattr__(self, name, read_only(given, name, ndim=2))
+            if len(given) % 2 == 0:
+                raise ValueError(f"the number of weights must be odd, got {len(given)}")
+            if given.shape != self.weights.shape:
+                raise ValueError(f"{name} must have the shape of weights, got {given.shape}")
 
     @property
     def width_s(self) -> float:
@@ -212,7 +224,9 @@ def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]
     done = sampled = labelled = 0
     end_s = 0.0
     final: FloatArray = np.empty(0)
+    ends = _EndsOfSpeed(averages)
     for block in held:
+        ends.read(block)
         if raw is None:
             raw = np.tile(block.coefficients[0, 0], (ahead, 1))
         end_s = block.end_s
@@ -229,7 +243,7 @@ def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]
             labelled += len(middle)
             ready = min(sampled - done - behind, labelled - done)
             if ready > 0:
-                yield _spline(raw, labels, done, ready, averages, basis)
+                yield _spline(raw, labels, done, ready, averages, basis, ends)
                 raw, labels = raw[ready:], labels[ready:]
                 done += ready
             if inside < _CHUNK:
@@ -242,7 +256,7 @@ def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]
     raw = np.concatenate([raw, np.tile(final, (max(missing, 0), 1))])
     labels = np.concatenate([labels, np.repeat(labels[-1:], max(count - len(labels), 0))])
     if count > 0:
-        yield _spline(raw, labels, done, count, averages, basis)
+        yield _spline(raw, labels, done, count, averages, basis, ends)
 
 
 def _spline(
@@ -252,6 +266,7 @@ def _spline(
     count: int,
     averages: Averages,
     basis: FloatArray,
+    ends: _EndsOfSpeed,
 ) -> TrajectoryBlock:
     """Return pieces ``done`` to ``done + count``; ``raw`` begins ``before`` samples earlier."""
     step_s = averages.step_s
@@ -260,6 +275,7 @@ def _spline(
     away = raw[: count + averages.before + averages.after] - raw[0]
     for shift, weight in enumerate(averages.weights):
         controls += weight * away[shift : shift + len(controls)]
+    ends.add_to(controls, done - DEGREE // 2)
     windows = np.stack([controls[i : i + count] for i in range(DEGREE + 1)], axis=1)
     coefficients = np.einsum("ki,nia->nka", basis, windows)
     coefficients[:, 0] += raw[0]
@@ -271,3 +287,68 @@ def _spline(
         coefficients=coefficients,
         operation=labels[:count],
     )
+
+
+class _EndsOfSpeed:
+    """What weights of their own change of the control points about steps from rest and to rest.
+
+    A step of the velocity by dv at the time t adds ``dv max(0, s - t)`` to every sample s. Two sets
+    of weights of one sum and one first moment differ by that only near the step.
+    """
+
+    def __init__(self, averages: Averages) -> None:
+        self._step_s = averages.step_s
+        own = (averages.starts, averages.stops)
+        self._more = [None if weights is None else weights - averages.weights for weights in own]
+        self._half = len(averages.weights) // 2
+        self._still = True  # at the end of what was read
+        self._last: FloatArray = np.zeros(1)
+        self._fastest = 0.0
+        self._due: list[tuple[int, FloatArray]] = []  # first control point, and the changes
+
+    def read(self, block: TrajectoryBlock) -> None:
+        """Find the steps of the next block."""
+        if all(more is None for more in self._more) or not len(block):
+            return
+        lasts_s = block.duration_s[:, None]
+        power = np.arange(block.coefficients.shape[1])[:, None]
+        slope = block.coefficients * power
+        begin = (slope[:, 1] if len(power) > 1 else 0.0 * slope[:, 0]) / lasts_s
+        end = slope.sum(axis=1) / lasts_s
+        fast, ended = np.linalg.norm(begin, axis=1), np.linalg.norm(end, axis=1)
+        self._fastest = max(self._fastest, float(fast.max()), float(ended.max()))
+        least = _STILL * self._fastest
+        rests_before = np.append(self._still, ended[:-1] <= least)
+        for k in np.flatnonzero(rests_before & (fast > least)).tolist():
+            self._step(0, float(block.start_s[k]), begin[k])
+        rests_after = np.append(fast[1:] <= least, False)
+        for k in np.flatnonzero(rests_after & (ended > least)).tolist():
+            self._step(1, float(block.start_s[k + 1]), -end[k])
+        if not self._still and not rests_before[0] and fast[0] <= least:
+            self._step(1, float(block.start_s[0]), -self._last)
+        self._still, self._last = bool(ended[-1] <= least), end[-1]
+
+    def _step(self, kind: int, at_s: float, by: FloatArray) -> None:
+        more = self._more[kind]
+        if more is None:
+            return
+        first = floor(at_s / self._step_s) - self._half
+        sample = np.arange(first - self._half, first + 3 * self._half + 2) * self._step_s
+        ramp = np.maximum(sample - at_s, 0.0)
+        change = np.stack(
+            [
+                np.correlate(ramp, column)
+                for column in np.broadcast_to(more, (len(more), len(by))).T
+            ],
+            axis=1,
+        )
+        self._due.append((first, change * by))
+
+    def add_to(self, controls: FloatArray, first: int) -> None:
+        """Add what is due to control points, of which the first is that about sample ``first``."""
+        end = first + len(controls)
+        self._due = [(at, change) for at, change in self._due if at + len(change) > first]
+        for at, change in self._due:
+            begin, stop = max(at, first), min(at + len(change), end)
+            if begin < stop:
+                controls[begin - first : stop - first] += change[begin - at : stop - at]

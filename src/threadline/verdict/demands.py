@@ -17,7 +17,9 @@ _BELOW = (0, 1, 2)
 """Orders of what may step below a demand."""
 _ROUNDED = 1e-12
 """Part by which a bound is taken to be further: it is rounded otherwise than what it bounds."""
-_STEPPED = ("position", "velocity", "acceleration")
+VELOCITY_STEPS = "the velocity steps"
+"""Begins the note of an acceleration that is infinite but for the length of a tick."""
+_STEPPED = ("the position steps", VELOCITY_STEPS, "the acceleration steps")
 
 
 def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
@@ -115,7 +117,7 @@ class _Demand:
         """Compare a step of a derivative below, at a place in a piece."""
         value = size / self._tick_s ** (self._order - below)
         if value > self._value:
-            note = f"the {_STEPPED[below]} steps; taken over one tick"
+            note = f"{_STEPPED[below]}; taken over one tick"
             self._set(value, _place(block, piece, where), note)
 
     def _set(self, value: float, place: tuple[float, int, tuple[float, ...]], note: str) -> None:

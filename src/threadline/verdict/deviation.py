@@ -71,7 +71,7 @@ def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Findin
 def _blocks(
     pieces: Iterator[tuple[FloatArray, IntArray]], path: PathWindow, beside: int
 ) -> Iterator[Block]:
-    """Yield points with the chords of their operation and ``beside`` of them on either side."""
+    """Yield points with the chords of their operation, and ``beside`` more on either side."""
     previous: int | None = None
     for points, operation in pieces:
         path.reach(int(operation[-1]) + beside)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.path.types import Timing
 from threadline.plan import Plan
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import MeasureKind
@@ -130,10 +131,17 @@ class EachRun:
 
 
 def limit_of(criterion: Criterion, plan: Plan) -> float | None:
-    """Return the limit of a criterion; None for limits that a historical plan need not keep."""
-    if criterion.hard and plan.intent.historical and criterion.name in _EXCUSED:
-        return None
-    return criterion.limit
+    """Return the limit of a criterion; None for limits that a historical plan need not keep.
+
+    A simulation tells what becomes of a historical plan. Where the machine file has no dynamics
+    there is none, and the limits are all that can be judged: such a plan has to keep them, unless
+    it is the firmware's own, which comes to no harm at corners where the velocity steps.
+    """
+    if not criterion.hard or criterion.name not in _EXCUSED or not plan.intent.historical:
+        return criterion.limit
+    if plan.machine.without_dynamics and plan.motion.path.timing is not Timing.FIRMWARE:
+        return criterion.limit
+    return None
 
 
 def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:

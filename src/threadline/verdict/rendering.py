@@ -11,6 +11,7 @@ from threadline import __version__
 from threadline.arrays import finite
 from threadline.plan import Plan
 from threadline.units import without_noise
+from threadline.verdict.demands import VELOCITY_STEPS
 from threadline.verdict.types import Level, Result, Status, Verdict
 
 _IN_SECONDS = 10.0  # milliseconds beyond it would have an exponent
@@ -88,12 +89,16 @@ def closing(verdict: Verdict) -> str:
     """Return the line under a verdict for people: what, at which level, and how narrowly.
 
     A verdict that fails only because something required was not measured says so: nothing was
-    found out of specification, and nothing proved.
+    found out of specification, and nothing proved. Where the machine keeps its limits and nothing
+    else that was measured has one, that is all the line says.
     """
     level = _level(verdict)
     missing = dict.fromkeys(r.name for r in verdict.results if r.status is Status.NOT_MEASURED)
     if verdict.passed:
         about = [level]
+        if not verdict.answers and verdict.level is not Level.LIMITS:
+            about.append(_unasked(verdict))
+        about += _not_kept(verdict)
         if verdict.tightest is not None:
             about.append(_used(verdict.tightest))
         if missing:
@@ -101,7 +106,7 @@ def closing(verdict: Verdict) -> str:
             about.append(f"{len(missing)} {plural} not measured")
         if verdict.late_ticks:
             about.append(f"{verdict.late_ticks} ticks late")
-        return f"IN SPEC ({'; '.join(about)})"
+        return f"{'IN SPEC' if verdict.answers else 'LIMITS KEPT'} ({'; '.join(about)})"
     if any(r.status is Status.FAILED for r in verdict.results):
         worst = verdict.tightest
         beyond = "" if worst is None or worst.status is not Status.FAILED else f"; {_used(worst)}"
@@ -116,7 +121,10 @@ def closing(verdict: Verdict) -> str:
 def closing_of_all(verdicts: Sequence[Verdict]) -> str:
     """Return the line under several verdicts: how many are in spec, and at which level."""
     good = sum(verdict.passed for verdict in verdicts)
-    levels = dict.fromkeys(f"{_level(verdict)} each" for verdict in verdicts)
+    levels = dict.fromkeys(
+        _level(verdict) if verdict.level is Level.LIMITS else f"{_level(verdict)} each"
+        for verdict in verdicts
+    )
     how_many = "every case" if good == len(verdicts) else f"{good} of {len(verdicts)} cases"
     return f"{how_many} in spec ({', '.join(levels)})"
 
@@ -136,10 +144,41 @@ def _used(result: Result) -> str:
     """Return how much of its limit a result uses, rounded up: 100 % is never less."""
     assert result.measured is not None and result.limit
     name = " ".join(filter(None, (result.name, result.axis, result.step)))
-    used = 100.0 * max(result.measured, 0.0) / result.limit
-    if math.isinf(used):  # as the time to settle of what never does
+    share = max(result.measured, 0.0) / result.limit
+    if math.isinf(share):  # as the time to settle of what never does
         return f"{name} is beyond any multiple of its limit"
-    return f"{math.ceil(used - 1e-9)} % of {name} used"
+    return f"{percent_used(share)} of {name} used"
+
+
+def percent_used(share: float, digits: int = 0) -> str:
+    """Return the share of a limit that is used, in per cent, rounded up.
+
+    A result never reads better than it is: 100 % is never more than the limit.
+
+    >>> percent_used(0.9401), percent_used(1.0), percent_used(1.0004), percent_used(0.9401, 1)
+    ('95 %', '100 %', '101 %', '94.1 %')
+    """
+    if math.isinf(share):
+        return "inf %"
+    fine = 10.0**digits
+    return f"{math.ceil(100.0 * share * fine - 1e-9) / fine:.{digits}f} %"
+
+
+def _not_kept(verdict: Verdict) -> list[str]:
+    """Return a line on the limits of the machine that a plan is excused from; none for most."""
+    steps = any(r.hard and r.limit is None and VELOCITY_STEPS in r.note for r in verdict.results)
+    if verdict.answers or not steps:
+        return []
+    return [f"but for acceleration and jerk: {VELOCITY_STEPS} at corners"]
+
+
+def _unasked(verdict: Verdict) -> str:
+    """Return why a verdict says nothing beyond the limits of the machine."""
+    asked = dict.fromkeys(r.name for r in verdict.results if r.limit is not None and not r.hard)
+    if asked:
+        were = "was" if len(asked) == 1 else "were"
+        return f"{' and '.join(asked)} {were} not measured"
+    return "nothing else is asked, for no criterion of the specification has a limit"
 
 
 def verdict_rows(

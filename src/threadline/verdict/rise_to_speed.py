@@ -13,6 +13,7 @@ from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting, enough_of, lanes
+from threadline.verdict.stitches import PART_OF_STITCH
 
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed
@@ -36,20 +37,24 @@ class _Rise:
 
     A rise goes from the turn of a dip of the command until the head has 95 % of the set speed, a
     fall from the last time that it had so much until the command stops. Speeds are means over
-    ``over``.
+    ``over``, or ``PART_OF_STITCH`` of the first stitches' least time where that is less: a mean
+    over more than a dip of the command would not see the dip.
     """
 
     def __init__(self, setting: Setting, over_s: float) -> None:
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
         self._radius_m = setting.radius_m[self._columns, None]
-        self._every = enough_of(over_s, setting.interval_s)
-        interval_s = self._every * setting.interval_s
-        self._span = max(round(over_s / interval_s), 1)
-        self._over_s = self._span * interval_s
         self._source: Iterator[Stitches] = (
             planned_stitches(setting.plan) if has_stitches(setting.plan.job) else iter(())
         )
         self._run: Stitches | None = next(self._source, None)
+        if self._run is not None:
+            least_s = float(np.fmin.reduce(self._run.period_s, initial=np.inf))
+            over_s = min(over_s, PART_OF_STITCH * least_s)
+        self._every = enough_of(over_s, setting.interval_s)
+        interval_s = self._every * setting.interval_s
+        self._span = max(round(over_s / interval_s), 1)
+        self._over_s = self._span * interval_s
         self._sews = self._run is not None
         self._tail: list[FloatArray] = []
         self._legs = [_Legs() for _ in range(setting.runs)]

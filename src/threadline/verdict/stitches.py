@@ -25,6 +25,9 @@ _WORDS = {False: ("too long", "too short"), True: ("too fast", "too slow")}
 SHORT = "the recording ends before this stitch"
 _BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
 _PARTS = 256  # of the time over which a speed is taken: finer samples say nothing more
+_FINE_S = 0.002  # or of so much, for a mean is taken over the part of a stitch at most
+PART_OF_STITCH = 0.25
+"""Of a stitch, over which its speed is taken at most: a mean over all of it hides each swing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,8 +48,8 @@ class SewnStitches:
         (n, runs) distance of ``actual`` from the seam: the nearest point of the stitches about it.
     speed_error
         (n, runs) relative error of the head's speed against the stitch's wanted length over its
-        planned time: speeds are means over ``over_s``, the error is the largest in the stitch, with
-        its sign.
+        planned time: speeds are means over ``over_s``, or ``PART_OF_STITCH`` of the stitch where
+        that is less; the error is the largest in the stitch, with its sign.
     speed_s
         (n, runs) the instant at the end of that mean.
     """
@@ -76,7 +79,7 @@ class StitchFollower:
         How long after the command the needle goes down: the head's lag, to which the needle is
         set. A head that itself follows the motion has none, and the needle goes down when due.
     over_s
-        Over which the head's speed is taken.
+        Over which the head's speed is taken at most.
     """
 
     def __init__(self, setting: Setting, delay_s: float, over_s: float = 0.002) -> None:
@@ -129,7 +132,8 @@ class StitchFollower:
         """
         rows = np.arange(len(time_s))
         lasts_s = float(time_s[-1] - time_s[0])
-        every = int(self._over_s / _PARTS * (len(rows) - 1) / lasts_s) if lasts_s > 0.0 else 1
+        apart_s = min(self._over_s, _FINE_S) / _PARTS
+        every = int(apart_s * (len(rows) - 1) / lasts_s) if lasts_s > 0.0 else 1
         return rows if every < 2 else np.unique(np.append(rows[::every], rows[-1]))
 
     def _pull(self, runs: int) -> None:
@@ -177,20 +181,24 @@ class StitchFollower:
     def _speeds(self, run: Stitches) -> tuple[FloatArray, FloatArray]:
         """Return (n, runs) the largest relative error of the speed in each stitch, and when it was.
 
-        Instants are the samples within the stitch, less the first ``over_s`` of it, and its end.
+        Instants are the samples within the stitch, less the time of a mean at its begin, and its
+        end.
         """
         begin_s, end_s = run.from_s + self._delay_s, run.down_s + self._delay_s
         at_s = np.unique(np.concatenate([self._time_s, end_s]))
         stitch = np.searchsorted(end_s, at_s, side="left")
         stitch = np.minimum(stitch, len(run) - 1)
-        within = (at_s >= begin_s[stitch] + self._over_s) & (at_s <= end_s[stitch])
+        lasts_s = run.down_s - run.from_s
+        part_s = np.minimum(self._over_s, PART_OF_STITCH * lasts_s)
+        over_s = np.where(lasts_s > 0.0, part_s, self._over_s)[stitch]
+        within = (at_s >= begin_s[stitch] + over_s) & (at_s <= end_s[stitch])
         within |= at_s == end_s[stitch]
-        at_s, stitch = at_s[within], stitch[within]
-        way = self._at(at_s) - self._at(at_s - self._over_s)
+        at_s, stitch, over_s = at_s[within], stitch[within], over_s[within]
+        way = self._at(at_s) - self._at(at_s - over_s)
         # Far slower than the grid of the timing a stitch may be given no time: it is sewn at none.
         with np.errstate(divide="ignore"):
-            wanted = (run.target_m / (run.down_s - run.from_s))[stitch, None]
-        error = np.sqrt((way**2).sum(axis=1)) / self._over_s / wanted - 1.0
+            wanted = (run.target_m / lasts_s)[stitch, None]
+        error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / wanted - 1.0
         starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
         sizes = np.abs(error)
         # Of each stitch the first sample with its largest size.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,12 @@ from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
+from threadline.verdict.switch_samples import Samples, compact, joined, sample_at, whole
 
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums
 UNNAMED = "begin"
 """Name of the step of moves that come before the first step that the list names."""
-Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
-"""Samples of a channel; those of a switch are int8, an eighth of the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +114,7 @@ class SwitchRun:
     def _switched(self) -> tuple[FloatArray, NDArray[np.int8]]:
         """(n,) instants and (n, outputs) states of the outputs."""
         time_s, _ = self._samples(self.commands.outputs[0])
-        columns = [_whole(self._samples(name)[1]) for name in self.commands.outputs]
+        columns = [whole(self._samples(name)[1]) for name in self.commands.outputs]
         if len(time_s) < 2 or any(len(v) != len(time_s) for v in columns):
             raise RecordingError("the output channels must have the same instants, two at least")
         states: NDArray[np.int8] = np.stack(columns, axis=1)
@@ -173,7 +172,7 @@ class SwitchRun:
             for name, first in firsts.items():
                 first.append(block.first_tick[name])
             for c in channels:
-                values[c.name].append(_compact(block.samples[c.name]))
+                values[c.name].append(compact(block.samples[c.name]))
         times: dict[tuple[str, int, tuple[int, ...]], FloatArray] = {}
         found: dict[str, tuple[FloatArray, Samples]] = {}
         for c in channels:
@@ -183,7 +182,7 @@ class SwitchRun:
                 blocks = zip(firsts[c.clock.name], pace[2], strict=True)
                 times[pace] = np.concatenate([c.clock.times_s(k, n, c.stride) for k, n in blocks])
             if parts:
-                found[c.name] = (times[pace], _joined(parts))
+                found[c.name] = (times[pace], joined(parts))
         return found
 
     def _samples(self, name: str) -> tuple[FloatArray, FloatArray]:
@@ -279,7 +278,11 @@ class SwitchRun:
         return len(self.row_s) == len(self.commands.ticks)
 
     def instant_s(self, tick: int) -> float:
-        """Return when a tick of the schedule came, by the switchings about it."""
+        """Return the instant, s, at which a tick of the schedule was played.
+
+        It is counted from the next switching, whose instant is known, and after the last one from
+        that.
+        """
         period_s = float(self.commands.clock.period_s)
         ticks = self.commands.ticks
         after = int(np.searchsorted(ticks, tick))
@@ -373,26 +376,3 @@ class SwitchRun:
         begin_s = max([step.begin_s, *(m.rest_s for m in done)])
         last_s = max(float(self.time_s[-1]), self.end_s)
         return begin_s, min([last_s, *(m.begin_s for m in later)])
-
-
-def _compact(values: FloatArray) -> Samples:
-    """Return a switch's samples in an eighth of the memory; others as they are."""
-    if ((values == 0.0) | (values == 1.0)).all():
-        return values.astype(np.int8)
-    return values
-
-
-def _joined(parts: list[Samples]) -> Samples:
-    if all(part.dtype == np.int8 for part in parts):
-        return np.concatenate(parts, dtype=np.int8)
-    return np.concatenate(parts, dtype=np.float64)
-
-
-def _whole(values: Samples) -> NDArray[np.int8]:
-    """Return the nearest state of an output; what is far from 0 and 1 stays far from both."""
-    return np.clip(np.rint(values), -100, 100).astype(np.int8)
-
-
-def sample_at(times_s: FloatArray, end_s: float) -> int:
-    """Return the last sample that is not behind an instant; the first where all are."""
-    return max(int(np.searchsorted(times_s, end_s, side="right")) - 1, 0)

@@ -242,6 +242,13 @@ class Verdict:
         return max(held, key=_share, default=None)
 
     @property
+    def answers(self) -> bool:
+        """Whether anything was measured that has a limit other than the machine's own."""
+        return any(
+            r.limit is not None and r.measured is not None and not r.hard for r in self.results
+        )
+
+    @property
     def passed(self) -> bool:
         """Nothing failed, everything required was measured, and every run came to its end."""
         return not self.incomplete and all(

@@ -44,7 +44,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from threadline.errors import OptionError
-from threadline.jobs.operations import FeedMode
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 
 _AT_RADIUS = "a rotary axis at its radius"
@@ -142,6 +142,23 @@ def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
     tick_s = float(machine.tick_clock.period_s)
     per_axis = machine.operator.normal_feed.si / machine.counts_per_unit / tick_s
     return tuple((per_axis * machine.radius_m).tolist())
+
+
+def as_f_words(value_m_s: float, rule: str) -> Feed:
+    """Return the feed of F words of that value, by ``Job.feed_rule``.
+
+    Raises
+    ------
+    OptionError
+        If the job has no F words that are a speed.
+    """
+    name, _, base = rule.partition(":")
+    if name not in RULES:
+        raise OptionError(
+            f"feed 'F {60_000.0 * value_m_s:.6g}': F of this job is no speed of its moves",
+            remedy='Give the speed of the fastest axis, like "36 mm/s".',
+        )
+    return Feed(RULES[name][0], value_m_s, tuple(base.split(",")) if base else ())
 
 
 def of_which(rule: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from threadline.errors import BudgetError, JobError, MachineError, OptionError, Place
@@ -92,7 +93,8 @@ def read_part_program(
         operations=OperationStream(
             Stream(PartProgram.runs, program), Stream(PartProgram.folded, program)
         ),
-        warnings=_warnings(scanner, structure, machine, file, spoken.rapid_is_feed),
+        warnings=_warnings(scanner, file, spoken.rapid_is_feed),
+        capped=_capped(scanner, structure, machine, file),
         feed_rule=rule.text,
     )
 
@@ -130,25 +132,31 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
     )
 
 
-def _warnings(
-    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile, rapid_is_feed: bool
+def _capped(
+    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile
 ) -> tuple[str, ...]:
-    findings = scanner.findings
     used = scanner.moved_axes or range(len(machine.axis_names))  # G28 alone names none
     caps_m_s = normal_feed_m_s(machine)
-    warnings = []
-    for (feed, tenth_mm), line in findings.feeds.speeds(structure.main.label).items():
-        speed_m_s = feed * tenth_mm / (600_000 * ONE)
-        if machine.operator is None or caps_m_s is None:
-            break
-        if speed_m_s > min(caps_m_s[i] for i in used):
-            caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
-            warnings.append(
-                f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
-                f"normal feed of {machine.operator.normal_feed.si:g} count/tick ({caps} mm/s), "
-                "which caps it. Choose another feed with --feed, or raise operator.normal_feed."
-            )
-    warnings += [
+    if machine.operator is None or caps_m_s is None:
+        return ()
+    cap_m_s = min(caps_m_s[i] for i in used)
+    caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
+    speeds_m_s = [
+        (line, feed, feed * tenth_mm / (600_000 * ONE))
+        for (feed, tenth_mm), line in scanner.findings.feeds.speeds(structure.main.label).items()
+    ]
+    return _first(
+        f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
+        f"normal feed of {machine.operator.normal_feed.si:g} count/tick ({caps} mm/s), "
+        "which caps it. Choose another feed with --feed, or raise operator.normal_feed."
+        for line, feed, speed_m_s in speeds_m_s
+        if speed_m_s > cap_m_s
+    )
+
+
+def _warnings(scanner: Scanner, file: SourceFile, rapid_is_feed: bool) -> tuple[str, ...]:
+    findings = scanner.findings
+    warnings = [
         f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
         for line in findings.long_dwells
     ]
@@ -170,7 +178,14 @@ def _warnings(
     if findings.idle:
         words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
         warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.")
-    if len(warnings) > _MAX_WARNINGS:
-        more = len(warnings) - _MAX_WARNINGS
-        warnings = [*warnings[:_MAX_WARNINGS], f"{more} more warnings of these kinds."]
-    return tuple(warnings)
+    return _first(warnings)
+
+
+def _first(warnings: Iterable[str]) -> tuple[str, ...]:
+    found = tuple(warnings)
+    if len(found) <= _MAX_WARNINGS:
+        return found
+    return (
+        *found[:_MAX_WARNINGS],
+        f"{len(found) - _MAX_WARNINGS} more warnings of these kinds.",
+    )

@@ -88,9 +88,10 @@ def by_jumps(moves: Moves, jumps: FloatArray) -> FloatArray:
 
 
 def by_shared_speed(moves: Moves, jumps: FloatArray) -> FloatArray:
-    """Return the (n - 1,) greatest v^2 between the moves by the (axes,) jumps of speed.
+    """Return the (n - 1,) greatest squares of the speed at the corners between n moves.
 
-    Both moves have the same speed at the corner, as RepRapFirmware has it.
+    By how much the speed of each axis may jump there is given by the (axes,) ``jumps``. Both
+    moves have the same speed at the corner, as RepRapFirmware has it.
     """
     return along_axes(jumps, np.diff(moves.direction, axis=0)) ** 2
 

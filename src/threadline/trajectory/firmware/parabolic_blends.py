@@ -17,19 +17,17 @@ has to be slower than 2 sqrt(a_1 P / cos(theta)), 2 theta being the angle betwee
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.compiled import njit
 from threadline.machine.motion_planner import LinuxCncPlanner
-from threadline.path.types import PieceBlock
-from threadline.trajectory.firmware.firmware_moves import standing
-from threadline.trajectory.firmware.rules import MM, Rules
+from threadline.trajectory.firmware.moves_in_hand import MovesInHand
+from threadline.trajectory.firmware.rules import MM
 from threadline.trajectory.types import TrajectoryBlock
 
-_AT_ONCE = 16_384  # moves in hand before some are planned
 _STRAIGHT = 1e-3  # of cos(theta): no corner for it
 
 
@@ -92,44 +90,19 @@ def blended(length, acceleration, speed, cosine, tolerance, begun, ends, entered
     return rate, enter, along, top, leave, following, lasting, slope
 
 
-@dataclass(slots=True)
-class BlendedRun:
-    """The moves since the last rest that are not out yet."""
+@dataclass(slots=True, kw_only=True)
+class BlendedRun(MovesInHand):
+    """Moves that overlap."""
 
-    rules: Rules
     planner: LinuxCncPlanner
-    begin_s: float = 0.0
-    start: list[FloatArray] = field(default_factory=list)
-    way: list[FloatArray] = field(default_factory=list)
-    nominal_s: list[FloatArray] = field(default_factory=list)
-    operation: list[IntArray] = field(default_factory=list)
-    waiting: int = 0
-    begun: bool = False
-    entered: float = 0.0
-    overlap: float = 0.0
+    entered: float = 0.0  # speed that the first move has when the one before ends
+    overlap: float = 0.0  # for how long both moved
 
-    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
-        """Take in moves and yield what they settle; all, and the dwell, where the run ends."""
-        start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
-        moves = way.any(axis=1)
-        self.start.append(start[moves])
-        self.way.append(way[moves])
-        self.nominal_s.append(block.nominal_s[rows][moves])
-        self.operation.append(block.operation[rows][moves])
-        self.waiting += int(moves.sum())
-        if self.waiting and (ends or self.waiting >= _AT_ONCE):
-            yield from self._settle(ends)
-        if not ends:
-            return
-        dwell = float(block.dwell_s[rows][-1])
-        if dwell > 0.0:
-            yield standing(self.begin_s, start[-1] + way[-1], dwell, block.operation[rows][-1:])
-            self.begin_s += dwell
-        self.begun, self.entered, self.overlap = False, 0.0, 0.0
+    def _rest(self) -> None:
+        self.entered, self.overlap = 0.0, 0.0
 
     def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
-        start, way, nominal_s = (np.concatenate(k) for k in (self.start, self.way, self.nominal_s))
-        operation = np.concatenate(self.operation)
+        start, way, nominal_s = self.start[0], self.way[0], self.nominal_s[0]
         moves = self.rules.moves(way, nominal_s)
         found = blended(
             moves.length,
@@ -144,18 +117,16 @@ class BlendedRun:
         )
         out = len(found[0])
         if out:
-            yield self._pieces(start, way / moves.length[:, None], moves.length, operation, found)
+            yield self._pieces(start, way / moves.length[:, None], moves.length, found)
             self.begun = True
             self.entered, self.overlap = float(found[5][-1]), float(found[6][-1])
-        self.start, self.way, self.nominal_s = [start[out:]], [way[out:]], [nominal_s[out:]]
-        self.operation, self.waiting = [operation[out:]], len(start) - out
+        self._keep(out)
 
     def _pieces(
         self,
         start: FloatArray,
         way: FloatArray,
         length: FloatArray,
-        operation: IntArray,
         found: tuple[FloatArray, ...],
     ) -> TrajectoryBlock:
         """Return five pieces of each move that is out, those without duration left out.
@@ -190,13 +161,4 @@ class BlendedRun:
         coefficients = own[..., None] * way[:out, None, None]
         coefficients += other[..., None] * ahead[:, None, None]
         coefficients[:, :, 0] += start[:out, None]
-        lasts = time_s.reshape(-1) > 0.0
-        duration = time_s.reshape(-1)[lasts]
-        begin = self.begin_s + np.concatenate(([0.0], np.cumsum(duration)))
-        self.begin_s = float(begin[-1])
-        return TrajectoryBlock(
-            start_s=begin[:-1],
-            duration_s=duration,
-            coefficients=coefficients.reshape(5 * out, 3, -1)[lasts],
-            operation=np.repeat(operation[:out], 5)[lasts],
-        )
+        return self._timed(time_s, coefficients, self.operation[0][:out])

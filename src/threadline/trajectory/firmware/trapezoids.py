@@ -7,21 +7,20 @@ speed of an axis steps: that is what these planners do, and the twin shows what 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.machine import Machine
 from threadline.machine.motion_planner import FirmwarePlanner, KlipperPlanner, LinuxCncPlanner
-from threadline.path.types import PieceBlock, PlannedPath
-from threadline.trajectory.firmware.firmware_moves import Moves, standing
+from threadline.path.types import PlannedPath
+from threadline.trajectory.firmware.firmware_moves import Moves
 from threadline.trajectory.firmware.look_ahead import entries_of_ring, speeds_with_cruise
+from threadline.trajectory.firmware.moves_in_hand import MovesInHand
 from threadline.trajectory.firmware.parabolic_blends import BlendedRun
 from threadline.trajectory.firmware.rules import Rules
 from threadline.trajectory.types import TrajectoryBlock
-
-_AT_ONCE = 16_384  # moves in hand before some are planned; more where fewer are not settled
 
 
 def firmware_blocks(
@@ -32,9 +31,9 @@ def firmware_blocks(
     The firmware is taken to have as many blocks in hand as it can: its link keeps up.
     """
     rules = Rules.of(planner, machine, path.axes)
-    under_way: _Run | BlendedRun = _Run(rules)
+    under_way: MovesInHand = _Run(rules)
     if isinstance(planner, LinuxCncPlanner):
-        under_way = BlendedRun(rules, planner)
+        under_way = BlendedRun(rules, planner=planner)
     for block in path:
         edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
         for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
@@ -44,43 +43,17 @@ def firmware_blocks(
 
 
 @dataclass(slots=True)
-class _Run:
-    """The moves since the last rest whose speeds may still change."""
+class _Run(MovesInHand):
+    """Moves that follow each other in trapezoids of speed."""
 
-    rules: Rules
-    begin_s: float = 0.0
-    start: list[FloatArray] = field(default_factory=list)
-    way: list[FloatArray] = field(default_factory=list)
-    nominal_s: list[FloatArray] = field(default_factory=list)
-    operation: list[IntArray] = field(default_factory=list)
-    waiting: int = 0
-    begun: bool = False  # the first move in hand goes on from one that is out
     speed: float = 0.0  # v^2 at which the first move in hand begins
     smooth: float = 0.0  # the same in Klipper's second plan
     cruise: float = 0.0  # the greatest v^2 of the move that is out
 
-    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
-        """Take in moves and yield what they settle; all, and the dwell, where the run ends."""
-        start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
-        moves = way.any(axis=1)
-        self.start.append(start[moves])
-        self.way.append(way[moves])
-        self.nominal_s.append(block.nominal_s[rows][moves])
-        self.operation.append(block.operation[rows][moves])
-        self.waiting += int(moves.sum())
-        if self.waiting and (ends or self.waiting >= _AT_ONCE):
-            yield from self._settle(ends)
-        if not ends:
-            return
-        dwell = float(block.dwell_s[rows][-1])
-        if dwell > 0.0:
-            yield standing(self.begin_s, start[-1] + way[-1], dwell, block.operation[rows][-1:])
-            self.begin_s += dwell
-        self._keep(self.waiting)
-        self.begun, self.speed, self.smooth, self.cruise = False, 0.0, 0.0, 0.0
+    def _rest(self) -> None:
+        self.speed, self.smooth, self.cruise = 0.0, 0.0, 0.0
 
     def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
-        self._join()
         moves = self.rules.moves(self.way[0], self.nominal_s[0])
         most = self.rules.corners(moves)
         if not self.begun:
@@ -136,26 +109,4 @@ class _Run:
         shares = np.stack([ends, speed * time_s, 0.5 * bend * time_s**2], axis=2)
         coefficients = shares[:, :, :, None] * way[:, None, None, :]
         coefficients[:, :, 0] += start[:, None]
-        lasts = time_s.reshape(-1) > 0.0
-        duration = time_s.reshape(-1)[lasts]
-        begin = self.begin_s + np.concatenate(([0.0], np.cumsum(duration)))
-        self.begin_s = float(begin[-1])
-        yield TrajectoryBlock(
-            start_s=begin[:-1],
-            duration_s=duration,
-            coefficients=coefficients.reshape(3 * count, 3, -1)[lasts],
-            operation=np.repeat(self.operation[0][rows], 3)[lasts],
-        )
-
-    def _join(self) -> None:
-        for kept in (self.start, self.way, self.nominal_s):
-            kept[:] = [np.concatenate(kept)]
-        self.operation = [np.concatenate(self.operation)]
-
-    def _keep(self, done: int) -> None:
-        """Let go of the moves that are out."""
-        self._join()
-        for kept in (self.start, self.way, self.nominal_s):
-            kept[:] = [kept[0][done:]]
-        self.operation = [self.operation[0][done:]]
-        self.waiting -= done
+        yield self._timed(time_s, coefficients, self.operation[0][rows])

@@ -228,7 +228,11 @@ def _far(y, dy, acc, jerk, points, count, top, drive, tangent):
 
 @njit()
 def advance(b, step, length, rows, tangent):
-    """Go along the step as far as the slacks allow; change b, and return the share taken."""
+    """Go along the step as far as the slacks allow; change b, and return the share taken.
+
+    Where rounding has left no room to a limit, the share is not above 0 and b stays as it is: a
+    slack of -1e-16 over a change of 1e-30 would be a step of 1e14 backwards.
+    """
     acc, jerk, points, count, top, drive, begin = rows
     best = 1e300
     y, dy = np.zeros(3), np.zeros(3)
@@ -239,8 +243,9 @@ def advance(b, step, length, rows, tangent):
         far = _far(y, dy, acc[i], jerk[i], points[i], count[i], top[i], own, tangent[i])
         best = min(best, far)
     share = min(1.0, _NEAR * best)
-    for k in range(len(b)):
-        b[k] += share * step[k]
+    if share > 0.0:
+        for k in range(len(b)):
+            b[k] += share * step[k]
     return share
 
 

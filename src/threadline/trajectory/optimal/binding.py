@@ -87,7 +87,7 @@ def binding(
 
 
 def _strayed(trajectory: Trajectory, follower: Follower, time_s: FloatArray) -> FloatArray:
-    """Return the (n,) shares of the contour that is allowed which a motion causes."""
+    """Return the (n,) shares of the allowed contour error that a motion uses at (n,) times."""
     past = Past(follower.memory_s)
     out = np.zeros(len(time_s))
     for block in trajectory:

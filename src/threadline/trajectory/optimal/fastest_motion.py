@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
+from threadline.path.runs import COINCIDENT_M
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.plant.closed_loop import answers_of
+from threadline.trajectory.optimal.alone import line_alone
 from threadline.trajectory.optimal.drives import limits_of
 from threadline.trajectory.optimal.following_error import Follower, Past, followed
 from threadline.trajectory.optimal.in_time import in_time
 from threadline.trajectory.optimal.path_elements import Elements, elements_of
 from threadline.trajectory.optimal.solve import Limits, fastest
-from threadline.trajectory.pieces import factors
+from threadline.trajectory.pieces import factors, slope
 from threadline.trajectory.timed import held_block
 from threadline.trajectory.types import TrajectoryBlock
+
+BoolArray: TypeAlias = NDArray[np.bool_]
 
 MOST_PIECES = 20_000
 """Pieces of one run that are solved together; where a run has more, the motion rests between."""
 GAP = 1e-4
-_LEAD_RAMPS = 4.0  # of the time that the jerk takes: how long a lead-in lasts at the feed
+_AT_FEED = 0.025  # of the time until the axes have the feed: half of a lead-in's time at it
 
 
 def fastest_blocks(
@@ -39,6 +45,8 @@ def fastest_blocks(
         Whether loads are to follow it, and no motors.
     """
     follower = follower_of(path, machine, contour_m) if np.isfinite(contour_m) else None
+    if follower is not None and all(answer is None for answer in follower.answers):
+        follower = None  # no loop of which anything is known follows these axes
     yield from limited_blocks(path, limits_of(machine, path.axes, of_loads=of_loads), follower)
 
 
@@ -66,11 +74,17 @@ def limited_blocks(
     for run in _runs(path):
         moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
         if moves.any():
-            elements = _elements(run, moves, path.radius_m, _LEAD_RAMPS * limits.ramp_s)
-            if follower is None:
-                block = in_time(fastest(elements, limits, GAP), limits, now)
-            else:
-                block = followed(elements, limits, follower, past, now)
+            block = None
+            if follower is None and len(run) == 1 and not run.coefficients[0, 2:].any():
+                block = line_alone(
+                    run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, now
+                )
+            if block is None:
+                elements = _elements(run, moves, path.radius_m, limits)
+                if follower is None:
+                    block = in_time(fastest(elements, limits, GAP), limits, now)
+                else:
+                    block = followed(elements, limits, follower, past, now)
             now = block.end_s
             past.add(block)
             yield block
@@ -130,13 +144,31 @@ def _joined(parts: list[PieceBlock]) -> PieceBlock:
     )
 
 
+def _beyond_rounding(run: PieceBlock, moves: BoolArray, radius_m: FloatArray) -> BoolArray:
+    """Return ``moves`` without the pieces of no length at the start and the end of the run.
+
+    Beside a chord of nanometres a spline has spans of femtometres: less than the rounding of a
+    position, and no motion from rest along them has digits.
+    """
+    long = np.abs(run.coefficients[:, 1:] * radius_m).sum(axis=1).max(axis=1) > COINCIDENT_M
+    inner = np.logical_or.accumulate(long) & np.logical_or.accumulate(long[::-1])[::-1]
+    return moves & inner if inner.any() else moves
+
+
 def _elements(
     run: PieceBlock,
-    moves: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+    moves: BoolArray,
     radius_m: FloatArray,
-    lead_s: float,
+    limits: Limits,
 ) -> Elements:
-    c = run.coefficients[moves]
+    moves = _beyond_rounding(run, moves, radius_m)
+    c = run.coefficients[moves].copy()
+    # What lies beyond the first and the last of these pieces is less than a rounding of theirs.
+    end = run.coefficients[-1].sum(axis=0) - c[-1].sum(axis=0)
+    start = run.coefficients[0, 0] - c[0, 0]
+    c[-1, 1] += end
+    c[0, 0] += start
+    c[0, 1] -= start
     if c.shape[1] < 4:
         c = np.pad(c, ((0, 0), (0, 4 - c.shape[1]), (0, 0)))
     return elements_of(
@@ -147,5 +179,20 @@ def _elements(
         1.0,
         from_rest=True,
         to_rest=True,
-        lead_s=lead_s,
+        lead_s=(
+            _lead_s(c[0, 1], run.nominal_s[moves][0], limits),
+            _lead_s(slope(c[-1:])[0], run.nominal_s[moves][-1], limits),
+        ),
     )
+
+
+def _lead_s(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
+    """Return how long a lead-in takes at the feed: no longer than until the axes have reached it.
+
+    While they have not, the feed does not bind.
+    """
+    if nominal_s <= 0.0:
+        return np.inf
+    feed = np.abs(rate) / nominal_s
+    rise_s = np.maximum(2.0 * np.sqrt(feed / limits.jerk), feed / limits.acceleration)
+    return _AT_FEED * float(rise_s.max())

@@ -13,6 +13,7 @@ _SHARE = 0.25  # of the accelerations, on the way
 _USED = 0.7  # of a limit, at most
 _ROUNDS = 60
 _GROWTH = 3.0  # of x from element to element
+_DIGITS = float(np.finfo(np.float64).eps)
 
 
 @njit()
@@ -54,8 +55,11 @@ def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
 
 
 @njit()
-def used(b, length, rows, tangent, out):
-    """Write the (n,) largest shares of a limit into ``out``, with each tangent at its best."""
+def used(b, length, rows, tangent, out, anew):
+    """Write the (n,) largest shares of a limit into ``out``; return the largest of all.
+
+    ``anew`` says whether each tangent is put to its best first.
+    """
     acc, jerk, points, count, top, drive, begin = rows
     y = np.zeros(3)
     worst = 0.0
@@ -67,7 +71,8 @@ def used(b, length, rows, tangent, out):
         for k in range(count[i, 0]):
             r = acc[i, k]
             share = max(share, abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2]))
-        tangent[i] = ((y[0] + y[1] + y[2]) / 3.0) ** -0.5
+        if anew:
+            tangent[i] = ((y[0] + y[1] + y[2]) / 3.0) ** -0.5
         t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
         for k in range(count[i, 1]):
             r = jerk[i, k]
@@ -80,6 +85,23 @@ def used(b, length, rows, tangent, out):
         out[i] = share
         worst = max(worst, share)
     return worst
+
+
+@njit()
+def roundings(b, length, rows):
+    """Return the (n,) shares of a limit by which the digits of y round the rows of an element."""
+    acc, jerk, count = rows[0], rows[1], rows[3]
+    out = np.empty(len(length))
+    for i in range(len(length)):
+        y0, y1, y2 = values(b, length, i)
+        y = max(y0, y1, y2)
+        steep = 0.0
+        for k in range(count[i, 0]):
+            steep = max(steep, np.abs(acc[i, k]).max())
+        for k in range(count[i, 1]):
+            steep = max(steep, np.abs(jerk[i, k]).max() * np.sqrt(y))
+        out[i] = _DIGITS * steep * y
+    return out
 
 
 @njit()
@@ -114,7 +136,7 @@ def feasible(length, rows, most):
             node[i] = min(node[i], node[i + 1] + gain[i], _GROWTH * node[i + 1])
         for i in range(n + 2):
             b[i] = 0.5 * (node[max(i - 1, 0)] + node[min(i, n)])
-        if used(b, length, rows, tangent, share) < _USED:
+        if used(b, length, rows, tangent, share, True) < _USED:
             return b, tangent
         for i in range(n):
             if share[i] >= _USED:
@@ -125,5 +147,5 @@ def feasible(length, rows, most):
     for i in range(n):
         lowest = min(lowest, most[i])
     b[:] = 0.4 * lowest
-    used(b, length, rows, tangent, share)
+    used(b, length, rows, tangent, share, True)
     return b, tangent

@@ -17,6 +17,7 @@ _CUTS = 6
 # Nodes and weights of Gauss and Legendre on [0, 1]: y changes little within an element.
 _NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(6)[0]),
                     0.5 * np.polynomial.legendre.leggauss(6)[1])  # fmt: skip
+_SHARES = np.stack([(1.0 - _NODES) ** 2, 2.0 * _NODES * (1.0 - _NODES), _NODES**2])
 
 
 def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> TrajectoryBlock:
@@ -27,11 +28,11 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     motion is slowed evenly, as a motion from rest to rest may be.
     """
     elements, y = solution.elements, solution.y
-    c, power, operation = elements.c, _powers(y), elements.operation
+    c, operation = elements.c, elements.operation
     done: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     source = np.arange(len(c), dtype=np.float64)
     for cut in range(_CUTS + 1):
-        coefficients, duration_s = _hermite(c, power)
+        coefficients, duration_s = _hermite(c, y)
         beyond = _beyond(coefficients, duration_s, limits)
         if cut == _CUTS:
             beyond[:] = False
@@ -39,7 +40,7 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
         done.append((source[kept], coefficients[kept], duration_s[kept]))
         if not beyond.any():
             break
-        c, power, source = _halved(c[beyond], power[beyond], source[beyond], 0.5 ** (cut + 1))
+        c, y, source = _halved(c[beyond], y[beyond], source[beyond], 0.5 ** (cut + 1))
     places = np.concatenate([part[0] for part in done])
     order = np.argsort(places, kind="stable")
     coefficients = np.concatenate([part[1] for part in done])[order]
@@ -53,33 +54,32 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     )
 
 
-def _powers(y: FloatArray) -> FloatArray:
-    """Return (n, 3) powers of quadratics from their Bernstein coefficients."""
-    first, middle, last = y.T
-    return np.asarray(np.stack([first, 2.0 * (middle - first), first - 2.0 * middle + last], 1))
-
-
 def _halved(
-    c: FloatArray, power: FloatArray, source: FloatArray, place: float
+    c: FloatArray, y: FloatArray, source: FloatArray, place: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     n = len(c)
     begin = np.tile([0.0, 0.5], n)
     half = np.full(2 * n, 0.5)
     twice = np.repeat(np.arange(n), 2)
+    first, middle, last = y.T
+    left, right = 0.5 * (first + middle), 0.5 * (middle + last)
+    centre = 0.5 * (left + right)
     # In the parameter of a half, u' is twice as large.
-    y = 4.0 * restricted(power[twice][:, :, None], begin, half)[:, :, 0]
-    return restricted(c[twice], begin, half), y, source[twice] + np.tile([0.0, place], n)
+    halves = 4.0 * np.stack([first, left, centre, centre, right, last], axis=1).reshape(-1, 3)
+    return restricted(c[twice], begin, half), halves, source[twice] + np.tile([0.0, place], n)
 
 
-def _hermite(c: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (n, 6, axes) polynomials over [0, 1] of time, and (n,) durations."""
-    y = power[:, :1] + (power[:, 1:2] + power[:, 2:] * _NODES) * _NODES
-    duration_s = (y**-0.5) @ _WEIGHTS
+def _hermite(c: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (n, 6, axes) polynomials over [0, 1] of time, and (n,) durations.
+
+    ``y`` are (n, 3) Bernstein coefficients: their sums keep above 0, whatever the rounding.
+    """
+    duration_s = ((y @ _SHARES) ** -0.5) @ _WEIGHTS
     number = np.arange(_ORDER)[:, None]
     ends = []
     for u in (0.0, 1.0):
-        now = power[:, 0] + u * (power[:, 1] + u * power[:, 2])
-        rate = power[:, 1] + 2.0 * u * power[:, 2]
+        now = y[:, 0] if u == 0.0 else y[:, 2]
+        rate = 2.0 * (y[:, 1] - y[:, 0] if u == 0.0 else y[:, 2] - y[:, 1])
         first = c[:, 1] if u == 0.0 else (number * c).sum(axis=1)
         second = 2.0 * c[:, 2] if u == 0.0 else (number * (number - 1) * c).sum(axis=1)
         ends.append(

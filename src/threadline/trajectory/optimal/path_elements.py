@@ -19,6 +19,7 @@ DEGREE = 5
 _LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
 _LEAST_LEAD_SHARE = 1e-4
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
+_DENSE = 5000  # pieces of a run, beyond which those that are curved are fine enough as they are
 _ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
 
 
@@ -124,7 +125,7 @@ def elements_of(
     *,
     from_rest: bool,
     to_rest: bool,
-    lead_s: float = np.inf,
+    lead_s: tuple[float, float] = (np.inf, np.inf),
 ) -> Elements:
     """Return the elements of consecutive pieces of one run.
 
@@ -143,8 +144,8 @@ def elements_of(
     from_rest, to_rest
         Whether the run starts, or ends, here.
     lead_s
-        How long a lead-in takes at the feed at most: in it the feed bounds the rate of its
-        parameter, which is the speed at its end alone.
+        How long the lead-in, and that to the rest at the end, take at the feed at most: in them
+        the feed bounds the rate of their parameter, which is the speed at their end alone.
     """
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
@@ -160,11 +161,12 @@ def elements_of(
         guard_cap=np.full(count, np.inf),
     )
     if from_rest:
-        whole = _with_lead_in(whole, lead_s)
+        whole = _with_lead_in(whole, lead_s[0])
     if to_rest:
-        whole = reverse(_with_lead_in(reverse(whole), lead_s))
+        whole = reverse(_with_lead_in(reverse(whole), lead_s[1]))
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
-    parts = np.where(straight, _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE)
+    curve = _PARTS_OF_CURVE if count <= _DENSE else 1
+    parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
     if from_rest:
         parts[0] = _PARTS_OF_LEAD
     if to_rest:
@@ -205,10 +207,10 @@ def _with_lead_in(elements: Elements, lead_s: float) -> Elements:
     )
     # In u of the head, w runs twice as far: at w = 1 its slope is 1 and g = 1/2.
     powers = np.arange(DEGREE + 1.0)[:, None]
-    end, slope = head.sum(axis=0), (powers * head).sum(axis=0)
+    gone, slope = head[1:].sum(axis=0), (powers * head).sum(axis=0)
     bend = (powers * (powers - 1.0) * head).sum(axis=0)
     lead = Elements(
-        c=_from_rest(head[0], end, 2.0 * slope, 4.0 * bend)[None],
+        c=_from_rest(head[0], gone, 2.0 * slope, 4.0 * bend)[None],
         length=2.0 * first.length * share,
         cap=first.cap / (2.0 * share) ** 2,
         operation=first.operation,
@@ -219,16 +221,15 @@ def _with_lead_in(elements: Elements, lead_s: float) -> Elements:
 
 
 def _from_rest(
-    start: FloatArray, end: FloatArray, slope: FloatArray, bend: FloatArray
+    start: FloatArray, gone: FloatArray, slope: FloatArray, bend: FloatArray
 ) -> FloatArray:
-    """Return (6, axes): the quintic from rest at ``start`` to an end with slope and bend."""
-    gone = end - start
+    """Return (6, axes): the quintic from rest at ``start``, ``gone`` far, to slope and bend."""
     c = np.zeros((DEGREE + 1, len(start)))
     c[0] = start
     c[3] = 10.0 * gone - 4.0 * slope + 0.5 * bend
     c[4] = -15.0 * gone + 7.0 * slope - bend
     c[5] = 6.0 * gone - 3.0 * slope + 0.5 * bend
     # On a straight piece c[5] vanishes but for rounding: g is of fourth degree.
-    size = np.abs(c).max(axis=0)
-    c[np.abs(c) < _ROUNDING * size] = 0.0
+    size = np.abs(c[1:]).max(axis=0)
+    c[1:][np.abs(c[1:]) < _ROUNDING * size] = 0.0
     return c

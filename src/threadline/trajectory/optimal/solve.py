@@ -8,7 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
-from threadline.trajectory.optimal.first_guess import even, feasible, used
+from threadline.trajectory.optimal.first_guess import even, feasible, roundings, used
 from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.rows import assemble, demand_rows
 from threadline.trajectory.optimal.usage import shares
@@ -16,13 +16,16 @@ from threadline.trajectory.optimal.usage import shares
 _COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are made finer
 _VARIED = 1.3  # ratio of y within an element, above which it is cut
 _LOSS = 2e-3  # of the time that the jerk takes to the nearer limit
+_PART = 0.2  # of what the barrier costs an element: to lose less is enough
+_MUCH = 64.0  # times what is enough to lose: an element that loses as much is cut in four
 _LEAST_RAMP = 0.02  # of the time to the velocity's limit at that of the acceleration
-_ROUNDS, _IDLE_ROUNDS = 12, 5
+_ROUNDS, _IDLE_ROUNDS = 12, 6
 _FIRST_WEIGHT = 0.1  # of the duration, over all slacks
 _FALL = 0.35  # of the weight of the barrier from round to round
 _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
 _STEPS = 60  # at one weight
 _KEPT = 0.9  # of the tightest limit, where other guards are taken
+_ROUNDED = 1e-7  # of a limit: an element whose rows are rounded by more is not cut
 _PLACES = np.array([0.0, 0.5, 1.0])
 
 
@@ -156,11 +159,7 @@ class Problem:
         self.elements = elements
         self.weight = np.inf
         self._assemble()
-        share = np.empty(len(elements))
-        most = used(self.b, elements.length, self.rows, self.tangent, share)
-        self.b = self.b * min(1.0, _KEPT / most)
-        if used(self.b, elements.length, self.rows, self.tangent, share) >= 1.0:
-            self._begin()  # rounding left it on a limit
+        self._slow(_KEPT, anew=True)
 
     def solution(self) -> Solution:
         """Return the motion as it was found."""
@@ -183,6 +182,19 @@ class Problem:
         )
         self.b, self.tangent = feasible(at.length, self.rows, most)
 
+    def _slow(self, allowed: float, *, anew: bool) -> None:
+        """Slow the motion evenly where it uses more than ``allowed`` of a limit.
+
+        ``anew`` says whether each tangent is put to its best first.
+        """
+        length, share = self.elements.length, np.empty(len(self.elements))
+        most = used(self.b, length, self.rows, self.tangent, share, anew)
+        if most <= allowed:
+            return
+        self.b = self.b * (_KEPT / most)
+        if not used(self.b, length, self.rows, self.tangent, share, False) < 1.0:
+            self._begin()  # rounding left it on a limit
+
     def _descend(self, gap: float) -> None:
         """Lower the weight of the barrier until the duration is within ``gap`` of the least."""
         length = self.elements.length
@@ -195,7 +207,8 @@ class Problem:
                 )
                 if not np.isfinite(step).all():
                     return  # rounding ends it here: b keeps within all limits
-                barrier.advance(self.b, step, length, self.rows, self.tangent)
+                if barrier.advance(self.b, step, length, self.rows, self.tangent) <= 0.0:
+                    return  # so it does where it took the last room to a limit
                 barrier.follow(self.b, length, self.rows, self.tangent)
                 self.steps += 1
                 if decrement < _CENTRED * self.weight * np.sqrt(self.slacks):
@@ -209,10 +222,15 @@ class Problem:
         """Return the share of the duration that the barrier still costs."""
         return self.weight * self.slacks / float(barrier.duration(self.b, self.elements.length))
 
+    def _cost_s(self) -> float:
+        """Return the time that the barrier costs an element: within it y says nothing yet."""
+        return self.weight * self.slacks / len(self.elements)
+
     def _varied(self) -> IntArray:
         """Return into how many parts each element is to be cut because y changes much in it."""
         y = bernstein(self.b, self.elements.length)
         ratio = y.max(axis=1) / y.min(axis=1)
+        ratio[(y**-0.5).mean(axis=1) < self._cost_s()] = 1.0
         return np.where(ratio > _VARIED**4, 3, np.where(ratio > _VARIED, 2, 1))
 
     def guards_used(self) -> FloatArray:
@@ -233,10 +251,12 @@ class Problem:
         """Return 2 for each element that reaches no limit somewhere, to be cut in two, else 1."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
         lost_s = time_s * (1.0 - self._shares().max(axis=2).min(axis=1))
-        return np.where(lost_s > _LOSS * self.limits.ramp_s, 2, 1)
+        enough_s = max(_LOSS * self.limits.ramp_s, _PART * self._cost_s())
+        return np.where(lost_s > _MUCH * enough_s, 4, np.where(lost_s > enough_s, 2, 1))
 
     def _refine(self, parts: IntArray) -> bool:
         """Cut elements into ``parts``; return whether there is anything to cut."""
+        parts[roundings(self.b, self.elements.length, self.rows) > _ROUNDED] = 1
         if (parts == 1).all():
             return False
         self._cut(parts.astype(np.int64))
@@ -259,3 +279,4 @@ class Problem:
         self.tangent = self.tangent[which] / count
         self.elements = self.elements.split(parts)
         self._assemble()
+        self._slow(1.0 - _ROUNDED, anew=False)

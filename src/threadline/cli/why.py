@@ -1,0 +1,113 @@
+"""What a yield depends on, as a table and as JSON content; and how far its stages are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import FloatArray
+from threadline.cli.output import print_table
+from threadline.pipeline import Progress
+from threadline.search.cheapest_set import MACHINES
+from threadline.search.influence import Influence, influence, judgements
+from threadline.search.machine_yield import Done, MachineYield, shares_of
+
+_MACHINES = MACHINES
+_SAMPLES = 256
+_SAMPLES_ALONE = 16  # where machines go one by one
+
+
+def counted(progress: Progress, what: str, total: int | None = None) -> Done:
+    """Return what tells the progress of a stage from the machines that it has judged.
+
+    Of a search nobody knows how many it will take: it tells how many it took so far.
+    """
+    through = 0
+
+    def done(count: int) -> None:
+        nonlocal through
+        through += count
+        if total is None:
+            progress(f"{what}, {through} tried", 0.0)
+        else:
+            progress(what, min(through / total, 1.0))
+
+    return done
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Why:
+    """What the yield depends on.
+
+    Parameters
+    ----------
+    indices
+        Sobol indices of the largest share of a limit.
+    halved
+        (n,) yield of ``machines`` machines with the tolerance of one number halved.
+    own
+        Their yield as they are.
+    """
+
+    indices: Influence
+    halved: FloatArray
+    own: float
+    machines: int
+
+
+def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -> Why:
+    """Return what the yield depends on; of no more machines than drawn where they go one by one."""
+    normal = [number.normal for number in judged.numbers]
+    machines = _MACHINES if judged.together else min(_MACHINES, variants)
+    samples = _SAMPLES if judged.together else _SAMPLES_ALONE
+    total = (len(normal) + 1) * machines + judgements(len(normal), samples)
+    done = counted(progress, "what the yield depends on", total)
+
+    def result(parts: np.ndarray) -> np.ndarray:
+        shares, _ = shares_of(judged.judged(parts, done))
+        return np.minimum(shares, 10.0)
+
+    indices = influence(result, normal, samples, seed)
+    own = judged.drawn(machines, seed, done).share
+    halved = judged.halved(machines, seed, done)
+    return Why(indices=indices, halved=halved, own=own, machines=machines)
+
+
+def show_why(hangs: Why, judged: MachineYield) -> None:
+    """Print what the yield depends on, the number with the largest total index first."""
+    indices = hangs.indices
+    rows = [
+        [
+            number.name,
+            f"{indices.first[k]:.2f}",
+            f"{indices.total[k]:.2f}",
+            f"{100.0 * hangs.halved[k]:.2f} %",
+        ]
+        for k, number in enumerate(judged.numbers)
+    ]
+    rows.sort(key=lambda row: -float(row[2]))
+    head = ["number", "alone", "with others", "yield if halved"]
+    own = f"of {hangs.machines} machines {hangs.own:.2%} in spec"
+    print_table(f"what the yield depends on; {own}", head, rows)
+
+
+def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
+    """Return what the yield depends on as JSON content."""
+    indices = hangs.indices
+    return {
+        "machines": hangs.machines,
+        "yield": hangs.own,
+        "numbers": [
+            {
+                "name": number.name,
+                "first": float(indices.first[k]),
+                "first_interval": indices.first_interval[:, k].tolist(),
+                "total": float(indices.total[k]),
+                "total_interval": indices.total_interval[:, k].tolist(),
+                "yield_if_halved": float(hangs.halved[k]),
+            }
+            for k, number in enumerate(judged.numbers)
+        ],
+    }

@@ -1,0 +1,88 @@
+"""A job that is done elsewhere on the machine: all of its positions are shifted alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.errors import OptionError, UnitError
+from threadline.jobs.operations import Job, Move, MoveRun, Operation, OperationStream
+from threadline.machine import Machine
+from threadline.signals import Stream
+from threadline.units import parse_quantity
+
+Offset = tuple[float, ...]
+
+
+def parse_offset(text: str, machine: Machine) -> Offset:
+    """Return the (axes,) shift written in ``text``, ``"X=12.5 mm, A=-30 deg"``, in m and rad.
+
+    Raises
+    ------
+    OptionError
+        If it cannot be read, or names an axis that there is not.
+    """
+    by = dict.fromkeys(machine.axes, 0.0)
+    for part in text.split(","):
+        name, _, written = (piece.strip() for piece in part.partition("="))
+        axis = machine.axes.get(name)
+        if axis is None:
+            raise OptionError(
+                f"offset {part.strip()[:40]!r} is that of no axis of {machine.name}",
+                remedy=f'Write it like "X=12.5 mm"; there are {", ".join(machine.axes) or "none"}.',
+            )
+        try:
+            unit = "m" if axis.kind == "linear" else "rad"
+            by[name] = parse_quantity(written, unit)
+        except UnitError as error:
+            raise OptionError(
+                f"offset {part.strip()[:40]!r}: {error.message}",
+                remedy='Write it like "X=12.5 mm, A=-30 deg".',
+            ) from error
+    return tuple(by.values())
+
+
+def shifted(job: Job, machine: Machine, text: str | None) -> Job:
+    """Return ``job`` with its start and all its positions shifted; as it is without a text.
+
+    Raises
+    ------
+    OptionError
+        If the text cannot be read, the job has a place of its own (a seam's ``origin``), or the
+        machine a mandrel whose radii hang on the place.
+    """
+    if text is None:
+        return job
+    by = parse_offset(text, machine)
+    if job.drawn or job.paced_by != "feed":
+        raise OptionError(
+            f"offset {text[:40]!r}: {job.name} is no part program",
+            remedy="The place of a seam is origin, in its file.",
+        )
+    if any(axis.profile is not None for axis in machine.axes.values()):
+        raise OptionError(
+            f"offset {text[:40]!r}: the mandrel has a radius for each place, which would stay",
+            remedy="Change the places of its radii, and give no offset.",
+        )
+    runs = Stream(_runs, job, by)
+    folded = Stream(_folded, job, by)
+    start = tuple(np.add(job.start, by).tolist())
+    return replace(job, start=start, operations=OperationStream(runs, folded))
+
+
+def _runs(job: Job, by: Offset) -> Iterator[Operation | MoveRun]:
+    return (_moved(item, by) for item in job.runs())
+
+
+def _folded(job: Job, by: Offset) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+    return ((_moved(item, by), times, line) for item, times, line in job.folded())
+
+
+def _moved(item: Operation | MoveRun, by: Offset) -> Operation | MoveRun:
+    if isinstance(item, MoveRun):
+        return replace(item, targets=item.targets + np.array(by))
+    if isinstance(item, Move):
+        return replace(item, target=tuple(np.add(item.target, by).tolist()))
+    return item

@@ -1,0 +1,195 @@
+"""Rows of counts that LinuxCNC's HAL plays, behind the messages of an executor.
+
+What was sent is kept here as the simulated machine keeps it, and goes on by the samples of HAL: a
+tick is over when it has come back. What HAL tells the drives has to be what was sent, count by
+count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import LinkFaultError
+from threadline.live.hal_session import SILENT_S, HalSession, Samples
+from threadline.live.sim_rows import SimRows
+from threadline.live.wire import Message
+from threadline.machine import Machine
+from threadline.signals import Channel, ChannelKind, Ended, RecordingBlock
+from threadline.twin.row_session import RowSession
+from threadline.twin.session_part import Part
+
+_REPORTS_S = 0.005
+"""Lateness is told in periods of reports, which are no shorter than this, in s."""
+
+
+class _Played(RowSession):
+    """Rows that HAL plays: what is read of them is what HAL has sampled."""
+
+    def __init__(
+        self, machine: Machine, start: IntArray, sampled: Callable[[int], Samples], *, plant: bool
+    ) -> None:
+        super().__init__(machine, start)
+        self._tick, self._sampled, self._plant = 0, sampled, plant
+        self.channels = tuple(_channels(machine, plant=plant))
+
+    @property
+    def tick(self) -> int:
+        return self._tick
+
+    def _tripped(self, name: str) -> bool:  # noqa: ARG002
+        return False  # nothing is wired to HAL
+
+    def _read(self, part: Part) -> Mapping[Any, FloatArray]:
+        """Return what came back at the ticks of a part."""
+        found = self._sampled(len(part.travelled))
+        self._tick += len(part.travelled)
+        wrong = np.abs(found.told - self._start - part.travelled).max(initial=0.0)
+        if wrong and not self.failed:
+            self.fail(f"HAL told its drives something else than it was sent, by {wrong:.0f} counts")
+        return {"told": found.told, "read": np.rint(found.read)}
+
+    def fail(self, why: str) -> None:
+        """Tell of a fault, behind which nothing is known."""
+        self.failed = True
+        self._rows.clear()
+        self._events.clear()
+        self._halted, self._held = None, False
+        self._ended, self._final = (Ended.FAULT, why), True
+        self._tell("fault", name=why)
+
+    def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
+        nothing = np.zeros((0, len(self._start)))
+        told, read = (
+            np.concatenate([nothing, *(part.read[name] for part in parts)])
+            / self._machine.counts_per_unit
+            for name in ("told", "read")
+        )
+        samples: dict[str, FloatArray] = {}
+        for k, name in enumerate(self._machine.axes):
+            samples[f"{name}.commanded"] = told[:, k]
+            if self._plant:
+                samples[f"{name}.measured"] = read[:, k]
+        samples["operation"] = np.concatenate(
+            [np.zeros(0), *(part.operation.astype(np.float64) for part in parts)]
+        )
+        events, self._told = tuple(self._told), []
+        clock = self._machine.tick_clock.name
+        return RecordingBlock(first_tick={clock: first}, samples=samples, events=events)
+
+
+def _channels(machine: Machine, *, plant: bool) -> list[Channel]:
+    clock, kinds = machine.tick_clock, [ChannelKind.COMMANDED]
+    if plant:
+        kinds.append(ChannelKind.MEASURED)
+    found = [
+        Channel(
+            name=f"{name}.{kind.value}",
+            kind=kind,
+            unit="m" if axis.kind == "linear" else "rad",
+            clock=clock,
+            axis=name,
+        )
+        for name, axis in machine.axes.items()
+        for kind in kinds
+    ]
+    operation = Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
+    return [*found, operation]
+
+
+class HalRows(SimRows):
+    """A machine whose rows HAL plays; see ``SimMachine``.
+
+    Parameters
+    ----------
+    machine, start, tell
+        See ``SimMachine``.
+    hal
+        The running HAL.
+    plant
+        Whether there is a plant in it.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        start: IntArray,
+        tell: Callable[[Message], None],
+        hal: HalSession,
+        *,
+        plant: bool,
+    ) -> None:
+        self._hal, self._plant = hal, plant
+        self._first_record = 0  # the one of the first tick of the run
+        self._came: list[Samples] = []
+        super().__init__(machine, start, tell)
+        self._period_s = float(machine.tick_clock.period_s)
+        self._silent_s = 0.0
+
+    def _new_session(self) -> RowSession:
+        return _Played(self._machine, self._start, self._take_samples, plant=self._plant)
+
+    def _start_anew(self) -> str:
+        why = super()._start_anew()
+        self._hal.fill()
+        self._first_record = self._hal.end  # behind what waits, all of which rests
+        self._came = []
+        return why
+
+    def _take_refill(self, message: Message) -> str:
+        """Replace the rows from a tick on, in HAL, too."""
+        first = int(message.head["first"])
+        at, counts = message.arrays["at"], message.arrays["counts"]
+        if why := self._unfit(first, at):
+            return why
+        moved = np.cumsum(np.asarray(counts, np.float64), axis=0)
+        behind = self._start + at + (moved if len(moved) else np.zeros((1, len(at))))
+        # At the tick ``first`` the axes still stand at ``at``, whatever comes behind it.
+        if not self._hal.replace(self._first_record + first + 1, behind):
+            return "that tick is past"
+        return super()._take_refill(message)
+
+    def go_on(self, waited_s: float) -> None:
+        """Take up what HAL has sampled; report it, where a run has begun.
+
+        Parameters
+        ----------
+        waited_s
+            Time since the last call.
+        """
+        self._hal.fill()
+        found = self._hal.samples()
+        fresh = np.diff(found.record, prepend=-1) > 0  # at an underrun the last one stays
+        self._silent_s = 0.0 if len(found.record) else self._silent_s + waited_s
+        if not self.begun or self._session.failed:
+            return
+        kept = fresh & (found.record >= self._first_record)
+        late = np.max(found.interval_s, initial=0.0) - self._period_s
+        late += self._period_s * np.count_nonzero(~fresh)
+        due = Samples.joined([*self._came, found.at(kept)])
+        numbers = due.record
+        why = ""
+        if self._hal.lost:
+            why = f"{self._hal.lost} samples of HAL were lost"
+        elif (np.diff(numbers) != 1).any():
+            why = "samples of HAL are missing"
+        elif self._silent_s > SILENT_S:
+            why = f"HAL's thread has stood still for {self._silent_s:.1f} s"
+        self._came = [due]
+        if why:
+            assert isinstance(self._session, _Played)
+            self._session.fail(why)
+            self._report(self.tick, [self._session.advance(ticks=0)], 0.0)
+        elif len(numbers):
+            self.play(len(numbers), float(late / max(self._period_s, _REPORTS_S)))
+
+    def _take_samples(self, ticks: int) -> Samples:
+        """Return the samples of the next ticks."""
+        whole = Samples.joined(self._came)
+        if len(whole.record) < ticks:
+            raise LinkFaultError(f"{ticks} ticks of HAL were due, {len(whole.record)} have come")
+        self._came = [whole.at(slice(ticks, None))]
+        return whole.at(slice(ticks))

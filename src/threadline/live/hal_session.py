@@ -1,0 +1,375 @@
+"""LinuxCNC's HAL, started without a screen and without a machine behind it.
+
+A thread plays a record of ``streamer`` at each tick and puts a record into ``sampler``. A record
+holds the positions of all axes twice, as two versions; ``flip`` changes over from one to the other
+for good. So rows that wait can be replaced: they are written as the version that is not in use, and
+a single bit in the record from which on they hold puts all of them in force at once.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import LinkFaultError, OptionError
+from threadline.kinds import kind_of
+from threadline.live.hal_fifo import (
+    HAL_KEY,
+    SAMPLER_KEY,
+    STREAMER_KEY,
+    HalFifo,
+    in_use,
+    remove_left,
+)
+from threadline.machine import Machine
+from threadline.plant.closed_loop import answers_of
+
+AXES_AT_MOST = 9  # of the 20 fields of a streamer: two for each axis, and two more
+FILL_S = 0.15
+"""Time for which the fifo holds records at rest behind what moves, s."""
+SILENT_S = 0.3
+"""Time in s without a tick of HAL's thread after which it is taken to be gone."""
+_HELD_S = 1.2  # rows, tail and rest: what the fifo has room for
+_SAMPLED_S = 4.0
+_LEAD_S = 0.005  # a row is not replaced any more when it is as near as this
+_PATIENCE_S = 10.0
+_PROGRAMS = ("halcmd", "halrun")
+_FLIP, _NUMBER = 0, 1  # fields of a record of the streamer
+_OWN = 2  # fields before the positions, there and in the sampler
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What HAL has sampled, oldest first.
+
+    Parameters
+    ----------
+    record
+        (n,) number of the record that was played.
+    interval_s
+        (n,) time since the tick before.
+    told, read
+        (n, axes) counts that HAL told the drives, and those that came back.
+    """
+
+    record: IntArray
+    interval_s: FloatArray
+    told: FloatArray
+    read: FloatArray
+
+    def at(self, which: slice | NDArray[np.bool_]) -> Samples:
+        """Return some of them."""
+        return Samples(
+            self.record[which], self.interval_s[which], self.told[which], self.read[which]
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[Samples]) -> Samples:
+        """Return samples that follow each other as one; at least one part."""
+        return Samples(
+            np.concatenate([part.record for part in parts]),
+            np.concatenate([part.interval_s for part in parts]),
+            np.concatenate([part.told for part in parts]),
+            np.concatenate([part.read for part in parts]),
+        )
+
+
+def check_hal(machine: Machine) -> None:
+    """Refuse a machine or a computer that HAL cannot run on; nothing is started.
+
+    Raises
+    ------
+    OptionError
+        With what is missing.
+    """
+    if "ticks" not in kind_of(machine).targets or len(machine.axes) > AXES_AT_MOST:
+        raise OptionError(
+            f"{machine.name} is not driven by tables of ticks of at most {AXES_AT_MOST} axes",
+            remedy="Use --link sim.",
+        )
+    if (10**9 * machine.tick_clock.period_s).denominator != 1:
+        raise OptionError(
+            f"the tick of {machine.name} is no whole number of nanoseconds",
+            remedy="Use --link sim.",
+        )
+    lacking = [name for name in _PROGRAMS if shutil.which(name) is None]
+    if lacking:
+        raise OptionError(
+            f"LinuxCNC's HAL is not installed: there is no {' and no '.join(lacking)}",
+            remedy="Install linuxcnc-uspace.",
+        )
+    as_user()
+    if in_use(HAL_KEY):
+        raise OptionError(
+            "LinuxCNC's HAL runs on this computer already",
+            remedy=f"End LinuxCNC; after a run that was killed: {' '.join(words_to_end())}.",
+        )
+
+
+def as_user() -> list[str]:
+    """Return the words before a program of HAL: none, but for root, whom HAL refuses.
+
+    Raises
+    ------
+    OptionError
+        If root has not come by sudo, so that there is no other user to be.
+    """
+    if os.geteuid() != 0:
+        return []
+    user = os.environ.get("SUDO_UID", "")
+    if not user.isdecimal() or int(user) == 0:
+        raise OptionError(
+            "LinuxCNC's HAL refuses to run as root", remedy="Run threadline as another user."
+        )
+    return ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups"]
+
+
+def words_to_end() -> list[str]:
+    """Return the words of a command that ends a HAL that was left."""
+    return [*as_user(), "env", f"RTAPI_FIFO_PATH={_meeting_place()}", "halrun", "-U"]
+
+
+def _meeting_place() -> Path:
+    """Return where the programs of HAL meet: in the same place for each run of a user."""
+    user = os.geteuid() or os.environ.get("SUDO_UID", "")
+    return Path(tempfile.gettempdir()) / f"threadline-hal-{user}"
+
+
+class HalSession:
+    """A running HAL: what is told to its streamer, what its sampler has.
+
+    Parameters
+    ----------
+    machine
+        Machine whose axes and tick it has.
+    start
+        (axes,) counts that it begins at.
+    plant
+        Whether axes made of HAL's own components answer; without them it gives back what it tells.
+
+    Raises
+    ------
+    LinkFaultError
+        If HAL does not start, or is not what it should be.
+    """
+
+    def __init__(self, machine: Machine, start: IntArray, *, plant: bool) -> None:
+        self._axes, self._plant = len(machine.axes), plant
+        tick_s = float(machine.tick_clock.period_s)
+        self._depth = int(_HELD_S / tick_s) + 300
+        sampled = int(_SAMPLED_S / tick_s) + 100
+        self._folder = tempfile.TemporaryDirectory(prefix="threadline-hal-")
+        self._words = as_user()
+        if self._words:
+            os.chown(self._folder.name, int(os.environ["SUDO_UID"]), -1)
+        told = _OWN * self._axes
+        self._in_force = np.zeros(self._depth, dtype=np.int64)  # version in force, for each slot
+        self._fill = int(np.ceil(FILL_S / tick_s))
+        self._lead = max(2, int(np.ceil(_LEAD_S / tick_s)))
+        remove_left()
+        self._tell(_net(machine, self._depth, sampled, plant=plant))
+        self._out = HalFifo(STREAMER_KEY, self._depth, "bs" + "f" * told)
+        self._in = HalFifo(SAMPLER_KEY, sampled, "ss" + "f" * told)
+        self._end = self._taken = 0  # numbers of the records to be written and to be played next
+        self._stands = start.astype(np.float64)
+        self.fill()
+        self._tell(["start"])
+        if plant:
+            self._begin_plant()
+
+    # --- what waits to be played -----------------------------------------------------------
+
+    @property
+    def taken(self) -> int:
+        """Number of the record that is played next."""
+        self._taken += (self._out.read - self._taken) % self._depth
+        return self._taken
+
+    @property
+    def end(self) -> int:
+        """Number of the record that would be appended next."""
+        return self._end
+
+    def fill(self) -> None:
+        """Append records at rest where fewer wait than ``FILL_S`` needs."""
+        self._reach(self.taken + self._fill)
+
+    def replace(self, first: int, positions: FloatArray) -> bool:
+        """Replace what waits from a record on; behind it, HAL rests.
+
+        Parameters
+        ----------
+        first
+            Number of a record that has not been played.
+        positions
+            (n, axes) counts, n >= 1, one for each record from there on.
+
+        Returns
+        -------
+        bool
+            Whether it is in force; False where ``first`` is about to be played, and then nothing
+            has changed.
+
+        Raises
+        ------
+        LinkFaultError
+            If it took too long, so that nobody knows; HAL comes to rest by the old or the new rows.
+        """
+        if first + len(positions) >= self.taken + self._depth - 2:
+            raise LinkFaultError("more rows at once than the fifo of HAL has room for")
+        self._reach(max(first + len(positions) + 1, self.taken + self._fill))
+        if first < self.taken + self._lead:
+            return False
+        numbers = np.arange(first, self._end)
+        slots = numbers % self._depth
+        following = positions[np.minimum(numbers - first, len(positions) - 1)]
+        spare = 1 - self._in_force[slots]
+        for k in range(self._axes):
+            self._out.numbers[slots, _OWN + k + spare * self._axes] = following[:, k]
+        slot = first % self._depth
+        self._out.words[slot, _FLIP] = 1 - self._out.words[slot, _FLIP]  # all of them at once
+        if self.taken >= first:  # too late, or nobody knows
+            raise LinkFaultError("HAL has played a row before it could be replaced")
+        self._in_force[slots] = spare
+        self._stands = following[-1]
+        return True
+
+    def _reach(self, end: int) -> None:
+        """Append records that rest where the last one does, up to a number."""
+        if end <= self._end:
+            return
+        numbers = np.arange(self._end, end)
+        slots = numbers % self._depth
+        self._out.words[slots, _FLIP] = 0
+        self._out.words[slots, _NUMBER] = numbers
+        self._out.numbers[slots, _OWN : _OWN + 2 * self._axes] = np.tile(self._stands, 2)
+        self._in_force[slots] = self._in_force[(self._end - 1) % self._depth]
+        self._end = end
+        self._out.written = end % self._depth
+
+    # --- what was sampled ------------------------------------------------------------------
+
+    @property
+    def lost(self) -> int:
+        """Number of samples that were lost, because nobody had read those before them."""
+        return self._in.overruns
+
+    def samples(self) -> Samples:
+        """Return what was sampled since the last call."""
+        words, numbers = self._in.take()
+        return Samples(
+            record=words[:, 0],
+            interval_s=np.asarray(1e-9 * words[:, 1], dtype=np.float64),
+            told=numbers[:, _OWN : _OWN + self._axes],
+            read=numbers[:, _OWN + self._axes : _OWN + 2 * self._axes],
+        )
+
+    # --- HAL itself ------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Let HAL play what it holds, which ends at rest, and end it."""
+        self._play_out()
+        self._out.close()
+        self._in.close()
+        self._run(["halrun", "-U"])
+        remove_left()  # where HAL was killed, its fifos would be in the way of the next one
+        self._folder.cleanup()
+
+    def _play_out(self) -> None:
+        waiting, since = self._out.waiting, time.monotonic()
+        while waiting and time.monotonic() < since + SILENT_S:
+            time.sleep(0.01)
+            if self._out.waiting != waiting:
+                waiting, since = self._out.waiting, time.monotonic()
+
+    def _begin_plant(self) -> None:
+        """Let the plant stand at the start, and let it go."""
+        until = time.monotonic() + _PATIENCE_S
+        while not len(found := self.samples().read) or (found[-1] != self._stands).any():
+            if time.monotonic() > until:
+                raise LinkFaultError("HAL does not come to the start: its thread stands still")
+            self.fill()
+            time.sleep(0.01)
+        self._tell([f"setp plant{k}.load 0" for k in range(self._axes)])
+
+    def _tell(self, lines: list[str]) -> None:
+        file = Path(self._folder.name) / "net.hal"
+        file.write_text("\n".join(lines) + "\n", "ascii")
+        status, why = self._run(["halcmd", "-f", str(file)])
+        if status:
+            raise LinkFaultError(
+                f"LinuxCNC's HAL does not start: {why}", remedy="Try it by itself: halrun."
+            )
+
+    def _run(self, words: list[str]) -> tuple[int, str]:
+        """Run a program of HAL; return its status, and the end of what it said."""
+        environment = {**os.environ, "RTAPI_FIFO_PATH": str(_meeting_place())}
+        # What it starts stays, and would hold a pipe open for ever: a file.
+        with (Path(self._folder.name) / "said").open("w+b") as said:
+            done = subprocess.run(  # noqa: S603  # words of ours
+                [*self._words, *words],
+                env=environment,
+                cwd="/",
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+                timeout=_PATIENCE_S,
+                check=False,
+            )
+            said.seek(0)
+            return done.returncode, " ".join(said.read().decode("utf-8", "replace").split())[-300:]
+
+
+def _net(machine: Machine, depth: int, sampled: int, *, plant: bool) -> list[str]:
+    """Return the lines of a HAL file: components, functions in their order, and nets."""
+    axes = range(len(machine.axes))
+    period_s = machine.tick_clock.period_s
+    told = [f"told{k}" for k in axes]
+    lines = [
+        f"loadrt threads name1=tick period1={int(10**9 * period_s)}",
+        f"loadrt streamer depth={depth} cfg=bs{'ff' * len(told)}",
+        f"loadrt sampler depth={sampled} cfg=ss{'ff' * len(told)}",
+        "loadrt timedelta",
+        "loadrt xor2 names=version",
+        f"loadrt mux2 names={','.join(told)}",
+    ]
+    functions = ["timedelta.0", "streamer.0", "version", *told]
+    nets = [
+        "net flip streamer.0.pin.0 version.in0",
+        f"net version version.out version.in1 {' '.join(f'{name}.sel' for name in told)}",
+        "net number streamer.0.pin.1 sampler.0.pin.0",
+        "net interval timedelta.0.out sampler.0.pin.1",
+    ]
+    n = len(told)
+    for k, name in enumerate(told):
+        nets += [
+            f"net before{k} streamer.0.pin.{_OWN + k} {name}.in0",
+            f"net after{k} streamer.0.pin.{_OWN + n + k} {name}.in1",
+            f"net {name} {name}.out sampler.0.pin.{_OWN + k}",
+        ]
+    if plant:
+        answers = answers_of(machine)
+        lines.append(f"loadrt lowpass names={','.join(f'plant{k}' for k in axes)}")
+        for k, axis in enumerate(machine.axes):
+            # A ramp comes T (1 - g) / g behind it, which is to be the lag of the machine's loop.
+            gain = float(period_s) / (float(period_s) + answers[axis].moments[0])
+            functions.append(f"plant{k}")
+            nets += [
+                f"setp plant{k}.gain {gain:.17g}",
+                f"setp plant{k}.load 1",
+                f"net told{k} plant{k}.in",
+                f"net read{k} plant{k}.out sampler.0.pin.{_OWN + n + k}",
+            ]
+    else:
+        nets += [f"net told{k} sampler.0.pin.{_OWN + n + k}" for k in axes]
+    return [*lines, *(f"addf {name} tick" for name in [*functions, "sampler.0"]), *nets]

@@ -1,0 +1,162 @@
+"""Drawings of the panel: files read into shapes, shapes written as DXF, text as outlines."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from threadline.arrays import FloatArray
+from threadline.drawing.contours import drop_zero_lengths
+from threadline.drawing.curves import Pieces
+from threadline.drawing.read_dxf import read_dxf
+from threadline.drawing.strokes import Drawing
+from threadline.drawing.svg.read_svg import read_svg
+from threadline.drawing.write_dxf import DrawnShape, ShapeKind, dxf_of
+from threadline.errors import JobError, Place
+
+MOST_SHAPES = 5000
+_CHORDS = 64  # of a piece that is neither a line nor an arc
+_CLOSED_M = 1e-6
+_LEAST = {"line": 2, "polygon": 3, "arc": 3, "circle": 2, "spline": 3}
+_READERS = {".dxf": read_dxf, ".svg": read_svg}
+
+Millimetre = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+
+
+class Shape(BaseModel):
+    """A shape of the page, mm; see ``DrawnShape``."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: ShapeKind
+    points: Annotated[list[tuple[Millimetre, Millimetre]], Field(min_length=2, max_length=20000)]
+    style: Literal["solid", "dashed", "dotted"] = "solid"
+
+
+class Lettering(BaseModel):
+    """A text to be outlined."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    text: Annotated[str, Field(min_length=1, max_length=100)]
+    height_mm: Annotated[float, Field(gt=0.1, le=1000.0)]
+    """Of its capital letters."""
+    font: Literal["DejaVu Sans", "DejaVu Serif", "DejaVu Sans Mono"] = "DejaVu Sans"
+
+
+SHAPES: TypeAdapter[list[Shape]] = TypeAdapter(
+    Annotated[list[Shape], Field(min_length=1, max_length=MOST_SHAPES)]
+)
+
+
+def dxf(shapes: Sequence[Shape]) -> bytes:
+    """Return shapes as a DXF.
+
+    Raises
+    ------
+    JobError
+        If one of them has too few points.
+    """
+    for number, shape in enumerate(shapes, 1):
+        if len(shape.points) < _LEAST[shape.kind]:
+            raise JobError(
+                f"shape {number}: a {shape.kind} has {_LEAST[shape.kind]} points or more, this one "
+                f"{len(shape.points)}",
+                remedy="Draw the missing points.",
+            )
+    return dxf_of(
+        DrawnShape(kind=one.kind, points=1e-3 * np.array(one.points), style=one.style)
+        for one in shapes
+    )
+
+
+def shapes_of(name: str, content: bytes) -> list[dict[str, Any]]:
+    """Return the shapes of a DXF or SVG, points in mm; those of one entity have one group.
+
+    Lines, circles and their arcs stay what they are; other curves become 64 chords a piece.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, or has more shapes than are edited.
+    """
+    drawing = _read(name, content)
+    strokes, _ = drop_zero_lengths(drawing.strokes, name)
+    found = [
+        {"kind": kind, "points": np.round(1e3 * points, 6).tolist(), "group": group}
+        for group, stroke in enumerate(strokes, 1)
+        for kind, points in _parts(stroke.pieces)
+    ]
+    if not found or len(found) > MOST_SHAPES:
+        raise JobError(
+            f"the drawing has {len(found)} lines, from 1 to {MOST_SHAPES} can be edited",
+            place=Place(name),
+            remedy="Sew it as it is: a seam file reads it.",
+        )
+    return found
+
+
+def _read(name: str, content: bytes) -> Drawing:
+    reader = _READERS.get(name.lower()[-4:])
+    if reader is None:
+        raise JobError(
+            f"{name[:60]!r} is no drawing that is known", remedy="Open a .dxf or a .svg."
+        )
+    with tempfile.TemporaryDirectory(prefix="threadline-drawing-") as folder:
+        file = Path(folder) / f"drawing{name.lower()[-4:]}"
+        file.write_bytes(content)
+        try:
+            return reader(content, str(file))
+        except JobError as error:  # it is the client's name that is known to people
+            line = 0 if error.place is None else error.place.line
+            raise JobError(error.message, place=Place(name, line), remedy=error.remedy) from error
+
+
+def _parts(pieces: Pieces) -> list[tuple[ShapeKind, FloatArray]]:
+    """Return the shapes of one stroke: runs of chords, arcs and circles, each (n, 2) m."""
+    found: list[tuple[ShapeKind, FloatArray]] = []
+    chords: list[FloatArray] = []
+
+    def end_chords() -> None:
+        if not chords:
+            return
+        points = np.vstack([chords[0][:1], *(part[1:] for part in chords)])
+        closed = len(points) > 3 and bool(np.hypot(*(points[-1] - points[0])) <= _CLOSED_M)
+        found.append(("polygon", points[:-1]) if closed else ("line", points))
+        chords.clear()
+
+    for k in range(len(pieces)):
+        if not pieces.is_circle[k]:
+            u = np.linspace(0.0, 1.0, 2 if pieces.is_line[k] else _CHORDS + 1)
+            chords.append(pieces.evaluate(np.full(len(u), k), u)[0])
+            continue
+        end_chords()
+        points = pieces.evaluate(np.full(3, k), np.array([0.0, 0.5, 1.0]))[0]
+        if abs(abs(pieces.sweep_rad[k]) - 2.0 * np.pi) < 1e-9:
+            found.append(("circle", np.vstack([pieces.top[k, :1], points[:1]])))
+        else:
+            found.append(("arc", points))
+    end_chords()
+    return found
+
+
+def outlines(asked: Lettering) -> list[dict[str, Any]]:
+    """Return the outlines of a text as polygons, mm, its baseline beginning at 0, 0."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextPath
+
+    font = FontProperties(family=asked.font)
+    capital = TextPath((0.0, 0.0), "H", size=100.0, prop=font).get_extents().height
+    size = 100.0 * asked.height_mm / capital
+    path = TextPath((0.0, 0.0), asked.text, size=size, prop=font)
+    rings = [np.asarray(ring, dtype=np.float64) for ring in path.to_polygons(closed_only=True)]
+    return [
+        {"kind": "polygon", "points": np.round(ring[:-1], 4).tolist(), "group": 1}
+        for ring in rings
+        if len(ring) > 3
+    ]

@@ -1,0 +1,278 @@
+"""The guide to a machine: its axes, signals and connectors, and the calibration of its drives.
+
+Everything follows from the machine file. A step says what to do and what must be seen; a number
+that must be seen is computed from the file, and says of what.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees, pi
+from pathlib import Path
+from typing import NamedTuple
+
+from threadline.machine import Machine
+from threadline.machine.parts import Axis, DcMotor
+from threadline.machine.quantity import Quantity
+from threadline.machine.sources import Kinematic, PulseServo, Stepper
+from threadline.report.document import Document, Table, origin_facts
+from threadline.report.guide_cylinders import cylinder_rows, cylinder_signals, cylinder_steps
+from threadline.report.guide_shaft import shaft_rows, shaft_steps
+from threadline.report.publish import write_document
+from threadline.report.style import figure_style
+
+_SHARE = 0.25
+"""Share of a DAC's range at which the gain of an amplifier is trimmed: 2.5 V of 10 V."""
+_WAY = {"m": "100 mm", "rad": "360 deg"}
+
+
+class Step(NamedTuple):
+    """A step of calibration: what to do, and what must be seen."""
+
+    do: str
+    see: str
+
+
+def guide_of(machine: Machine) -> Document:
+    """Return the guide to a machine of any kind."""
+    tables = [
+        Table(
+            title="Axes",
+            header=("axis", "moved by", "way", "speed", "acceleration", "scale"),
+            rows=[*_axis_rows(machine), *cylinder_rows(machine)],
+            note="As the machine file has them; the word in brackets says how a number is known.",
+            words=("moved by", "way"),
+        ),
+        Table(
+            title="Signals",
+            header=("signal", "from", "to", "note"),
+            rows=[*_signals(machine), *shaft_rows(machine), *cylinder_signals(machine)],
+            words=("from", "to"),
+        ),
+    ]
+    tables += [
+        Table(
+            title=f"Connector {name}: {connector.title}",
+            header=("pin", "signal"),
+            rows=list(connector.pins.items()),
+            words=("signal",),
+        )
+        for name, connector in machine.guide.connectors.items()
+    ]
+    steps = [
+        Step(
+            "Keep clear of the machine; its emergency stop is within reach.", "It cuts the power."
+        ),
+        *(Step(text, "") for text in machine.guide.presets),
+        *_switch_steps(machine),
+        *shaft_steps(machine),
+        *(step for axis in machine.axes for step in axis_steps(machine, axis)),
+        *cylinder_steps(machine),
+    ]
+    tables.append(
+        Table(
+            title="Calibration, step by step",
+            header=("step", "do", "see"),
+            rows=[(str(k), step[0], step[1]) for k, step in enumerate(steps, start=1)],
+            note="Where the last column is not what is seen, do not go on.",
+            words=("do", "see"),
+        )
+    )
+    return Document(
+        title=f"Guide to {machine.name}",
+        subtitle=machine.title,
+        verdicts=(),
+        tables=tables,
+        figures={},
+        captions={},
+        facts=origin_facts(machine),
+    )
+
+
+def write_guide(machine: Machine, folder: Path) -> Path:
+    """Write the guide to a machine into ``folder``; return the path of the HTML page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    with figure_style():
+        return write_document(guide_of(machine), folder, "guide")
+
+
+# --- axes and signals ------------------------------------------------------------------
+
+
+def _axis_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
+    for name, axis in machine.axes.items():
+        ends = "endless"
+        if axis.travel is not None:
+            ends = f"{shown(axis.travel[0].si, axis)} to {shown(axis.travel[1].si, axis)}"
+        elif axis.stroke is not None:
+            ends = f"{shown(axis.stroke.si, axis)} in all"
+        yield (
+            f"{name}, {axis.kind}",
+            machine.moving[name] if axis.drive else f"controller {axis.controller}",
+            ends,
+            shown(axis.velocity.si, axis, "/s"),
+            shown(axis.acceleration.si, axis, "/s^2"),
+            f"{_scale(axis)} ({axis.counts.provenance.value})",
+        )
+
+
+def shown(si: float, axis: Axis, per: str = "") -> str:
+    """Return a number of an axis for people: millimetres, or degrees."""
+    if axis.kind == "linear":
+        return f"{1e3 * si:.5g} mm{per}"
+    return f"{degrees(si):.5g} deg{per}"
+
+
+def _scale(axis: Axis) -> str:
+    if axis.kind == "linear":
+        return f"{1e-3 * axis.counts.si:.6g} count/mm"
+    return f"{axis.counts.si * pi / 180.0:.7g} count/deg"
+
+
+def _signals(machine: Machine) -> Iterator[tuple[str, ...]]:
+    for name, axis in machine.axes.items():
+        if axis.drive:
+            drive = machine.drives[axis.drive]
+            rate = axis.velocity.si * axis.counts.si
+            yield f"{name} steps", "controller", f"drive {axis.drive}", f"up to {rate:.4g} step/s"
+            if isinstance(drive, Stepper):
+                yield f"{name} phases", f"drive {axis.drive}", "motor", _current(drive)
+            continue
+        controller = machine.controller_of(name)
+        dac = controller.dac
+        yield (
+            f"{name} command",
+            f"controller {axis.controller}",
+            f"drive {controller.drive}",
+            f"+-{dac.range.si:g} V, {dac.bits.si:g} bit, {1e3 * dac.volt_per_level:.4g} mV a level",
+        )
+        reads = machine.sensors[controller.sensor].reads
+        yield (
+            f"{name} position",
+            f"encoder {controller.sensor}",
+            f"controller {axis.controller}",
+            "; ".join(f"{_of_body(q)} of {body}" for body, q in reads.items()),
+        )
+    for name, switch in machine.inputs.items():
+        at = shown(switch.at.si, machine.axes[switch.axis])
+        yield (
+            name,
+            f"switch of {switch.axis} at {at} or {switch.beyond}",
+            f"drive {switch.cuts}, controller",
+            f"cuts the supply of {switch.cuts}",
+        )
+
+
+def _of_body(resolution: Quantity) -> str:
+    if resolution.unit == "count/rad":
+        return f"{resolution.si * 2.0 * pi:.6g} count/rev"
+    return f"{1e-3 * resolution.si:.6g} count/mm"
+
+
+def _current(drive: Stepper) -> str:
+    steps = f"{drive.microsteps.si:g} microsteps"
+    return steps if drive.winding is None else f"{drive.winding.current.si:g} A a phase, {steps}"
+
+
+# --- calibration -----------------------------------------------------------------------
+
+
+def _switch_steps(machine: Machine) -> Iterator[Step]:
+    for name, switch in machine.inputs.items():
+        yield Step(
+            f"With the drives off, push {switch.axis} by hand onto the switch {name}.",
+            f"The input {name} is on at {shown(switch.at.si, machine.axes[switch.axis])}, within "
+            f"{shown(switch.at.tolerance_si, machine.axes[switch.axis])}, and {switch.cuts} has no "
+            "supply there.",
+        )
+
+
+def axis_steps(machine: Machine, name: str) -> list[Step]:
+    """Return the steps of calibration of one axis."""
+    axis = machine.axes[name]
+    unit = "m" if axis.kind == "linear" else "rad"
+    source = machine.drives[axis.drive] if axis.drive else machine.drive_of(name)
+    if isinstance(source, DcMotor):
+        steps = _amplifier_steps(machine, name, source)
+    elif isinstance(source, Stepper):
+        steps = [
+            Step(f"Set the driver of {name}: {_current(source)}.", "The motor holds its shaft."),
+            _direction(name),
+        ]
+    else:
+        assert isinstance(source, PulseServo | Kinematic)
+        steps = [_direction(name)]
+    way = _WAY[unit]
+    return [
+        *steps,
+        Step(
+            f"Mark {name}, tell it to move by {way} slowly, and measure how far it went.",
+            f"{way}. Otherwise write into axes.{name}: counts = {_scale(axis)} x {way} / measured "
+            "way, and repeat.",
+        ),
+    ]
+
+
+def _direction(name: str) -> Step:
+    return Step(
+        f"Tell {name} to move a little in its positive direction.",
+        "It goes that way; otherwise change the sign of its direction in the controller.",
+    )
+
+
+def _amplifier_steps(machine: Machine, name: str, motor: DcMotor) -> list[Step]:
+    """Return how the gain of an amplifier is trimmed: by a part of its range, as the thesis did."""
+    axis, controller = machine.axes[name], machine.controller_of(name)
+    volts = _SHARE * controller.dac.range.si
+    level = volts / controller.dac.volt_per_level
+    going = speed_at(machine, name, volts)
+    if motor.amplifier.mode == "current":
+        see = (
+            f"{motor.amplifier.gain.si * volts:.4g} A at the amplifier's monitor; {name} speeds up."
+        )
+    elif going is None:
+        see = f"{name} begins to move, at the same speed at every trial."
+    else:
+        counts = going * axis.counts.si
+        see = (
+            f"{name} goes at {shown(going, axis, '/s')} ({counts:.5g} count/s); friction makes it "
+            "a little less."
+        )
+    ends = "" if axis.endless else " It has its travel alone: stop it in time."
+    return [
+        Step(
+            f"Take the controller's plug out, put 0 V to the command of {name}, balance the drive.",
+            f"{name} stands still: less than a count a second.",
+        ),
+        Step(
+            f"Put +{volts:g} V to the command of {name} (level {level:.0f} of its DAC), and turn "
+            f"the gain up slowly until it goes as it must.{ends}",
+            see,
+        ),
+        Step(
+            f"Look at the reading of encoder {controller.sensor} meanwhile.",
+            "It rises. If it falls, exchange its lines: with the wrong sign the loop runs away.",
+        ),
+    ]
+
+
+def speed_at(machine: Machine, name: str, volts: float) -> float | None:
+    """Return the speed of an axis without load at a voltage of its command, m/s or rad/s.
+
+    It is where the back EMF is the amplifier's voltage. None where the motor drives several bodies,
+    or the amplifier gives a current.
+    """
+    motor, controller = machine.drive_of(name), machine.controller_of(name)
+    reads = machine.sensors[controller.sensor].reads
+    if motor.amplifier.mode == "current" or len(motor.acts_on) != 1 or not motor.back_emf.si:
+        return None
+    ((body, weight),) = motor.acts_on.items()
+    if set(reads) != {body}:
+        return None
+    of_body = motor.amplifier.gain.si * volts / motor.back_emf.si / weight.si
+    return float(of_body * reads[body].si / machine.axes[name].counts.si)

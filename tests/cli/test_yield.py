@@ -1,0 +1,101 @@
+"""``threadline yield`` as a command: what it tells while it works."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.cli import why, yield_
+from threadline.cli.main import main
+from threadline.machine.variants import Uncertain
+from threadline.search.cheapest_set import cheapest_set
+from threadline.search.machine_yield import Yield
+from threadline.verdict import CriterionRow, EachRun
+
+JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
+
+
+def test_every_stage_of_a_yield_tells_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A share where the number of machines is known, else how many were tried."""
+    told: list[tuple[str, float]] = []
+
+    @contextmanager
+    def heard(_: bool):
+        yield lambda stage, share: told.append((stage, share))
+
+    monkeypatch.setattr(yield_, "progress_bar", heard)
+    monkeypatch.setattr(why, "_MACHINES", 8)
+    monkeypatch.setattr(why, "_SAMPLES", 4)
+    monkeypatch.setattr(yield_, "cheapest_set", partial(cheapest_set, machines=20))
+    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "20", "--why"]
+    with pytest.raises(SystemExit):
+        main([*words, "--at-least", "80 %"])
+    assert "error" not in capsys.readouterr().err
+    stages = list(dict.fromkeys(stage.split(",")[0] for stage, _ in told))
+    assert stages == [
+        "simulating and judging machines",
+        "looking for the worst machine",
+        "what the yield depends on",
+        "looking for the cheapest set of tolerances",
+    ]
+    for stage in stages[0], stages[2]:
+        shares = [share for name, share in told if name == stage]
+        assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
+        assert all(share < 1.0 for share in shares[:-1])
+    for stage in stages[1], stages[3]:
+        counts = [int(name.split(",")[1].split()[0]) for name, _ in told if stage in name]
+        assert counts == sorted(set(counts))
+
+
+def test_a_wish_that_so_few_machines_cannot_prove_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """p^n = 2.5 %: 367 of 367 say 99.0 %, 366 of 366 a little less."""
+    words = ["yield", str(JOB), "-m", "lathe-winder", "--at-least", "99 %"]
+    with pytest.raises(SystemExit) as ended:
+        main([*words, "--variants", "366"])
+    told = capsys.readouterr()
+    assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
+    assert "366 machines" in told.err and "--variants 368" in told.err
+    assert 0.025 ** (1 / 368) >= 0.99 > 0.025 ** (1 / 367)
+
+
+@pytest.mark.parametrize("variants", [3, 40])
+def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
+    """As many machines as were drawn tell the yields with halved tolerances."""
+    asked: list[int] = []
+
+    class OneByOne:
+        together = False
+        numbers = (Uncertain(name="a", numbers=("a",), normal=False),) * 2
+        found = EachRun(
+            rows=(
+                CriterionRow(
+                    name="x", axis="", step="", limit=1.0, unit="m", required=True, hard=False,
+                    of_plan=False, values=np.ones(1), failed=np.zeros(1, dtype=bool),
+                ),
+            ),
+            runs=1,
+        )  # fmt: skip
+
+        def judged(self, parts, done):
+            asked.append(len(parts))
+            return self.found.taken(np.zeros(len(parts), dtype=int))
+
+        def drawn(self, count, seed, done):
+            asked.append(count)
+            return Yield(numbers=self.numbers, found=self.found, seed=seed)
+
+        def halved(self, count, seed, done):
+            asked.append(2 * count)
+            return np.ones(2)
+
+    hangs = why.why_of(OneByOne(), variants, 1, lambda stage, share: None)
+    assert hangs.machines == variants
+    assert sum(asked) == 3 * variants + 4 * 16

@@ -1,0 +1,179 @@
+"""``kill -9`` of an executor and of its machine, for every kind of work that has rows or turns.
+
+Processes are forks of this one, so that nothing has to be imported anew. What the machine did is in
+its black box, to the very end.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.live.bench import table_of_counts, there_and_back, winder
+from threadline.live import sim_process
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.kept import Kept
+from threadline.live.sim_machine import SimMachine
+from threadline.live.ways import way_of
+from threadline.live.wire import Connection, Message
+from threadline.machine import Machine, load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
+from threadline.signals import Commands
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """Commands of one kind of work, and the machine that they are for."""
+
+    machine: Machine
+    commands: Commands
+    ticks: int
+    hold_at_rest: bool = False
+
+    @property
+    def start(self) -> np.ndarray:
+        return way_of(self.machine).start(self.commands)
+
+
+@cache
+def case(name: str) -> Case:
+    """Return a case by its name: loops, steppers, cylinders, step-tables."""
+    if name == "loops":
+        rows = there_and_back(peak=10.0, cruise=600)  # 36 mm/s on X
+        return Case(winder(), table_of_counts(rows), len(rows))
+    machine_name, job = {
+        "steppers": ("stepper-winder", "helix.gcode"),
+        "cylinders": ("letter-placer", "letter-cycle.toml"),
+        "step-tables": ("schiffli-frame", "rosette.dst"),
+    }[name]
+    machine = load_machine(machine_name)
+    plan = plan_job(open_job(EXAMPLES / job, machine, Options()), machine, Options())
+    ticks = int(plan.duration_s / float(machine.command_clock.period_s))
+    return Case(machine, plan.commands, ticks, hold_at_rest=name == "cylinders")
+
+
+def child(work: Callable[[], object]) -> int:
+    """Fork; do the work in the child and end it."""
+    pid = os.fork()
+    if pid:
+        return pid
+    try:
+        work()
+        os._exit(0)
+    except BaseException:
+        traceback.print_exc()
+        os._exit(1)
+
+
+def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
+    """Serve as a simulated machine; write all channels, and the tick of what was heard last."""
+    way = way_of(which.machine)
+    told: dict[str, list[np.ndarray]] = {}
+    seen: dict[str, Any] = {"heard": 0}
+
+    class Boxed(way.simulated):  # type: ignore[misc, name-defined]
+        def take(self, message: Message) -> None:
+            seen["heard"] = self.tick
+            super().take(message)
+
+        def _report(self, first: int, parts: Any, late_by: float) -> None:
+            for part in parts:
+                for name, values in part.samples.items():
+                    told.setdefault(name, []).append(np.array(values, dtype=np.float64))
+            seen["standing"] = self.standing
+            super()._report(first, parts, late_by)
+
+    boxed: type[SimMachine] = Boxed
+    other = replace(way, simulated=boxed)
+    sim_process.way_of = lambda _: other  # type: ignore[assignment]
+    sim_process.serve(end, which.machine, which.start, 0.0)
+    np.savez(
+        box, heard=seen["heard"], standing=seen["standing"],
+        **{f"c_{name}": np.concatenate(parts) for name, parts in told.items()},
+    )  # fmt: skip
+
+
+def execute(
+    end: socket.socket, which: Case, at_tick: Callable[[int], object]
+) -> tuple[Executor, Kept]:
+    """Run a case to its end, or to that of the link."""
+    kept, desk = Kept(), Desk()
+    executor = Executor(Connection(end), which.machine, desk, kept, speed=0.0)
+    executor.connect()
+    executor.enable()
+    executor.home()
+    executor.start(which.commands, pass_stops=True, hold_at_rest=which.hold_at_rest)
+    while not executor.over:
+        executor.step()
+        at_tick(executor.tick)
+    desk.close()
+    return executor, kept
+
+
+def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
+    """Kill the executor at a tick; return the machine's black box once it has ended by itself."""
+    ours, theirs = socket.socketpair()
+    there, here = os.pipe()
+
+    def machine_only() -> None:
+        ours.close()
+        machine_with_black_box(theirs, which, box)
+
+    def executor_only() -> None:
+        theirs.close()
+        execute(ours, which, lambda now: os.write(here, b"!") if now >= tick else None)
+
+    machine, executor = child(machine_only), child(executor_only)
+    ours.close()
+    theirs.close()
+    os.close(here)  # ours: where the run ends before, nothing is read
+    assert os.read(there, 1) == b"!"
+    os.kill(executor, signal.SIGKILL)
+    os.waitpid(executor, 0)
+    os.close(there)
+    assert os.waitpid(machine, 0)[1] == 0  # it has come to rest, and ended by itself
+    with np.load(box) as kept:
+        return {name.removeprefix("c_"): np.array(kept[name]) for name in kept.files}
+
+
+def kill_machine(which: Case, tick: int) -> tuple[Executor, Kept]:
+    """Kill the machine's process at a tick; return the executor and what it kept."""
+    ours, theirs = socket.socketpair()
+
+    def machine_only() -> None:
+        ours.close()
+        sim_process.serve(theirs, which.machine, which.start, 0.0)
+
+    machine = child(machine_only)
+    theirs.close()
+    found = execute(
+        ours, which, lambda now: os.kill(machine, signal.SIGKILL) if now >= tick else None
+    )
+    os.waitpid(machine, 0)
+    ours.close()
+    return found
+
+
+def beside(points: np.ndarray, path: np.ndarray) -> float:
+    """Return how far the worst of (n, axes) points is from the segments of a path, (m, axes)."""
+    begin, way = path[:-1], np.diff(path, axis=0)
+    long = np.maximum((way * way).sum(axis=1), 1e-30)
+    worst = 0.0
+    for point in points:
+        share = np.clip(((point - begin) * way).sum(axis=1) / long, 0.0, 1.0)
+        near = np.linalg.norm(begin + share[:, None] * way - point, axis=1).min()
+        worst = max(worst, float(near))
+    return worst

@@ -1,0 +1,323 @@
+"""LinuxCNC's HAL behind an executor: the real one, headless, as a user who is not root."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.bench import table_of_counts, there_and_back, winder
+from tests.live.hal_bench import (
+    bridge,
+    execute,
+    hal_alone,
+    left_samples,
+    told_in,
+    unhurried,
+)
+from threadline import machine as machine_package
+from threadline.cli.main import main
+from threadline.errors import LinkFaultError, OptionError
+from threadline.live import hal_session
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.hal_fifo import STREAMER_KEY, in_use
+from threadline.live.hal_rows import HalRows
+from threadline.live.hal_session import HalSession, check_hal
+from threadline.live.links import link_of
+from threadline.live.states import Cause, State
+from threadline.live.wire import Message
+from threadline.machine import Machine, load_machine
+from threadline.signals import Ended
+
+ZERO = np.zeros(3, np.int64)
+ROWS = there_and_back(peak=10.0, cruise=60)  # 36 mm/s on X; 1.8 s in all
+X_M = winder().counts_per_unit[1]
+LIBRARY = Path(machine_package.__file__).parent / "library" / "lathe-winder.toml"
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No two of these tests at a time."""
+    with hal_alone(monkeypatch), unhurried(monkeypatch):
+        yield
+
+
+def winder_at_1_ms(folder: Path) -> Machine:
+    """Return the winder's three axes at a tick of 1 ms, for a fifo alone."""
+    text = LIBRARY.read_text("utf-8").replace('servo = "5 ms exact', 'servo = "1 ms exact')
+    file = folder / "fast.toml"
+    file.write_text(text, "utf-8")
+    return load_machine(file)
+
+
+def test_3000_ticks_of_three_axes_at_1_ms_and_none_is_lost(tmp_path: Path) -> None:
+    """Refills of 25 rows, each with a tail that the next replaces: HAL plays the rows alone."""
+    steps = np.random.default_rng(1994).integers(-30, 31, (3000, 3))
+    rows = np.cumsum(steps, axis=0).astype(np.float64)
+    hal = HalSession(winder_at_1_ms(tmp_path), ZERO, plant=False)
+    try:
+        hal.fill()
+        first, sent = hal.end, 0
+        found, late = [], 0
+        begun = time.monotonic()
+        while sum(len(part.record) for part in found) < 4500 and time.monotonic() < begun + 20.0:
+            while sent < len(rows) and first + sent < hal.taken + 100:
+                part = rows[sent : sent + 25]
+                tail = part[-1] + np.arange(1, 40)[:, None] * [7.0, -7.0, 7.0]
+                assert hal.replace(first + sent, np.concatenate([part, tail])), (
+                    "this computer slept"
+                )
+                sent += len(part)
+            if sent == len(rows):  # it ends here: no tail any more
+                hal.replace(first + sent, rows[-1:])
+                sent += 1
+            found.append(hal.samples())
+            late += int(np.count_nonzero(found[-1].interval_s > 1.5e-3))
+            time.sleep(0.004)
+            hal.fill()
+        assert hal.lost == 0
+    finally:
+        hal.close()
+    record = np.concatenate([part.record for part in found])
+    told = np.concatenate([part.told for part in found])
+    fresh = np.diff(record, prepend=-1) == 1
+    assert fresh[record < first + 3000].all()  # none twice, none left out
+    np.testing.assert_array_equal(told[fresh][first : first + 3000], rows)
+    assert (told[record >= first + 3000] == rows[-1]).all()
+    print(f"{late} of 3000 ticks came more than half a period late")
+
+
+def test_a_program_runs_and_is_labelled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The real command, to the end: it is not called proven, and says what was at the far end."""
+    job = Path(__file__).parents[2] / "examples" / "x-180.prg"
+    store = ["--store", str(tmp_path / "runs")]
+    for _ in range(5):  # exit status 3: the processor was taken away for a tenth of a second
+        with pytest.raises(SystemExit) as ended:
+            main(["run", str(job), "-m", "lathe-winder", "--link", "hal:plant", "--json",
+                  "--interpolation", "b-spline", "--feed", "40count/tick", "--override", "a test",
+                  "--nominal", *store])  # fmt: skip
+        said = capsys.readouterr()
+        if ended.value.code != 3:
+            break
+    assert ended.value.code == 1, said.err
+    content = json.loads(said.out)
+    assert content["label"] == "HAL's plant, a lag for each axis: not the machine"
+    statuses = {one["name"]: one["status"] for one in content["criteria"]}
+    assert statuses["contour_error"] == "not-measured"
+    assert statuses["tracking_error"] == "reported"
+    with pytest.raises(SystemExit):
+        main(["report", "last", *store])
+    (page,) = (tmp_path / "runs").glob("*/report/report.html")
+    assert "not the machine" in page.read_text("utf-8").replace("&#39;", "'")
+
+
+def test_hold_resume_and_stop(tmp_path: Path) -> None:
+    """A hold leaves no row out: the run ends where the table does, on its path all the way."""
+    told = []
+
+    def at_tick(executor: Executor, desk: Desk) -> None:
+        if executor.tick > 60 and not told:
+            told.append(Cause.HOLD)
+            desk.ask(Cause.HOLD)
+        if executor.tick > 120 and told[-1:] == [Cause.HOLD]:
+            told.append(Cause.RESUME)
+            desk.ask(Cause.RESUME)
+
+    with bridge(winder(), ZERO, tmp_path / "box", plant=True) as far:
+        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+    assert executor.ended == (Ended.COMPLETED, "")
+    assert [state for _, state, _, _ in kept.log].count(State.HOLDING) == 1
+    x, a = on_path(tmp_path / "box")
+    assert x[-1] == 0.0
+    assert a[-1] == np.abs(ROWS[:, 1]).sum()
+    measured = np.concatenate([block.samples["X.measured"] for block in kept.blocks])
+    commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
+    lag_s = 0.0294  # of X, as docs/safety.md has it
+    assert np.abs(measured - commanded).max() == pytest.approx(
+        0.036 * lag_s, abs=2.0 / X_M
+    )  # a count of rounding each way
+
+
+def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return counts of X and A; A turns a count for each of X, there and back."""
+    counts = told_in(box, 3)
+    a, x = counts[:, 1], counts[:, 2]
+    way = np.cumsum(np.abs(np.diff(x, prepend=0.0)))
+    assert np.abs(a - way).max() <= 2.0  # a count of rounding each way
+    return x, a
+
+
+def test_a_stop_brakes_along_the_path(tmp_path: Path) -> None:
+    """At 36 mm/s within 2 mm of command, as docs/safety.md states."""
+    at = list[int]()
+
+    def at_tick(executor: Executor, desk: Desk) -> None:
+        if executor.tick > 90 and not at:
+            at.append(executor.tick)
+            desk.ask(Cause.STOP)
+
+    with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
+        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+    assert executor.ended == (Ended.STOPPED, "stopped by the operator")
+    on_path(tmp_path / "box")
+    commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
+    assert np.abs(np.diff(commanded[at[0] :])).sum() <= 2e-3
+
+
+@pytest.mark.parametrize("tick", np.random.default_rng(15).integers(5, 300, 10).tolist())
+def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
+    """HAL plays the tail that it holds: within 5 mm of path at 36 mm/s, and on it."""
+    x = killed(tick, tmp_path, "executor")
+    assert np.abs(np.diff(x)).sum() <= 5e-3 * X_M
+
+
+@pytest.mark.parametrize("tick", np.random.default_rng(16).integers(5, 300, 10).tolist())
+def test_kill_the_process_in_front_of_hal(tick: int, tmp_path: Path) -> None:
+    """The same without anybody who fills the fifo: it runs empty at rest."""
+    x = killed(tick, tmp_path, "bridge")
+    assert np.abs(np.diff(x)).sum() <= 5e-3 * X_M
+
+
+def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
+    """Kill a process at a tick; return the counts of X that HAL told from there on."""
+    box = folder / "box"
+    with bridge(winder(), ZERO, box, plant=False) as far:
+        there, here = os.pipe()
+        pid = os.fork()
+        if not pid:
+            execute(
+                far.end, winder(), table_of_counts(ROWS),
+                lambda executor, _: os.write(here, b"!") if executor.tick >= tick else None,
+            )  # fmt: skip
+            os._exit(0)
+        far.end.close()
+        os.close(here)  # ours: where the run ends before, nothing is read
+        assert os.read(there, 1) == b"!"
+        os.kill(pid if whom == "executor" else far.pid, signal.SIGKILL)
+        seen = len(told_in(box, 3)) if box.exists() else 0
+        if whom == "bridge":
+            time.sleep(1.0)  # longer than what the fifo holds
+            with box.open("ab") as more:
+                more.write(left_samples(winder()).tobytes())
+        os.waitpid(far.pid, 0)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    os.close(there)
+    x, _ = on_path(box)
+    assert len(x) > seen
+    assert (x[-10:] == x[-1]).all()  # it stands
+    return x[max(seen - 1, 0) :]
+
+
+@pytest.mark.parametrize("tick", np.random.default_rng(17).integers(5, 300, 10).tolist())
+def test_kill_hal(tick: int, tmp_path: Path) -> None:
+    """It is a loss of power: the executor says so, in the state of a fault."""
+    killed_it = []
+
+    def at_tick(executor: Executor, _desk: Desk) -> None:
+        if executor.tick >= tick and not killed_it:
+            killed_it.append(in_use(STREAMER_KEY))
+            os.kill(killed_it[0], signal.SIGKILL)
+
+    with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
+        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+    assert executor.state is State.FAULT
+    assert executor.ended is not None
+    assert executor.ended[0] is Ended.FAULT
+    assert "has stood still" in executor.ended[1]
+    assert sum(len(block.samples["X.commanded"]) for block in kept.blocks) >= tick
+
+
+def test_an_underrun_is_seen(tmp_path: Path) -> None:
+    """The process in front of HAL sleeps: HAL brakes by itself, and the run is over."""
+    slept = []
+
+    def at_tick(executor: Executor, _desk: Desk) -> None:
+        if executor.tick > 60 and not slept:
+            os.kill(far.pid, signal.SIGSTOP)
+            time.sleep(0.4)  # 0.1 s of rows; the executor gives up after 0.5 s
+            os.kill(far.pid, signal.SIGCONT)
+            slept.append(True)
+
+    with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
+        executor, _ = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+    assert executor.ended == (
+        Ended.FAULT,
+        "refills came too late: the machine has braked by itself",
+    )
+    x, _ = on_path(tmp_path / "box")
+    assert (x[-10:] == x[-1]).all()
+
+
+def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples that are lost are a fault, and nothing is recorded behind it."""
+    monkeypatch.setattr(hal_session, "_SAMPLED_S", -0.4)  # room for 20 records
+    told: list[Message] = []
+    hal = HalSession(winder(), ZERO, plant=False)
+    try:
+        rows = HalRows(winder(), ZERO, told.append, hal, plant=False)
+        for kind in ("enable", "home", "begin"):
+            rows.take(Message(kind))
+        time.sleep(0.4)
+        rows.go_on(0.4)
+    finally:
+        hal.close()
+    (event,) = told[-1].head["events"]
+    assert event[1] == "fault"
+    assert "samples of HAL were lost" in event[3]
+
+
+def test_a_row_that_is_about_to_be_played_is_not_replaced() -> None:
+    """What is refused changes nothing; the executor begins to brake later then."""
+    hal = HalSession(winder(), ZERO, plant=False)
+    try:
+        hal.fill()
+        assert not hal.replace(hal.taken + 1, np.full((5, 3), 1e6))
+        time.sleep(0.1)
+        assert not hal.samples().told.any()
+    finally:
+        hal.close()
+
+
+def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One line each, before anything is started."""
+    for name in ("letter-placer", "schiffli-frame"):
+        with pytest.raises(OptionError, match="not driven by tables of ticks"):
+            link_of("hal:loopback", load_machine(name), 1.0, None)
+    with pytest.raises(OptionError, match="hal:loopback or hal:plant"):
+        link_of("hal:mill", winder(), 1.0, None)
+    with pytest.raises(OptionError, match="no encoders"):
+        link_of("hal:plant", load_machine("stepper-winder"), 1.0, None)
+    with pytest.raises(OptionError, match="of the simulated machine"):
+        link_of("hal:plant", winder(), 2.0, None)
+    hal = HalSession(winder(), ZERO, plant=False)
+    try:
+        with pytest.raises(OptionError, match="runs on this computer already"):
+            check_hal(winder())
+    finally:
+        hal.close()
+    with monkeypatch.context() as other:
+        other.delenv("SUDO_UID", raising=False)
+        other.setattr("os.geteuid", lambda: 0)
+        with pytest.raises(OptionError, match="refuses to run as root"):
+            check_hal(winder())
+        other.setenv("PATH", "")
+        with pytest.raises(OptionError, match="is not installed"):
+            check_hal(winder())
+
+
+def test_another_layout_of_the_fifo_is_refused(tmp_path: Path) -> None:
+    """Nothing is written into memory that is not what it is taken for."""
+    hal = HalSession(winder(), ZERO, plant=False)
+    try:
+        with pytest.raises(LinkFaultError, match="another way"):
+            left_samples(winder_at_1_ms(tmp_path))
+    finally:
+        hal.close()

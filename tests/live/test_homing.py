@@ -1,0 +1,135 @@
+"""Homing takes its time and can be stopped; a braking that a machine refuses comes again."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from tests.live.bench import Bench, Wire, table_of_counts, there_and_back, winder
+from tests.live.kill_bench import child
+from threadline.live import sim_process
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.kept import Kept
+from threadline.live.sim_process import HOMING_S
+from threadline.live.states import Cause, State
+from threadline.live.supervised import run_commands
+from threadline.live.wire import Connection, Message
+from threadline.signals import Ended
+
+ROWS = there_and_back(cruise=40)
+
+
+@contextmanager
+def in_real_time() -> Iterator[Connection]:
+    """Yield the link to a simulated machine in a fork of this process."""
+    ours, theirs = socket.socketpair()
+
+    def serve() -> None:
+        ours.close()
+        sim_process.serve(theirs, winder(), np.zeros(3, np.int64), 1.0)
+
+    pid = child(serve)
+    theirs.close()
+    connection = Connection(ours)
+    try:
+        yield connection
+    finally:
+        connection.close()
+        os.waitpid(pid, 0)
+
+
+def test_a_stop_ends_homing_at_once_and_it_is_not_homed() -> None:
+    desk, kept = Desk(), Kept()
+    with in_real_time() as link:
+        executor = Executor(link, winder(), desk, kept, speed=1.0)
+        executor.connect()
+        executor.enable()
+        stop = threading.Timer(0.1, desk.ask, (Cause.STOP,))
+        stop.start()
+        executor.home()
+        stop.join()
+        assert [cause for _, _, cause, _ in kept.log] == [
+            Cause.ENABLE, Cause.HOME, Cause.STOP, Cause.AT_REST_UNHOMED,
+        ]  # fmt: skip
+        assert executor.state is State.ENABLED
+        began = time.monotonic()
+        executor.home()  # nothing is left of the stop
+        assert time.monotonic() - began >= HOMING_S
+        assert executor.state is State.IDLE
+        executor.close()
+    desk.close()
+
+
+def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
+    desk, kept, sent = Desk(), Kept(), list[str]()
+
+    class Slow(Wire):
+        """Does not answer before somebody stops it."""
+
+        def send(self, message: Message) -> None:
+            sent.append(message.kind)
+            if message.kind == "home":
+                desk.ask(Cause.STOP)
+            elif message.kind == "stop-home":
+                self._told(Message("refused", {"what": "home", "why": "it was stopped"}))
+            else:
+                super().send(message)
+
+    @contextmanager
+    def link() -> Iterator[Slow]:
+        yield Slow(winder())
+
+    ended, text, _ = run_commands(
+        table_of_counts(ROWS), winder(), link(), desk, kept, speed=0.0  # type: ignore[arg-type]
+    )  # fmt: skip
+    assert (ended, text) == (Ended.STOPPED, "stopped by the operator while it homed")
+    assert sent == ["enable", "home", "stop-home", "leave"]
+    desk.close()
+
+
+@pytest.mark.parametrize("cause", [Cause.HOLD, Cause.STOP])
+def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
+    """The tick was past when it came: nothing is lost, and it brakes at the next report."""
+    bench = Bench().ready()
+    refused = list[int]()
+    takes = bench.wire.machine.take
+
+    def take(message: Message) -> None:
+        if message.kind == "refill" and asked and not refused:
+            refused.append(int(message.head["first"]))
+            bench.wire._told(Message("refused", {"what": "refill", "why": "that tick is past"}))
+        else:
+            takes(message)
+
+    bench.wire.machine.take = take  # type: ignore[method-assign]
+    asked = list[bool]()
+    bench.executor.start(table_of_counts(ROWS))
+    bench.go_on(60)
+    asked.append(True)
+    bench.desk.ask(cause)
+    if cause is Cause.HOLD:
+        bench.go_on(110)
+        assert bench.executor.state is State.HOLDING
+        bench.desk.ask(Cause.RESUME)
+        bench.go_on()
+        assert bench.executor.ended == (Ended.COMPLETED, "")
+        told = bench.commanded()
+        assert np.array_equal(told[-1], ROWS.sum(axis=0))  # no row is left out
+        assert (told[100:110] == told[100]).all()
+    else:
+        bench.go_on()
+        assert bench.executor.ended == (Ended.STOPPED, "stopped by the operator")
+        told = bench.commanded()
+        still = np.flatnonzero((np.diff(told, axis=0) == 0).all(axis=1))
+        after = still[still > 60][0]
+        assert after <= refused[0] + 20  # a tenth of a second, braking included
+        assert (told[after:] == told[after]).all()
+    assert refused

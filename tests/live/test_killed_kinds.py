@@ -1,0 +1,167 @@
+"""kill -9 at random moments, for kinds of work other than loops: ten each, at either end.
+
+``tests/live/test_killed.py`` has the winder's loops, ``test_hal.py`` LinuxCNC's HAL.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.grbl_model import BLOCKS, GrblModel
+from tests.live.kill_bench import beside, case, child, kill_executor, kill_machine
+from tests.live.test_grbl import MACHINE, START, program, settings
+from threadline.live.desk import Desk
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_port import Port
+from threadline.live.grbl_run import GrblRun
+from threadline.live.grbl_words import runs_out
+from threadline.live.kept import Kept
+from threadline.live.sim_process import group_ticks
+from threadline.live.states import State
+from threadline.live.ways import way_of
+from threadline.signals import Ended, played, tick_table
+from threadline.twin.stitching import simulate_stitching
+
+DEPTH_S = 0.1
+LONGEST = 2500  # ticks
+RESTS_MS = 50  # between two turns the frame rests for longer, and within one it never does
+
+
+def some_ticks(name: str) -> list[int]:
+    """Return ten moments of a run, with a fixed seed; of a long one, of its beginning."""
+    return random.Random(name).sample(range(5, min(case(name).ticks, LONGEST)), 10)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def warm() -> None:
+    """Build the twins here, so that every fork has them."""
+    for name in ("steppers", "cylinders", "step-tables"):
+        which = case(name)
+        way_of(which.machine).simulated(which.machine, which.start, lambda _: None).play(10)
+
+
+def left_alone(name: str, heard: int) -> int:
+    """Return the tick after which nothing may be sent any more: depth, and a report."""
+    machine = case(name).machine
+    tick_s = float(machine.command_clock.period_s)
+    return heard + round(DEPTH_S / tick_s) + group_ticks(machine, 0.0)
+
+
+@pytest.mark.parametrize("k", range(10))
+def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
+    """Within what the link holds and 0.1 s of braking; on the path within a count of each axis."""
+    which = case("steppers")
+    box = kill_executor(which, some_ticks("steppers")[k], tmp_path / "box.npz")
+    assert box["standing"]
+    table = tick_table(which.commands)
+    (block,) = table
+    scale = which.machine.counts_per_unit
+    rows = np.vstack([np.zeros((1, 2)), np.cumsum(block.counts, axis=0)]) + table.start_counts
+    told = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1) * scale
+    moved = np.flatnonzero(np.diff(told, axis=0).any(axis=1))
+    heard = int(box["heard"])
+    assert not len(moved) or moved[-1] <= left_alone("steppers", heard) + 100
+    # Rounding, one count on each of two axes, of the point and of the row.
+    assert beside(np.unique(told[heard:], axis=0), rows[max(heard - 200, 0) : heard + 500]) <= 2.0
+
+
+@pytest.mark.parametrize("k", range(10))
+def test_valves_are_off(k: int, tmp_path: Path) -> None:
+    """Every output, 100 ms and a report after the last message, and to the end."""
+    which = case("cylinders")
+    box = kill_executor(which, some_ticks("cylinders")[k], tmp_path / "box.npz")
+    assert box["standing"]
+    on = np.stack([box[name] for name in which.machine.outputs], axis=1).any(axis=1)
+    per_scan = 10  # samples of 1 ms
+    assert len(on) > per_scan * int(box["heard"])
+    assert not on[per_scan * (left_alone("cylinders", int(box["heard"])) + 1) :].any()
+
+
+@pytest.mark.parametrize("k", range(10))
+def test_the_frame_rests_between_two_turns(k: int, tmp_path: Path) -> None:
+    """It ends where a turn of the design ends, at the latest a window after 100 ms."""
+    which = case("step-tables")
+    box = kill_executor(which, some_ticks("step-tables")[k], tmp_path / "box.npz")
+    assert box["standing"]
+    told = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1)
+    whole = kept_whole()
+    still = ~np.diff(whole, axis=0).any(axis=1)
+    rested = np.convolve(still, np.ones(RESTS_MS), "valid") == RESTS_MS
+    rests = {tuple(np.round(whole[at], 9)) for at in np.flatnonzero(rested)}
+    assert tuple(np.round(told[-1], 9)) in rests
+    moved = np.flatnonzero(np.diff(told, axis=0).any(axis=1))
+    slowest_window = 2000  # ms: a third of the slowest turn
+    assert (
+        not len(moved) or moved[-1] <= left_alone("step-tables", int(box["heard"])) + slowest_window
+    )
+    # No stitch is torn: what was commanded is what the whole design commands, up to there.
+    assert np.array_equal(told[: len(moved) and moved[-1]], whole[: len(moved) and moved[-1]])
+
+
+@cache
+def kept_whole() -> np.ndarray:
+    """(n, axes) positions commanded by the whole design."""
+    which = case("step-tables")
+    recording = simulate_stitching(played(which.commands), which.machine)
+    return np.stack([recording.samples(f"{name}.commanded")[1] for name in "XY"], axis=1)
+
+
+@pytest.mark.parametrize("k", range(10))
+@pytest.mark.parametrize("name", ["steppers", "cylinders", "step-tables"])
+def test_kill_the_machines_process(name: str, k: int) -> None:
+    """The executor says so at once, in the state of a fault, with all that it was told."""
+    tick = some_ticks(name)[k]
+    executor, kept = kill_machine(case(name), tick)
+    assert executor.ended == (Ended.FAULT, "the link is gone")
+    assert executor.state is State.FAULT
+    assert executor.tick >= tick
+    assert sum(len(next(iter(block.samples.values()))) for block in kept.blocks) >= tick
+    assert kept.blocks[-1].events[-1].kind == "fault"
+
+
+@pytest.mark.parametrize("k", range(10))
+def test_kill_the_program_that_feeds_grbl(k: int) -> None:
+    """It runs out what it holds, as long as was said before, and stands at the end of a line."""
+    line = random.Random(k).randrange(1, 40)
+    model = GrblModel(settings(), faster=10.0)
+    there, here = os.pipe()
+    what = program()
+    address = model.address  # it listens already
+
+    def feed() -> None:
+        run = GrblRun(Controller(Port(address), MACHINE), Desk(), Kept())
+        run.controller.meet()
+        run.enable()
+        run.home()
+        run.start(what, START)
+        while not run.over:
+            run.step()
+            if run.acknowledged >= line:
+                os.write(here, b"!")
+
+    pid = child(feed)  # before there is a thread
+    model.start()
+    assert os.read(there, 1) == b"!"
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    os.close(there)
+    os.close(here)
+    until = time.monotonic() + 20.0
+    while (model.client is not None or model.state == "Run") and time.monotonic() < until:
+        time.sleep(0.02)
+    assert model.state == "Idle"
+    assert not model.overflowed
+    model.close()
+    lines = model.at[0] / 5.0
+    assert lines == round(lines)
+    assert model.at[3] == 2.0 * model.at[0]
+    goes_s, _ = runs_out(what, BLOCKS)
+    assert model.moves_since_lost <= goes_s / model.faster + 1.0  # its thread was late

@@ -1,0 +1,65 @@
+"""The page in a browser, as an operator uses it; screenshots go to ``reports/panel``."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.panel.test_panel_killed import Plant
+from threadline.panel.server import PAGE
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+if CHROMIUM is None:
+    pytest.skip("there is no chromium", allow_module_level=True)
+if not (PAGE / "index.html").exists():
+    pytest.skip("the page was not built: make panel", allow_module_level=True)
+
+from playwright.sync_api import Browser, Page, expect  # noqa: E402
+
+SHOTS = Path(__file__).parents[2] / "reports" / "panel"
+SIZE = {"width": 1280, "height": 800}
+TABLET = {"width": 820, "height": 1180}
+
+
+def opened(browser: Browser, plant: Plant, machine: str = "lathe-winder") -> Page:
+    page = browser.new_page(viewport=SIZE)
+    page.set_default_timeout(60_000)
+    page.goto(f"http://127.0.0.1:{plant.port}/")
+    expect(page.locator("#machine")).to_have_text(f"{machine}, simulated", timeout=60_000)
+    return page
+
+
+def shot(page: Page, name: str) -> None:
+    """Take pictures of a desk and of a tablet."""
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    for size, ending in ((TABLET, "-tablet"), (SIZE, "")):
+        page.set_viewport_size(size)
+        page.wait_for_timeout(300)
+        page.screenshot(path=SHOTS / f"{name}{ending}.png", full_page=True)
+
+
+def press(page: Page, text: str) -> None:
+    page.get_by_role("button", name=text, exact=True).click()
+
+
+def part(page: Page, name: str) -> None:
+    page.get_by_role("tab", name=name).click()
+
+
+def state(page: Page, name: str) -> None:
+    """Wait for a state, whatever reason is told with it."""
+    expect(page.locator("#state")).to_have_text(re.compile(rf"{name}(:|$)"), timeout=60_000)
+
+
+def ready(page: Page) -> None:
+    press(page, "Take control")
+    press(page, "Enable")
+    press(page, "Home all")
+    state(page, "idle")
+
+
+def x_mm(page: Page) -> float:
+    return float(page.locator("#at-X").inner_text().split()[0])

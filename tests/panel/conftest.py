@@ -1,0 +1,48 @@
+"""A browser for the tests of the page."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.panel.bench import proven, simulated_of
+from tests.panel.test_panel_killed import Plant
+from threadline.machine import load_machine
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+SPEED = 0.5
+"""Half of real time: the page has 500 ms to renew a jog, on however busy a computer."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    from playwright.sync_api import sync_playwright
+
+    from tests.panel.browsing import CHROMIUM
+
+    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def plant(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Plant]:
+    """A winder, or the machine and the speed that the test names."""
+    name, speed = getattr(request, "param", ("lathe-winder", SPEED))
+    machine = load_machine(name)
+    proven(tmp_path, name)
+    simulated_of(machine, lambda _: None)
+    found = Plant(tmp_path, tmp_path / "black-box", speed, machine)
+    yield found
+    os.kill(found.server, signal.SIGKILL)
+    os.waitpid(found.server, 0)
+    found.end()

@@ -1,0 +1,84 @@
+"""Drawings of the panel: what is read of files, what is written, and outlines of text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from tests.panel.bench import LOCAL, served
+from threadline.errors import JobError
+from threadline.panel.drawn import Lettering, Shape, dxf, outlines, shapes_of
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SHAPES = [
+    Shape(kind="line", points=[(0, 0), (30, 40), (60, 0)]),
+    Shape(kind="polygon", points=[(0, 0), (10, 0), (10, 5.5)]),
+    Shape(kind="circle", points=[(5, 6), (5, 9)]),
+    Shape(kind="arc", points=[(20, 0), (10, 10), (0, 0)]),
+]
+
+
+def test_what_is_written_is_read_again() -> None:
+    """Shape by shape; a circle may begin elsewhere, and an arc runs counter-clockwise."""
+    found = shapes_of("a.dxf", dxf(SHAPES))
+    assert [one["kind"] for one in found] == [shape.kind for shape in SHAPES]
+    for one, shape in zip(found[:2], SHAPES, strict=False):
+        assert np.array(one["points"]) == pytest.approx(np.array(shape.points), abs=1e-6)
+    centre, rim = np.array(found[2]["points"])
+    assert [*centre, np.hypot(*(rim - centre))] == pytest.approx([5, 6, 3], abs=1e-6)
+    assert np.array(found[3]["points"]) == pytest.approx(
+        np.array([(20, 0), (10, 10), (0, 0)]), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("name", ["badge.dxf", "pocket.dxf", "collar.svg", "yoke.svg"])
+def test_drawings_of_the_examples_can_be_edited(name: str) -> None:
+    found = shapes_of(name, (EXAMPLES / name).read_bytes())
+    assert len(found) >= 1
+    again = shapes_of("a.dxf", dxf([Shape(kind=o["kind"], points=o["points"]) for o in found]))
+    assert len(again) == len(found)
+
+
+def test_capital_letters_are_as_high_as_asked() -> None:
+    """An H is 10 mm high and begins on the baseline; an O has two rings."""
+    (ring,) = outlines(Lettering(text="H", height_mm=10.0))
+    y = np.array(ring["points"])[:, 1]
+    assert (y.min(), y.max()) == pytest.approx((0.0, 10.0), abs=0.05)  # hinting of the font
+    assert len(outlines(Lettering(text="O", height_mm=10.0))) == 2
+
+
+def test_what_cannot_be_is_one_line() -> None:
+    with pytest.raises(JobError, match=r"shape 1: a polygon has 3 points or more, this one 2"):
+        dxf([Shape(kind="polygon", points=[(0, 0), (1, 1)])])
+    with pytest.raises(JobError, match="is no drawing that is known"):
+        shapes_of("a.step", b"")
+    with pytest.raises(JobError, match="the drawing has 0 lines"):
+        shapes_of("a.dxf", dxf([Shape(kind="line", points=[(1, 1), (1, 1)])]))
+
+
+def test_requests(tmp_path: Path) -> None:
+    """They keep nothing, and need no lease."""
+    with served(tmp_path) as client:
+        sent = b'[{"kind": "line", "points": [[0, 0], [10, 0]]}]'
+        answer = post(client, "dxf", sent)
+        assert answer.status_code == 200
+        read = post(client, "shapes?name=a.dxf", answer.content)
+        assert read.json() == [{"kind": "line", "points": [[0.0, 0.0], [10.0, 0.0]], "group": 1}]
+        assert post(client, "text", b'{"text": "A", "height_mm": 5}').status_code == 200
+        for path, bad in (
+            ("dxf", b"[]"), ("dxf", b"{"), ("dxf", b'[{"kind": "line", "points": [[0, 1e9]]}]'),
+            ("text", b'{"text": "", "height_mm": 5}'), ("shapes?name=a.dxf", b"\xff\x00"),
+            ("shapes?name=a.svg", b"<svg"), ("shapes", b""),
+        ):  # fmt: skip
+            assert post(client, path, bad).status_code == 422, (path, bad)
+        assert post(client, "shapes?name=a.dxf", b"0" * ((8 << 20) + 1)).status_code == 413
+        refused = client.post("/api/drawing/dxf", content=sent, headers={"origin": "http://evil"})
+        assert refused.status_code == 403
+    assert [file for file in tmp_path.iterdir() if file.name != "runs"] == []
+
+
+def post(client: TestClient, path: str, content: bytes):  # type: ignore[no-untyped-def]
+    return client.post(f"/api/drawing/{path}", content=content, headers=LOCAL)

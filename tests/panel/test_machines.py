@@ -1,0 +1,118 @@
+"""The panel at other machines: the placer's cylinders, an embroidery frame, a stitcher."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.panel.bench import Operator, operator, proven, served
+from threadline.machine import Machine, load_machine
+
+SPEED = 4.0
+SEWING = 40.0
+
+
+@cache
+def machine(name: str) -> Machine:
+    return load_machine(name)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    return tmp_path_factory.mktemp("project")
+
+
+def started(anna: Operator, name: str, project: Path) -> Operator:
+    proven(project, name)
+    anna.see("disabled")
+    anna.ready()
+    if name != "stitcher":
+        refuses_jogs(anna)
+    assert anna.act("calculate", program="") == ""
+    proof = anna.until("state")["proven"]["proof"]
+    assert anna.act("start", proof=proof) == ""
+    anna.see("running")
+    return anna
+
+
+def refuses_jogs(anna: Operator) -> None:
+    assert not {"jog", "step", "zero", "approach"} & set(anna.state["allowed"])
+    assert "not possible now" in anna.act("jog", axis="X", share=1.0)
+
+
+def verdict(anna: Operator) -> dict[str, str]:
+    anna.see("idle", "enabled")
+    while not (anna.hear()["type"] == "state" and anna.state["progress"]["verdict"]):
+        pass
+    found: dict[str, str] = anna.state["progress"]
+    return found
+
+
+def test_the_placers_cycle_with_a_hold(project: Path) -> None:
+    """It holds where no cylinder moves; cylinders, contacts and outputs are seen."""
+    name = "letter-placer"
+    with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
+        started(anna, name, project)
+        while (anna.until("state")["axes"]["X"]["load"] or 0.0) < 0.05:
+            pass
+        assert anna.act("hold") == ""
+        seen = anna.see("holding")
+        assert set(seen["axes"]) == {"X", "Z"}
+        assert set(seen["signals"]) >= {*machine(name).outputs, *machine(name).contacts}
+        assert anna.act("resume") == ""
+        found = verdict(anna)
+        assert found["ended"] == "completed"
+        assert re.match(r"IN SPEC", found["verdict"])
+
+
+def test_a_stopped_placer_has_to_be_homed(project: Path) -> None:
+    name = "letter-placer"
+    with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
+        started(anna, name, project)
+        anna.say(type="stop")
+        assert verdict(anna)["ended"] == "stopped"
+        assert anna.see("enabled")["allowed"] == ["disable", "home", "calculate"]
+        assert anna.act("home") == ""
+        assert anna.act("start", proof=anna.state["proven"]["proof"]) == ""
+        anna.see("running")
+        anna.say(type="stop")
+        verdict(anna)
+
+
+def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) -> None:
+    name = "schiffli-frame"
+    with served(project, SEWING, machine=machine(name)) as client, operator(client) as anna:
+        started(anna, name, project)
+        while abs(anna.until("state")["axes"]["X"]["commanded"] or 0.0) < 1e-3:
+            pass
+        anna.say(type="stop")
+        assert verdict(anna)["ended"] == "stopped"
+        proof = anna.state["proven"]["proof"]
+        assert "the frame stands at" in anna.act("start", proof=proof)
+        while "home" not in anna.until("state")["allowed"]:
+            pass  # what was refused is put aside
+        assert anna.act("home") == ""
+        anna.see("idle")
+        assert anna.act("start", proof=proof) == ""
+        anna.see("running")
+        found = verdict(anna)
+        assert (found["ended"], found["verdict"][:7]) == ("completed", "IN SPEC")
+
+
+def test_a_seam_is_sewn_with_a_hold(project: Path) -> None:
+    """Its loads follow, so that it holds at the next rest of the seam."""
+    name = "stitcher"
+    with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
+        started(anna, name, project)
+        while (anna.until("state")["axes"]["X"]["commanded"] or 0.0) < 0.01:
+            pass
+        assert anna.act("hold") == ""
+        assert anna.see("holding", "idle")["axes"]["X"]["load"] is not None
+        if anna.state["state"] == "holding":
+            assert anna.act("resume") == ""
+        found = verdict(anna)
+        assert (found["ended"], found["verdict"][:7]) == ("completed", "IN SPEC")

@@ -1,0 +1,151 @@
+"""Watch the panel at work for an hour: what its processes cost, and whether memory stays flat.
+
+A headless Chromium has the page open and runs a program again and again. ``python -m
+tools.panel_hour --minutes 60`` writes a line a minute, and the figures of ``docs/panel.md`` at the
+end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import Page, sync_playwright
+
+ROOT = Path(__file__).parents[1]
+PROGRAM = ROOT / "examples" / "cone-dome-cylinder.prg"
+SPEED = "0.9"
+"""Just below real time, so that a busy computer delays the machine and is no fault of it."""
+_TICKS = os.sysconf("SC_CLK_TCK")
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+_SETTLED_S = 120.0  # caches and the store's libraries are there
+
+
+def cost(pid: int) -> tuple[float, float]:
+    """Return the processor time in s, and the memory in MB, of a process."""
+    fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+    pages = int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1])
+    return (int(fields[11]) + int(fields[12])) / _TICKS, pages * _PAGE / 1e6
+
+
+def child_of(pid: int) -> int:
+    """Return the first child of a process."""
+    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text("utf-8").split()[0])
+
+
+def open_page(page: Page, port: int) -> None:
+    """Open the panel, and bring the machine to where the program was calculated."""
+    end = time.monotonic() + 120.0
+    while True:
+        try:
+            page.goto(f"http://127.0.0.1:{port}/")
+            break
+        except Exception:  # the server is not there yet
+            if time.monotonic() > end:
+                raise
+            time.sleep(1.0)
+    for name in ("Take control", "Enable", "Home all"):
+        press(page, name)
+    page.locator("#program").select_option(PROGRAM.name)
+    press(page, "Calculate")
+    page.locator("#figures dt").first.wait_for(timeout=600_000)
+
+
+def press(page: Page, name: str) -> None:
+    """Press a button once it can be pressed."""
+    page.get_by_role("button", name=name, exact=True).click(timeout=300_000)
+
+
+def go_on(page: Page) -> None:
+    """Start the program again where it has ended, from where it begins."""
+    start = page.get_by_role("button", name="Start", exact=True)
+    if start.is_enabled():
+        press(page, "Approach")
+        page.wait_for_timeout(1000)
+        page.locator("#state", has_text="idle").wait_for(timeout=60_000)
+        if start.is_enabled():
+            start.click()
+
+
+def heap_mb(page: Page) -> float:
+    """Return what the page's own objects take, MB, after what is not used was collected."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    found: Any = session.send("Runtime.getHeapUsage")
+    session.detach()
+    return float(found["usedSize"]) / 1e6
+
+
+def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
+    """Write a line a minute, and at the end what it comes to."""
+    began = time.monotonic()
+    first: dict[str, tuple[float, float]] = {}
+    settled, heaps = began, list[float]()
+    most = dict.fromkeys(pids, 0.0)
+    while time.monotonic() - began < 60.0 * minutes:
+        until = time.monotonic() + 60.0
+        while time.monotonic() < until:
+            go_on(page)
+            page.wait_for_timeout(2000)
+        now = {name: cost(pid) for name, pid in pids.items()}
+        heaps.append(heap_mb(page))
+        if not first and time.monotonic() - began >= _SETTLED_S:
+            first, settled = now, time.monotonic()
+            most, heaps = {name: now[name][1] for name in pids}, heaps[-1:]
+        most = {name: max(most[name], now[name][1]) for name in pids}
+        memory = ", ".join(f"{name} {now[name][1]:.1f} MB" for name in pids)
+        at_min = (time.monotonic() - began) / 60.0
+        sys.stdout.write(f"{at_min:5.1f} min: {memory}, page {heaps[-1]:.1f} MB\n")
+        sys.stdout.flush()
+    over_s = time.monotonic() - settled
+    for name, pid in pids.items():
+        spent_s, memory_mb = cost(pid)
+        sys.stdout.write(
+            f"{name}: {100.0 * (spent_s - first[name][0]) / over_s:.1f} % of a core, "
+            f"{first[name][1]:.1f} MB at first, {most[name]:.1f} at most, {memory_mb:.1f} at last\n"
+        )
+    sys.stdout.write(f"page: {heaps[0]:.1f} MB at first, {max(heaps):.1f} at most\n")
+    sys.stdout.write(f"over {over_s / 60.0:.0f} min, after the first {_SETTLED_S / 60.0:.0f}\n")
+
+
+def main() -> None:
+    """Serve, open, watch, end."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    minutes: float = parser.parse_args().minutes
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(PROGRAM, folder)
+        server = subprocess.Popen(
+            [sys.executable, "-m", "threadline", "panel", folder, "-m", "lathe-winder",
+             "--port", str(port), "--speed", SPEED, "--store", f"{folder}/runs"],
+        )  # fmt: skip
+        try:
+            with sync_playwright() as playwright:
+                browser = playwright.chromium.launch(
+                    executable_path=shutil.which("chromium"),
+                    args=["--no-sandbox", "--enable-unsafe-swiftshader"],
+                )
+                page = browser.new_page(viewport={"width": 1280, "height": 800})
+                open_page(page, port)
+                owner = child_of(server.pid)
+                pids = {"server": server.pid, "owner": owner, "machine": child_of(owner)}
+                watch(page, pids, minutes)
+                browser.close()
+        finally:
+            server.send_signal(signal.SIGTERM)
+            server.wait()
+
+
+if __name__ == "__main__":
+    main()

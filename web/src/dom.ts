@@ -1,0 +1,25 @@
+/** Small helpers for the elements of the page. */
+
+export function by<T extends HTMLElement>(id: string): T { return document.getElementById(id) as T; }
+
+export function made<K extends keyof HTMLElementTagNameMap>(name: K, text = ""): HTMLElementTagNameMap[K] {
+  const found = document.createElement(name);
+  found.textContent = text;
+  return found;
+}
+
+/** A button that is enabled while the panel allows a command. */
+export function button(text: string, what: string, press: () => void): HTMLButtonElement {
+  const found = made("button", text);
+  found.dataset.what = what;
+  found.onclick = press;
+  return found;
+}
+
+export function value(id: string): string { return by<HTMLInputElement>(id).value.trim(); }
+
+/** Whether a key that is pressed now belongs to the field that has the focus. */
+export function typing(): boolean {
+  const at = document.activeElement;
+  return at instanceof HTMLTextAreaElement || at instanceof HTMLSelectElement || (at instanceof HTMLInputElement && !["button", "checkbox", "file"].includes(at.type));
+}

@@ -1,0 +1,272 @@
+/** Drawing: a stitch path or the profile of a mandrel, by pointer or by typed coordinates. */
+
+import { by, made, typing, value } from "./dom";
+import { foreignShapes, ownShapes, radiusText, seamText, svgText } from "./drawing_files";
+import type { Program } from "./program";
+import type { Session } from "./session";
+import { say } from "./session";
+import { NEEDS, bounds, middle, moved, pathData, turned } from "./shapes";
+import type { Kind, Point, Shape, Style } from "./shapes";
+
+const SVG = "http://www.w3.org/2000/svg";
+const NEAR_PX = 10;
+const DASH: Record<Style, string> = { solid: "", dashed: "6 3", dotted: "1 3" };
+const MOST_UNDONE = 100;
+
+type Tool = Kind | "select";
+
+export class Draw {
+  private shapes: Shape[] = [];
+  private chosen = new Set<number>(); // groups
+  private pending: Point[] = [];
+  private tool: Tool = "select";
+  private undone: string[] = [];
+  private dragged: Point | null = null;
+  private pointer: Point | null = null;
+  private readonly svg = document.createElementNS(SVG, "svg");
+
+  constructor(private readonly session: Session, private readonly program: Program) {
+    this.svg.setAttribute("viewBox", "-10 -130 220 140");
+    this.svg.setAttribute("tabindex", "0");
+    this.svg.setAttribute("role", "application");
+    this.svg.setAttribute("aria-label", "Drawing; points can be typed below");
+    by("paper").append(this.svg);
+    for (const tool of ["select", "line", "polygon", "arc", "circle", "spline"] as Tool[]) this.action(tool[0]!.toUpperCase() + tool.slice(1), () => this.choose(tool)).dataset.tool = tool;
+    const edits: [string, () => void][] = [
+      ["Finish", () => this.finish()], ["Duplicate", () => this.change((one) => [one, { ...moved(one, [10, 10]), group: one.group + this.last() }])],
+      ["Rotate 15°", () => { const about = middle(this.chosenShapes()); this.change((one) => [turned(one, about, 15)]); }], ["Delete", () => this.change(() => [])],
+      ["To front", () => this.order(true)], ["To back", () => this.order(false)], ["Undo", () => this.undo()], ["Clear", () => { this.keep(); this.shapes = []; this.draw(); }],
+    ];
+    for (const [name, act] of edits) this.action(name, act);
+    this.choose("select");
+    this.svg.onpointerdown = (event) => this.down(event);
+    this.svg.onpointermove = (event) => this.move(event);
+    this.svg.onpointerup = () => { this.dragged = null; };
+    this.svg.ondblclick = () => this.finish();
+    this.svg.onkeydown = (event) => this.key(event);
+    by<HTMLInputElement>("typed-point").onkeydown = (event) => { if (event.key === "Enter") this.typed(); };
+    by("add-text").onclick = () => void this.text();
+    by("save-svg").onclick = () => void this.saveSvg();
+    by("save-seam").onclick = () => void this.saveSeam();
+    by("save-dxf").onclick = () => void this.saveDxf();
+    by("as-mandrel").onclick = () => this.asMandrel();
+    by<HTMLInputElement>("open-drawing").onchange = () => { const file = by<HTMLInputElement>("open-drawing").files?.[0]; if (file) void this.open(file); };
+    this.draw();
+  }
+
+  private action(name: string, act: () => void): HTMLButtonElement {
+    const found = made("button", name);
+    found.onclick = act;
+    by("draw-tools").append(found);
+    return found;
+  }
+
+  private choose(tool: Tool): void {
+    this.finish();
+    this.tool = tool;
+    for (const one of document.querySelectorAll<HTMLButtonElement>("[data-tool]")) one.setAttribute("aria-pressed", String(one.dataset.tool === tool));
+  }
+
+  /** The last number of a group. */
+  private last(): number { return Math.max(0, ...this.shapes.map((one) => one.group)); }
+
+  private chosenShapes(): Shape[] { return this.shapes.filter((one) => this.chosen.has(one.group)); }
+
+  // --- points ---------------------------------------------------------------------------------
+
+  private at(event: PointerEvent): Point {
+    const box = this.svg.getScreenCTM()!, x = (event.clientX - box.e) / box.a, y = -(event.clientY - box.f) / box.d;
+    return this.snapped([x, y], NEAR_PX / box.a);
+  }
+
+  /** The nearest point of a shape, else of the grid. */
+  private snapped([x, y]: Point, near: number): Point {
+    const grid = Number(value("snap"));
+    if (grid === 0) return [x, y];
+    const still = this.dragged ? this.shapes.filter((one) => !this.chosen.has(one.group)) : this.shapes;
+    const ends = still.flatMap((one) => one.points).filter((p) => Math.hypot(p[0] - x, p[1] - y) < near);
+    return ends[0] ?? [Math.round(x / grid) * grid, Math.round(y / grid) * grid];
+  }
+
+  private down(event: PointerEvent): void {
+    this.svg.focus();
+    const at = this.at(event);
+    if (this.tool !== "select") { this.add(at); return; }
+    const hit = (event.target as Element).closest("path[data-at]") as SVGPathElement | null;
+    if (!event.shiftKey) this.chosen.clear();
+    if (hit) {
+      this.chosen.add(this.shapes[Number(hit.dataset.at)]!.group);
+      this.keep();
+      this.dragged = at;
+      this.svg.setPointerCapture(event.pointerId);
+    }
+    this.draw();
+  }
+
+  private move(event: PointerEvent): void {
+    const at = this.at(event);
+    this.pointer = at;
+    if (this.dragged) {
+      const by_: Point = [at[0] - this.dragged[0], at[1] - this.dragged[1]];
+      this.dragged = at;
+      this.shapes = this.shapes.map((one) => this.chosen.has(one.group) ? moved(one, by_) : one);
+    }
+    if (this.dragged || this.pending.length) this.draw();
+  }
+
+  private typed(): void {
+    const field = by<HTMLInputElement>("typed-point");
+    if (field.value.trim() === "") { this.finish(); return; }
+    const [x, y] = field.value.split(/[ ,;]+/).map(Number);
+    if (x === undefined || y === undefined || !Number.isFinite(x) || !Number.isFinite(y)) { say("a point is written x, y in mm", true); return; }
+    if (this.tool === "select") { say("choose what to draw first", true); return; }
+    field.value = "";
+    this.add([x, y]);
+  }
+
+  private add(at: Point): void {
+    const last = this.pending[this.pending.length - 1];
+    if (last && last[0] === at[0] && last[1] === at[1]) return; // the second press of a double click
+    this.pending.push(at);
+    const [least, exact] = NEEDS[this.tool as Kind];
+    if (exact && this.pending.length === least) this.finish(); else this.draw();
+  }
+
+  private finish(): void {
+    const points = this.pending;
+    this.pending = [];
+    if (this.tool !== "select" && points.length >= NEEDS[this.tool][0]) {
+      this.keep();
+      const group = this.last() + 1;
+      this.shapes.push({ kind: this.tool, points, style: value("line-style") as Style, filled: by<HTMLInputElement>("filled").checked, group });
+      this.chosen = new Set([group]);
+    }
+    this.draw();
+  }
+
+  // --- changes --------------------------------------------------------------------------------
+
+  private keep(): void {
+    this.undone.push(JSON.stringify(this.shapes));
+    if (this.undone.length > MOST_UNDONE) this.undone.shift();
+  }
+
+  private undo(): void {
+    if (this.pending.length) this.pending.pop();
+    else { const before = this.undone.pop(); if (before) this.shapes = JSON.parse(before) as Shape[]; }
+    this.draw();
+  }
+
+  /** Put others in the place of each chosen shape. */
+  private change(into: (shape: Shape) => Shape[]): void {
+    if (this.chosenShapes().length === 0) { say("nothing is chosen in the drawing"); return; }
+    this.keep();
+    const before = new Set(this.shapes.map((one) => one.group));
+    this.shapes = this.shapes.flatMap((one) => this.chosen.has(one.group) ? into(one) : [one]);
+    const fresh = this.shapes.map((one) => one.group).filter((group) => !before.has(group));
+    if (fresh.length) this.chosen = new Set(fresh);
+    this.draw();
+  }
+
+  private order(front: boolean): void {
+    this.keep();
+    const rest = this.shapes.filter((one) => !this.chosen.has(one.group)), own = this.chosenShapes();
+    this.shapes = front ? [...rest, ...own] : [...own, ...rest];
+    this.draw();
+  }
+
+  private key(event: KeyboardEvent): void {
+    if (typing()) return;
+    const step = Number(value("snap")) || 1, by_ = ({ ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] } as Record<string, Point>)[event.key];
+    if (by_) { event.preventDefault(); this.change((one) => [moved(one, by_)]); }
+    else if (event.key === "Delete") this.change(() => []);
+    else if (event.key === "z" && event.ctrlKey) this.undo();
+    else if (event.key === "Enter") this.finish();
+  }
+
+  // --- files ----------------------------------------------------------------------------------
+
+  private take(shapes: Shape[]): void {
+    this.keep();
+    this.shapes = shapes;
+    this.chosen.clear();
+    this.fit();
+  }
+
+  private async answered(path: string, content: BodyInit): Promise<Response | null> {
+    const answer = await this.session.ask(path, { method: "POST", body: content });
+    if (answer.ok) return answer;
+    say((await answer.text()).trim(), true);
+    return null;
+  }
+
+  private async open(file: File): Promise<void> {
+    by<HTMLInputElement>("open-drawing").value = "";
+    const own = file.name.toLowerCase().endsWith(".svg") ? ownShapes(await file.text()) : null;
+    if (own) { this.take(own); return; }
+    const answer = await this.answered(`/api/drawing/shapes?name=${encodeURIComponent(file.name)}`, file);
+    if (answer) this.take(foreignShapes((await answer.json()) as Shape[], 0));
+  }
+
+  private async text(): Promise<void> {
+    const answer = await this.answered("/api/drawing/text", JSON.stringify({ text: value("text"), height_mm: Number(value("text-height")), font: value("font") }));
+    if (!answer) return;
+    this.keep();
+    const group = this.last();
+    this.shapes.push(...foreignShapes((await answer.json()) as Shape[], group));
+    this.chosen = new Set([group + 1]);
+    this.draw();
+  }
+
+  private async saveSvg(): Promise<boolean> { return this.program.load(`${value("drawing-name")}.svg`, new Blob([svgText(this.shapes)])); }
+
+  private async saveSeam(): Promise<void> {
+    if (this.shapes.length === 0 || !(await this.saveSvg())) return;
+    const name = value("drawing-name"), [low] = bounds(this.shapes);
+    await this.program.load(`${name}.seam.toml`, new Blob([seamText(`${name}.svg`, Number(value("stitch")), Number(value("needle")), low)]));
+  }
+
+  private async saveDxf(): Promise<void> {
+    const answer = await this.answered("/api/drawing/dxf", JSON.stringify(this.shapes.map(({ kind, points, style }) => ({ kind, points, style }))));
+    if (!answer) return;
+    const to = made("a");
+    to.href = URL.createObjectURL(await answer.blob());
+    to.download = `${value("drawing-name")}.dxf`;
+    to.click();
+    URL.revokeObjectURL(to.href);
+  }
+
+  private asMandrel(): void {
+    const [line] = this.chosenShapes(), turns = this.session.axes.find((axis) => axis.unit === "rad"), along = this.session.axes.find((axis) => axis.unit === "m");
+    const text = line && turns && along ? radiusText(line, turns.name, along.name) : "";
+    if (text === "") { say("a profile is one chosen line of points with growing x and y above 0, on a machine that turns a mandrel", true); return; }
+    by<HTMLInputElement>("radius").value = text;
+    say(`the mandrel of the next calculation: ${text}`);
+  }
+
+  // --- the picture ----------------------------------------------------------------------------
+
+  private fit(): void {
+    if (this.shapes.length) {
+      const [low, high] = bounds(this.shapes), wide = Math.max(high[0] - low[0], (high[1] - low[1]) * 1.57, 20) * 1.2, [x, y] = middle(this.shapes);
+      this.svg.setAttribute("viewBox", `${x - wide / 2} ${-y - wide * 0.318} ${wide} ${wide * 0.636}`);
+    }
+    this.draw();
+  }
+
+  private draw(): void {
+    const part = (name: string, words: Record<string, string>) => { const found = document.createElementNS(SVG, name); for (const [key, text] of Object.entries(words)) found.setAttribute(key, text); return found; };
+    const box = this.svg.viewBox.baseVal, cell = 10, lines: Element[] = [];
+    for (let x = Math.ceil(box.x / cell) * cell; x < box.x + box.width; x += cell) lines.push(part("line", { x1: `${x}`, x2: `${x}`, y1: `${box.y}`, y2: `${box.y + box.height}`, class: x === 0 ? "zero" : "" }));
+    for (let y = Math.ceil(box.y / cell) * cell; y < box.y + box.height; y += cell) lines.push(part("line", { y1: `${y}`, y2: `${y}`, x1: `${box.x}`, x2: `${box.x + box.width}`, class: y === 0 ? "zero" : "" }));
+    const shapes = this.shapes.map((one, k) => part("path", { d: pathData(one), "data-at": String(k), class: this.chosen.has(one.group) ? "chosen" : "", fill: one.filled ? "#ccc" : "none", "stroke-dasharray": DASH[one.style] }));
+    const points = [...this.pending, ...(this.pending.length && this.pointer ? [this.pointer] : [])];
+    if (points.length > 1) {
+      const kind = this.tool === "arc" && points.length < 3 ? "line" : this.tool as Kind;
+      shapes.push(part("path", { d: pathData({ kind, points, style: "dashed", filled: false, group: 0 }), class: "pending", fill: "none" }));
+    }
+    const handles = this.chosenShapes().flatMap((one) => one.points.length > 40 ? [] : one.points).concat(this.pending).map(([x, y]) => part("circle", { cx: `${x}`, cy: `${-y}`, r: `${box.width / 250}` }));
+    this.svg.replaceChildren(...lines, ...shapes, ...handles);
+    by("drawn").textContent = `${this.shapes.length} shapes${this.pending.length ? `, ${this.pending.length} points of the next` : ""}${this.pointer ? `, ${this.pointer.map((v) => v.toFixed(1)).join(", ")} mm` : ""}`;
+  }
+}

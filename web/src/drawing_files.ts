@@ -1,0 +1,43 @@
+/** Drawings as files: SVG of our own, DXF and foreign SVG by the server, seams and mandrels made of a drawing. */
+
+import { bounds, pathData } from "./shapes";
+import type { Kind, Point, Shape, Style } from "./shapes";
+
+const DASHES: Record<Style, string> = { solid: "", dashed: "4 2", dotted: "0.5 1.5" };
+const MARGIN = 5;
+
+/** Text of an SVG in mm, from which this page reads the same shapes again. */
+export function svgText(shapes: Shape[]): string {
+  const [low, high] = shapes.length ? bounds(shapes) : [[0, 0], [100, 100]] as [Point, Point];
+  const x = low[0] - MARGIN, y = -high[1] - MARGIN, width = high[0] - low[0] + 2 * MARGIN, height = high[1] - low[1] + 2 * MARGIN;
+  const paths = shapes.map((shape) => `  <path d="${pathData(shape)}" fill="${shape.filled ? "#cccccc" : "none"}" stroke="#000000" stroke-width="0.3"${DASHES[shape.style] ? ` stroke-dasharray="${DASHES[shape.style]}"` : ""} data-kind="${shape.kind}" data-style="${shape.style}" data-group="${shape.group}" data-points="${shape.points.map((p) => p.map((v) => Number(v.toFixed(6))).join(",")).join(" ")}"/>`);
+  return [`<svg xmlns="http://www.w3.org/2000/svg" width="${width}mm" height="${height}mm" viewBox="${x} ${y} ${width} ${height}">`, ...paths, "</svg>", ""].join("\n");
+}
+
+/** Shapes of an SVG that this page wrote; null where another program did. */
+export function ownShapes(text: string): Shape[] | null {
+  const paths = [...new DOMParser().parseFromString(text, "image/svg+xml").querySelectorAll("path")];
+  if (paths.length === 0 || paths.some((path) => !path.dataset.points)) return null;
+  return paths.map((path) => ({
+    kind: path.dataset.kind as Kind, style: (path.dataset.style ?? "solid") as Style, filled: path.getAttribute("fill") !== "none", group: Number(path.dataset.group ?? 0),
+    points: path.dataset.points!.split(" ").map((one) => one.split(",").map(Number) as Point),
+  }));
+}
+
+/** Shapes that the server has read or made. */
+export function foreignShapes(found: { kind: Kind; points: Point[]; group: number }[], after: number): Shape[] {
+  return found.map((one) => ({ ...one, style: "solid", filled: false, group: one.group + after }));
+}
+
+/** A seam that sews what was drawn where it was drawn: its SVG begins a margin beside the lowest point. */
+export function seamText(file: string, stitch_mm: number, speed: number, low: Point): string {
+  const zero = low.map((at) => Number((at - MARGIN).toFixed(6)));
+  return `[drawing]\nfile = ${JSON.stringify(file)}\norigin = ["${zero[0]} mm", "${zero[1]} mm"]\nby = "all"\n\n[stitching]\nstitch_length = "${stitch_mm} mm"\nneedle_speed = "${speed} stitch/s"\n`;
+}
+
+/** The radii of a mandrel from a line: x is the place along it, y the radius. Empty where it is none. */
+export function radiusText(line: Shape, axis: string, along: string): string {
+  const points = [...line.points].sort((a, b) => a[0] - b[0]), rises = points.every((p, k) => k === 0 || p[0] > points[k - 1]![0]);
+  if (line.kind !== "line" || !rises || points.some((p) => p[1] <= 0)) return "";
+  return `${axis}=${points.map((p) => `${p[1]} mm at ${along} ${p[0]} mm`).join("; ")}`;
+}

@@ -1,0 +1,130 @@
+/** The machine by hand: positions, jogs while a button or a key is held, steps. */
+
+import { button, by, made, typing, value } from "./dom";
+import type { Axis, State } from "./messages";
+import type { Session } from "./session";
+import { unitOf } from "./session";
+
+const SHARES = [5, 10, 25, 50, 75, 100];
+const SHOWN: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowDown: "↓", ArrowUp: "↑", PageDown: "PgDn", PageUp: "PgUp" };
+const IGNORED = new Set(["Shift", "Control", "Alt", "AltGraph", "Meta", "Tab", "CapsLock", "NumLock", "Enter"]);
+
+type Way = { axis: string; sign: number };
+
+export class Hands {
+  private readonly keys = new Map<string, Way>();
+  private held = ""; // the key that moves an axis
+
+  constructor(private readonly session: Session) {
+    by<HTMLInputElement>("share").oninput = () => this.tellShare();
+    window.addEventListener("keydown", (event) => this.pressed(event), true);
+    window.addEventListener("keyup", (event) => { if (event.key === this.held) this.end(); }, true);
+    window.addEventListener("blur", () => { this.held = ""; session.letGo(); });
+    document.addEventListener("visibilitychange", () => { if (document.hidden) { this.held = ""; session.letGo(); } });
+  }
+
+  build(): void {
+    const { session } = this;
+    const simple = (text: string, what: string) => button(text, what, () => session.link.act({ what }));
+    by("commands").replaceChildren(simple("Enable", "enable"), simple("Disable", "disable"), simple("Home all", "home"), button("Zero all", "zero", () => session.hold({ what: "zero" })), simple("Reset", "reset"), simple("Reconnect", "reconnect"));
+    this.keys.clear();
+    const pairs: Record<string, [string, string]> = { X: ["ArrowRight", "ArrowLeft"], Y: ["ArrowUp", "ArrowDown"] };
+    const third = session.axes.find((axis) => !(axis.name in pairs));
+    if (third) pairs[third.name] = ["PageUp", "PageDown"];
+    by("axes").replaceChildren(...session.axes.map((axis) => this.row(axis, pairs[axis.name])));
+    this.disarm();
+  }
+
+  private row(axis: Axis, pair: [string, string] | undefined): HTMLTableRowElement {
+    const row = this.bare(axis.name);
+    const cell = (...inside: Node[]) => { const found = made("td"); found.append(...inside); return found; };
+    const jog = (sign: number, key: string | undefined) => {
+      if (key) this.keys.set(key, { axis: axis.name, sign });
+      const found = made("button", `${sign > 0 ? "+" : "−"}${key ? ` ${SHOWN[key]}` : ""}`);
+      found.dataset.what = "jog";
+      found.setAttribute("aria-label", `Jog ${axis.name} ${sign > 0 ? "plus" : "minus"} while held`);
+      found.onpointerdown = (event) => { found.setPointerCapture(event.pointerId); this.begin({ axis: axis.name, sign }); };
+      found.onpointerup = found.onpointercancel = found.onlostpointercapture = () => this.end();
+      found.oncontextmenu = (event) => event.preventDefault();
+      return found;
+    };
+    row.append(cell(jog(-1, pair?.[1])), cell(jog(1, pair?.[0])), cell(button(`Home ${axis.name}`, "zero-axis", () => this.session.hold({ what: "zero-axis", axis: axis.name }))));
+    return row;
+  }
+
+  private bare(name: string): HTMLTableRowElement {
+    const row = made("tr"), at = made("td");
+    at.id = `at-${name}`;
+    at.className = "number";
+    row.append(made("th", name), at);
+    return row;
+  }
+
+  private begin(way: Way): void {
+    const step = value("step");
+    if (step === "") this.session.hold({ what: "jog", axis: way.axis, share: way.sign * Number(value("share")) / 100 });
+    else this.session.hold({ what: "step", axis: way.axis, by: way.sign * Number(step) / unitOf(this.session, way.axis)[0] });
+  }
+
+  private end(): void {
+    this.held = "";
+    if (value("step") === "") this.session.letGo(); else this.session.runOut();
+  }
+
+  private pressed(event: KeyboardEvent): void {
+    const { session } = this;
+    if (event.key === "Escape" || (event.key === " " && !typing())) {
+      event.preventDefault();
+      this.held = "";
+      session.letGo();
+      session.link.stop();
+      return;
+    }
+    if (by("operate").hidden && by("teach-in").hidden) return; // keys are the drawing's, or the list's
+    if (event.ctrlKey || event.altKey || event.metaKey || IGNORED.has(event.key) || typing()) return;
+    const way = by<HTMLInputElement>("by-keys").checked && session.mine() ? this.keys.get(event.key) : undefined;
+    if (way) event.preventDefault(); // the page does not scroll
+    if (event.repeat) return;
+    if (session.moves) { // any key ends a motion by hand
+      this.held = "";
+      session.letGo();
+    } else if (session.mine() && session.machineMoves()) {
+      this.inRun(event);
+    } else if (way) {
+      this.held = event.key;
+      this.begin(way);
+    } else if ("+-".includes(event.key)) {
+      const at = SHARES.findIndex((share) => share >= Number(value("share")));
+      by<HTMLInputElement>("share").value = String(SHARES[Math.min(Math.max(at + (event.key === "+" ? 1 : -1), 0), SHARES.length - 1)]);
+      this.tellShare();
+    }
+  }
+
+  /** In a run h holds and r goes on; any other key stops. */
+  private inRun(event: KeyboardEvent): void {
+    event.preventDefault();
+    const what = { h: "hold", r: "resume" }[event.key];
+    if (what === undefined) this.session.link.stop();
+    else if (this.session.can(what)) this.session.link.act({ what });
+  }
+
+  private tellShare(): void { by("share-shown").textContent = `${value("share")} %`; }
+
+  /** Keys move nothing until the operator says so again. */
+  disarm(): void {
+    this.held = "";
+    by<HTMLInputElement>("by-keys").checked = false;
+  }
+
+  show(state: State): void {
+    const arm = by<HTMLInputElement>("by-keys");
+    arm.disabled = !this.session.mine() || this.session.axes.length === 0;
+    if (arm.disabled) this.disarm();
+    for (const [name, at] of Object.entries(state.axes)) {
+      if (!document.getElementById(`at-${name}`)) by("axes").append(this.bare(name)); // it moves, and is no axis
+      const [scale, unit] = unitOf(this.session, name), where = at.measured ?? at.load ?? at.commanded;
+      by(`at-${name}`).textContent = where === null ? "–" : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`;
+    }
+    by("signals").replaceChildren(...Object.entries(state.signals).map(([name, on]) => { const found = made("span", `${name} ${on}`); found.className = on ? "on" : ""; return found; }));
+  }
+}

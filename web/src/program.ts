@@ -1,0 +1,102 @@
+/** The program: load, calculate by the operator's priority, look at the figures, run. */
+
+import { button, by, made, value } from "./dom";
+import type { Criterion, Figures, State } from "./messages";
+import type { Session } from "./session";
+import { say, unitOf } from "./session";
+
+const PLACED = ["path_deviation", "contour_error", "placement_error", "stitch_residual", "residual_vibration"];
+
+export class Program {
+  constructor(private readonly session: Session) {
+    by("calculate").dataset.what = "calculate";
+    by("calculate").onclick = () => this.calculate();
+    by("zero-here").onclick = () => this.zeroHere();
+    by("cancel").dataset.what = "cancel";
+    by("cancel").onclick = () => session.link.act({ what: "cancel" });
+    by<HTMLSelectElement>("priority").onchange = () => { by<HTMLInputElement>("feed").disabled = value("priority") !== "programmed"; };
+    by<HTMLInputElement>("file").onchange = () => { const file = by<HTMLInputElement>("file").files?.[0]; if (file) void this.load(file.name, file); };
+  }
+
+  build(): void {
+    const { session } = this;
+    const simple = (text: string, what: string) => button(text, what, () => session.link.act({ what }));
+    by("run").replaceChildren(button("Approach", "approach", () => session.hold({ what: "approach" })), button("Start", "start", () => this.start()), simple("Hold", "hold"), simple("Resume", "resume"));
+    void this.list();
+  }
+
+  private calculate(): void {
+    const priority = value("priority");
+    this.session.link.act({
+      what: "calculate", program: value("program"), priority, interpolation: value("interpolation"),
+      feed: priority === "programmed" ? value("feed") || null : null,
+      shaper: value("shaper") || null, radius: value("radius") || null, offset: value("offset") || null,
+      feed_forward: by<HTMLInputElement>("feed-forward").checked, smoothing: value("smoothing") || null,
+    });
+  }
+
+  /** The machine was moved by hand to where the program's zero is to be. */
+  private zeroHere(): void {
+    const state = this.session.state;
+    const parts = this.session.axes.flatMap(({ name, unit }) => {
+      const at = state?.axes[name]?.commanded ?? 0, [scale] = unitOf(this.session, name);
+      return Math.abs(at) < 1e-9 ? [] : [`${name}=${(at * scale).toFixed(3)} ${unit === "m" ? "mm" : "deg"}`];
+    });
+    by<HTMLInputElement>("offset").value = parts.join(", ");
+  }
+
+  private start(): void {
+    const proven = this.session.state?.proven;
+    if (proven) this.session.link.act({ what: "start", proof: proven.proof, override: proven.passed ? null : value("override") });
+  }
+
+  /** Put a program into the project folder; it has to be calculated like any other. */
+  async load(name: string, content: Blob): Promise<boolean> {
+    const answer = await this.session.ask(`/api/programs/${encodeURIComponent(name)}`, { method: "PUT", body: content });
+    say(answer.ok ? `${name} is in the project folder` : (await answer.text()).trim(), !answer.ok);
+    by<HTMLInputElement>("file").value = "";
+    await this.list();
+    if (answer.ok) by<HTMLSelectElement>("program").value = name;
+    return answer.ok;
+  }
+
+  async list(): Promise<void> {
+    const answer = await this.session.ask("/api/programs");
+    if (!answer.ok) { say(await answer.text(), true); return; }
+    const chosen = by<HTMLSelectElement>("program"), before = chosen.value;
+    chosen.replaceChildren(...((await answer.json()) as string[]).map((name) => made("option", name)));
+    if (before) chosen.value = before;
+  }
+
+  tell(found: Figures): void {
+    const measured = (one: Criterion) => { const [by_, unit] = one.unit === "m" ? [1000, "mm"] : [1, one.unit]; return `${(one.measured! * by_).toFixed(3)} ${unit}${one.limit === null ? "" : ` of ${(one.limit * by_).toFixed(3)} ${unit}`}`; };
+    const shown = found.criteria.filter((one) => one.measured !== null && (one.status === "failed" || PLACED.includes(one.name)));
+    const names = [...new Set(shown.map((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}`))];
+    const worst = names.map((name) => shown.filter((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}` === name).reduce((a, b) => (b.measured! > a.measured! ? b : a)));
+    const rows: [string, string, boolean][] = [
+      ["program", found.program, false], ["verdict", found.closing, !found.passed], ["duration", `${found.duration_s.toFixed(2)} s`, false],
+      ...(found.feed === null ? [] : [["feed", found.feed, false] as [string, string, boolean]]),
+      ["ticks", String(found.ticks ?? "none"), false],
+      ["circuits", found.circuits === null ? "1" : `${found.circuits}, ${found.ticks_per_circuit} ticks each on average`, false],
+      ["points", String(found.points), false],
+      ...worst.map((one, k) => [names[k]!, measured(one), one.status === "failed"] as [string, string, boolean]),
+    ];
+    by("figures").replaceChildren(...rows.flatMap(([name, text, wrong]) => { const dd = made("dd", text); if (wrong) dd.className = "wrong"; return [made("dt", name), dd]; }));
+    for (const warning of found.warnings) say(warning);
+  }
+
+  forget(): void { by("figures").replaceChildren(); }
+
+  show(state: State): void {
+    by<HTMLInputElement>("file").disabled = !this.session.mine();
+    by("cancel").hidden = state.calculating === null;
+    by("override-row").hidden = !state.proven || state.proven.passed;
+    const run = state.progress;
+    by<HTMLProgressElement>("progress").value = state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0);
+    by("progress-text").textContent = state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? `${run.program}: ${run.ended}${run.why ? `, ${run.why}` : ""}. ${run.verdict}` : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`;
+    by("progress-text").className = run?.ended && state.calculating === null && run.verdict && !run.verdict.startsWith("IN SPEC") ? "wrong" : "";
+  }
+
+  /** Whether a start needs a reason that was not given. */
+  wantsReason(state: State): boolean { return !!state.proven && !state.proven.passed && value("override") === ""; }
+}

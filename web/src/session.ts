@@ -1,0 +1,71 @@
+/** Who this page is to the panel, what it knows, and what it may do now. */
+
+import { by, made } from "./dom";
+import { Link } from "./link";
+import type { Axis, Figures, FromPanel, State } from "./messages";
+
+const RENEW_MS = 80;
+const MOST_LINES = 50;
+const MOVING = new Set(["homing", "jogging", "running", "holding", "stopping"]);
+
+export class Session {
+  readonly token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+  readonly link: Link;
+  me = 0;
+  axes: Axis[] = [];
+  figures: Figures | null = null;
+  /** Number of the state before the figures came. */
+  figuresAt = 0;
+  private renews = 0; // of the timer that renews a motion; 0 where there is none
+
+  constructor(heard: (message: FromPanel) => void, lost: () => void) {
+    this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), this.token, heard, () => { this.letGo(); lost(); });
+  }
+
+  get state(): State | null { return this.link.state; }
+  get moves(): boolean { return this.renews !== 0; }
+  mine(): boolean { return this.link.lease !== "" && this.state?.control.client === this.me; }
+  can(what: string): boolean { return this.mine() && (this.state?.allowed.includes(what) ?? false); }
+  machineMoves(): boolean { return MOVING.has(this.state?.state ?? ""); }
+
+  /** A motion that goes on only while the page renews it; a renewal that is refused says that it has ended. */
+  hold(command: { what: string; [key: string]: unknown }): void {
+    this.letGo();
+    if (!this.can(command.what)) return;
+    this.link.act(command);
+    this.renews = window.setInterval(() => {
+      if (document.hidden || !this.mine()) { this.letGo(); return; }
+      this.link.act({ what: "renew" });
+    }, RENEW_MS);
+  }
+
+  letGo(): void {
+    if (this.endsRenewing()) this.link.act({ what: "let-go" });
+  }
+
+  /** End a motion by its lease: a short step comes to its end, and a long one stops within 250 ms. */
+  runOut(): void { this.endsRenewing(); }
+
+  private endsRenewing(): boolean {
+    if (this.renews === 0) return false;
+    clearInterval(this.renews);
+    this.renews = 0;
+    return true;
+  }
+
+  async ask(path: string, more: RequestInit = {}): Promise<Response> {
+    return fetch(path, { ...more, headers: { Authorization: `Bearer ${this.token}`, "X-Lease": this.link.lease, ...more.headers } });
+  }
+}
+
+export function say(text: string, wrong = false): void {
+  const line = made("li", `${new Date().toLocaleTimeString()}  ${text}`);
+  line.className = wrong ? "wrong" : "";
+  by("log").prepend(line);
+  while (by("log").childElementCount > MOST_LINES) by("log").lastElementChild!.remove();
+}
+
+/** Factor and unit in which an axis, or what moves without being one, is shown. */
+export function unitOf(session: Session, name: string): [number, string] {
+  return session.axes.find((axis) => axis.name === name)?.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
+}

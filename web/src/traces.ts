@@ -1,0 +1,68 @@
+/** Runs that were kept: commanded, actual and their difference, and the recording as a file. */
+
+import uPlot from "uplot";
+import { by, made, value } from "./dom";
+import { BLUE, INK, ORANGE } from "./curves";
+import type { Session } from "./session";
+import { say, unitOf } from "./session";
+
+interface Kept { run: string; started: string; job: string; ended: string; text: string; passed: boolean | null }
+interface Trace { times_s: number[]; axes: Record<string, { commanded: number[]; actual: number[] }> }
+
+export class Traces {
+  private trace: Trace | null = null;
+  private plots: uPlot[] = [];
+
+  constructor(private readonly session: Session) {
+    by<HTMLSelectElement>("kept").onchange = () => void this.load();
+    by<HTMLSelectElement>("trace-axis").onchange = () => this.draw();
+    by("export").onclick = () => void this.save();
+  }
+
+  async list(): Promise<void> {
+    const answer = await this.session.ask("/api/runs");
+    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
+    const runs = (await answer.json()) as Kept[];
+    by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${one.ended}${one.text ? `, ${one.text}` : ""}, ${one.passed === null ? "not judged" : one.passed ? "in spec" : "OUT OF SPEC"}`); found.value = one.run; return found; }));
+    by<HTMLButtonElement>("export").disabled = runs.length === 0;
+    if (runs.length) await this.load();
+  }
+
+  private async load(): Promise<void> {
+    by("trace-said").textContent = "reading";
+    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(value("kept"))}/trace`);
+    by("trace-said").textContent = "";
+    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
+    this.trace = (await answer.json()) as Trace;
+    const chosen = by<HTMLSelectElement>("trace-axis"), before = chosen.value, names = Object.keys(this.trace.axes);
+    chosen.replaceChildren(...names.map((name) => made("option", name)));
+    chosen.value = names.includes(before) ? before : names.find((name) => unitOf(this.session, name)[1] === "mm") ?? names[0] ?? "";
+    this.draw();
+  }
+
+  private draw(): void {
+    for (const plot of this.plots) plot.destroy();
+    const axis = this.trace?.axes[value("trace-axis")];
+    if (!this.trace || !axis) return;
+    const [scale, unit] = unitOf(this.session, value("trace-axis")), times = this.trace.times_s;
+    const commanded = axis.commanded.map((at) => at * scale), actual = axis.actual.map((at) => at * scale);
+    const difference = actual.map((at, k) => at - commanded[k]!);
+    const width = Math.max(by("trace").clientWidth, 280), axes = (label: string) => [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, label }];
+    const x = { time: false };
+    this.plots = [
+      new uPlot({ width, height: 260, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "commanded", stroke: BLUE }, { label: "actual", stroke: ORANGE }] }, [times, commanded, actual], by("trace")),
+      new uPlot({ width, height: 200, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "actual minus commanded", stroke: ORANGE }] }, [times, difference], by("trace")),
+    ];
+  }
+
+  private async save(): Promise<void> {
+    const run = value("kept"), ending = value("export-as");
+    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(run)}/recording.${ending}`);
+    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
+    const to = made("a");
+    to.href = URL.createObjectURL(await answer.blob());
+    to.download = `${run}.${ending}`;
+    to.click();
+    URL.revokeObjectURL(to.href);
+  }
+}
