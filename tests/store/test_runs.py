@@ -9,6 +9,7 @@ import signal
 import socket
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, cast
 
@@ -17,7 +18,9 @@ import pytest
 
 from tests.live.bench import table_of_counts, there_and_back, winder
 from threadline import __version__
-from threadline.errors import LinkFaultError, StoreError
+from threadline.cli.main import main
+from threadline.cli.runs_ import listed
+from threadline.errors import CommandError, LinkFaultError, StoreError
 from threadline.live import sim_process
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
@@ -27,7 +30,7 @@ from threadline.pipeline import Proof, open_job, plan_job, prove_plan
 from threadline.proof_file import ProofFile, read_proof, verify_proof, write_proof
 from threadline.signals import Ended
 from threadline.signals.files import read_recording
-from threadline.store.index import RUNNING, RunRecord
+from threadline.store.index import REFUSED, RUNNING, RunRecord
 from threadline.store.run_store import OpenRun, RunStore
 from threadline.verdict import load_spec
 
@@ -158,6 +161,39 @@ def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_pat
     store.index.close()
 
 
+def test_a_refused_run_has_a_verdict_and_is_listed(
+    proof: Proof, known: ProofFile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim"}, 0.0)
+    with pytest.raises(CommandError), run:
+        raise CommandError("axis X stands at 1, the run begins at 0")
+    (record,) = store.index.runs()
+    assert (record.ended, record.passed) == (REFUSED, None)
+    verdict = json.loads((run.path / "verdict.json").read_text())
+    assert (verdict["ended"], verdict["passed"], verdict["run"]) == (REFUSED, False, run.path.name)
+    assert listed(record)[3:5] == [REFUSED, REFUSED]
+    with pytest.raises(SystemExit) as ended:
+        main(["report", "last", "--store", str(store.folder)])
+    assert ended.value.code == 2
+    assert "was refused before anything moved: axis X stands at 1" in capsys.readouterr().err
+    store.index.close()
+
+
+def test_the_last_run_is_the_one_that_began_last(tmp_path: Path) -> None:
+    """Two that began in one second are not in the order of their names; nor are time zones."""
+    store = RunStore(tmp_path)
+    for run, started in (
+        ("20261122-120000-x", "2026-11-22T12:00:00.100000+00:00"),
+        ("20261122-120000-a", "2026-11-22T12:00:00.900000+00:00"),
+        ("20261122-130000-b", "2026-11-22T13:00:00.000000+02:00"),
+    ):
+        store.index.add(replace(RECORD, run=run, started=started))
+    assert [one.run[9:] for one in store.index.runs()] == ["120000-a", "120000-x", "130000-b"]
+    assert store.find("last").name == "20261122-120000-a"
+    store.index.close()
+
+
 def test_a_store_that_cannot_be_used_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("text")
@@ -199,6 +235,7 @@ def test_the_index_lies_in_the_folder_whatever_that_is_called(name: str, tmp_pat
         ("speed", "fast"),
         ("late_ticks", "many"),
         ("late_ticks", 1.5),
+        ("started", "yesterday"),
     ],
 )
 def test_an_index_that_holds_something_else_is_one_line(

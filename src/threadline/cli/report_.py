@@ -18,6 +18,7 @@ from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files
 from threadline.report import write_report
 from threadline.signals.files import write_recording
+from threadline.store.index import REFUSED
 from threadline.store.run_store import INPUTS, PROOF, TRACE, opened
 from threadline.verdict import verdict_json
 from threadline.writing import together
@@ -57,6 +58,12 @@ def report(
             f"there is no run {run[:60]!r} in {str(store)!r}", remedy="threadline run makes one."
         )
     folder = kept.find(run)
+    record = kept.index.record(folder.name)
+    if record.ended == REFUSED:
+        raise StoreError(
+            f"run {folder.name} was refused before anything moved: {record.text}",
+            remedy="There is nothing to judge.",
+        )
     pages = out or folder / "report"
     check_outputs(file=csv, folder=pages)
     known = read_proof(folder / PROOF)

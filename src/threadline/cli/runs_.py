@@ -10,7 +10,7 @@ import typer
 
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.shared_options import JsonOption
-from threadline.store.index import RUNNING, RunRecord
+from threadline.store.index import REFUSED, RUNNING, RunRecord
 from threadline.store.run_store import opened
 
 DEFAULT_STORE = Path("runs")
@@ -38,6 +38,8 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
 def listed(record: RunRecord) -> list[str]:
     """Return the row of a run: its own verdict, and that of its proof with the level of it."""
     verdict = {True: "in spec", False: "not in spec", None: "-"}[record.passed]
+    if record.ended == REFUSED:
+        verdict = REFUSED
     ended = "not told" if record.ended == RUNNING else record.ended
     note = f"override: {record.override}" if record.override else record.text
     late = str(record.late_ticks)

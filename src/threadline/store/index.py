@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from datetime import datetime
 from pathlib import Path
 
 from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table, create_engine
@@ -18,6 +19,9 @@ from threadline.errors import StoreError
 
 RUNNING = "running"
 """``ended`` of a run that goes on, or whose program was killed before it could write the end."""
+
+REFUSED = "refused"
+"""``ended`` of a run that was refused before anything moved: there is nothing to judge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +38,8 @@ class RunRecord:
         Names of the job, of the machine and of the link to it, and the speed as a multiple of real
         time.
     ended, text
-        How the run ended, and why; ``ended`` is ``RUNNING`` until then.
+        How the run ended, and why; ``ended`` is ``RUNNING`` until then, and ``REFUSED`` where
+        nothing has moved.
     passed
         Whether its recording was within the specification; None while there is no verdict.
     late_ticks
@@ -117,11 +122,15 @@ class RunIndex:
                 .values(ended=ended, text=text, late_ticks=late_ticks, passed=passed)
             )
 
+    def record(self, run: str) -> RunRecord:
+        """Return the row of a run, which there must be."""
+        return next(one for one in self.runs() if one.run == run)
+
     def runs(self) -> Sequence[RunRecord]:
         """Return every run, the latest first."""
         with self._clear(), self._engine.connect() as connection:
-            rows = connection.execute(_RUNS.select().order_by(_RUNS.c.run.desc()))
-            return [self._record(row) for row in rows.mappings()]
+            found = [self._record(row) for row in connection.execute(_RUNS.select()).mappings()]
+        return sorted(found, key=lambda one: (_instant(one.started), one.run), reverse=True)
 
     def close(self) -> None:
         """Close all connections to the database."""
@@ -163,7 +172,17 @@ def _fits(name: str, value: object) -> bool:
         return isinstance(value, float) and math.isfinite(value)
     if name in {"proof_passed", "late_ticks"}:
         return isinstance(value, int)
+    if name == "started":
+        return isinstance(value, str) and math.isfinite(_instant(value))
     return isinstance(value, str)
+
+
+def _instant(started: str) -> float:
+    """Return the time of a start in s since 1970; not a number where it is none."""
+    try:
+        return datetime.fromisoformat(started).timestamp()
+    except ValueError:
+        return math.nan
 
 
 def _values(record: RunRecord) -> dict[str, object]:

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 from threadline import __version__
-from threadline.errors import StoreError, ThreadlineError
+from threadline.errors import InputError, StoreError, ThreadlineError
 from threadline.foreign_messages import nearest
 from threadline.input_files import naming
 from threadline.plan import Plan
 from threadline.proof_file import ProofFile, copy_proof
 from threadline.signals import Channel, Recording, RecordingBlock, Stream
 from threadline.signals.files.recording_mcap import TraceWriter
-from threadline.store.index import RunIndex, RunRecord
+from threadline.store.index import REFUSED, RunIndex, RunRecord
 
 INDEX, PROOF, INPUTS, SENT, TRACE, EVENTS, VERDICT = (
     "index.sqlite", "proof.json", "inputs", "sent", "trace.mcap", "events.jsonl", "verdict.json",
@@ -99,7 +99,7 @@ class RunStore:
             _free(path / SENT, file_name).write_bytes(content)
         record = RunRecord(
             run=name,
-            started=now.isoformat(timespec="seconds"),
+            started=now.isoformat(timespec="microseconds"),
             job=plan.job.name,
             machine=plan.machine.name,
             link=told["link"],
@@ -223,17 +223,28 @@ class OpenRun:
                     if error is None:  # else that error is the one to tell
                         raise
         if error is not None:
-            text = "the program was ended"
-            if isinstance(error, ThreadlineError):
-                text = error.message
-            elif isinstance(error, OSError):
-                text = f"the trace could not be written: {error.strerror or error}"
-            self._index.end(self.path.name, ended="fault", text=text, late_ticks=0, passed=None)
+            self._broken_off(error)
+
+    def _broken_off(self, error: BaseException) -> None:
+        """Write into the index which error ended the run; a run that was refused has a verdict."""
+        text, ended = "the program was ended", "fault"
+        if isinstance(error, ThreadlineError):
+            text = error.message
+        elif isinstance(error, OSError):
+            text = f"the trace could not be written: {error.strerror or error}"
+        if isinstance(error, InputError):  # by the executor, at the start: nothing has moved
+            ended, plan = REFUSED, self._plan
+            told = {"job": plan.job.name, "machine": plan.machine.name, **self._told}
+            self._write({**told, "passed": False, "criteria": [], "ended": ended, "text": text})
+        self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
+
+    def _write(self, content: Mapping[str, Any]) -> None:
+        line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        (self.path / VERDICT).write_text(f"{line}\n", encoding="utf-8")
 
     def judged(self, content: Mapping[str, Any], ended: str, text: str) -> None:
         """Write the verdict into the folder, and verdict and end of the run into the index."""
-        line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        (self.path / VERDICT).write_text(f"{line}\n", encoding="utf-8")
+        self._write(content)
         self._index.end(
             self.path.name,
             ended=ended,
