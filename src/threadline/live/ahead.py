@@ -37,6 +37,8 @@ class Ahead:
         Machine whose limits every row has to keep.
     pass_stops
         Whether the run goes on at stops of the program.
+    loads_follow
+        Whether the rows tell the motors what the loads need; see ``CountLimits.of``.
 
     Attributes
     ----------
@@ -47,10 +49,18 @@ class Ahead:
 
     keeps_home = True  # positions are counted through every stop
 
-    def __init__(self, commands: Commands, machine: Machine, *, pass_stops: bool = False) -> None:
+    def __init__(
+        self,
+        commands: Commands,
+        machine: Machine,
+        *,
+        pass_stops: bool = False,
+        loads_follow: bool = False,
+    ) -> None:
         table = tick_table(commands)
         self._window = PathWindow(table, pass_stops=pass_stops)
-        self._machine, self._limits = machine, CountLimits.of(machine)
+        self._machine = machine
+        self._limits = CountLimits.of(machine, loads_follow=loads_follow)
         self.start = table.start_counts
         self.settle_ticks = ticks_in(SETTLE_S, machine) + 1
         self._first = 0  # tick of the first place that is kept

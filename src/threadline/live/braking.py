@@ -16,6 +16,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
+from threadline.plant.actuator import fastest
 
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
 """Durations of braking in ticks that are tried; the first one that keeps every limit is used."""
@@ -52,8 +53,16 @@ class CountLimits:
     high: FloatArray
 
     @classmethod
-    def of(cls, machine: Machine) -> CountLimits:
-        """Return the limits of a machine."""
+    def of(cls, machine: Machine, *, loads_follow: bool = False) -> CountLimits:
+        """Return the limits of a machine.
+
+        Parameters
+        ----------
+        loads_follow
+            Whether rows tell the motors what the loads need (feed-forward). The axes' limits are
+            those of the loads then, which the plan keeps; a motor that takes a belt along or makes
+            up for the lag of its loop is told more, at most what it can turn by itself.
+        """
         tick_s = float(machine.tick_clock.period_s)
         scale = machine.counts_per_unit
         axes = machine.axes.values()
@@ -61,7 +70,7 @@ class CountLimits:
         low = [-np.inf if axis.travel is None else axis.travel[0].si for axis in axes]
         high = [np.inf if axis.travel is None else axis.travel[1].si for axis in axes]
         return cls(
-            velocity=machine.velocity_limit * scale * tick_s,
+            velocity=_velocity(machine, loads_follow=loads_follow) * scale * tick_s,
             acceleration=machine.acceleration_limit * scale * tick_s**2,
             jerk=jerk * scale * tick_s**3,
             low=np.array(low) * scale,
@@ -86,6 +95,15 @@ class CountLimits:
             told = np.abs(np.diff(own, order, axis=0)).max(axis=0, initial=0.0)
             worst = max(worst, float((asked / (np.maximum(limit, told) + _ROUNDED[order])).max()))
         return worst
+
+
+def _velocity(machine: Machine, *, loads_follow: bool) -> FloatArray:
+    """Return the (axes,) largest speeds of rows, m/s or rad/s."""
+    limits = machine.velocity_limit.copy()
+    if loads_follow:
+        motors = [fastest(machine, axis) or 0.0 for axis in machine.axes]
+        limits = np.maximum(limits, motors)
+    return limits
 
 
 def _fallen(share: FloatArray) -> FloatArray:

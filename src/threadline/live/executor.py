@@ -75,7 +75,12 @@ class Executor(AtRest):
         return self._ahead is not None and not self.over
 
     def start(
-        self, commands: Commands, *, pass_stops: bool = False, hold_at_rest: bool = False
+        self,
+        commands: Commands,
+        *,
+        pass_stops: bool = False,
+        hold_at_rest: bool = False,
+        loads_follow: bool = False,
     ) -> None:
         """Begin a run. The caller has checked the proof; the limits of each row are checked here.
 
@@ -87,6 +92,8 @@ class Executor(AtRest):
             Whether the run goes on at stops of the program without an answer.
         hold_at_rest
             Whether a hold waits for the next rest of the program, so as not to leave the path.
+        loads_follow
+            Whether the commands tell the motors what the loads need (``Way.loads_follow``).
 
         Raises
         ------
@@ -96,7 +103,9 @@ class Executor(AtRest):
             If the first rows break a limit; nothing has moved then.
         """
         next_state(self.state, Cause.START)  # refused before anything is sent
-        ahead = self._way.ahead(commands, self._machine, pass_stops=pass_stops)
+        ahead = self._way.ahead(
+            commands, self._machine, pass_stops=pass_stops, loads_follow=loads_follow
+        )
         ahead.refuse_elsewhere(self._stands)
         self._hold_at_rest = hold_at_rest
         self._set_out(Cause.START, ahead, ahead.start)

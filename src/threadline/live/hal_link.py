@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 
+from threadline.arrays import IntArray
 from threadline.errors import OptionError
-from threadline.live.desk import Desk
-from threadline.live.executor import Executor
+from threadline.live.executed_link import ExecutedLink
 from threadline.live.hal_process import hal_link
 from threadline.live.hal_session import check_hal
-from threadline.live.kept import Sink
-from threadline.live.supervised import run_commands
-from threadline.live.ways import way_of
+from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.plan import Plan
-from threadline.signals import Ended
 
 WHAT = {
     "loopback": "a loopback: HAL gives back what it is told; nothing is measured",
@@ -23,7 +21,7 @@ WHAT = {
 """What is at the far end, by the word behind ``hal:``."""
 
 
-class HalLink:
+class HalLink(ExecutedLink):
     """The link to LinuxCNC's HAL.
 
     Parameters
@@ -44,6 +42,7 @@ class HalLink:
             raise OptionError(
                 f"there is no link hal:{what[:20]}", remedy="Use hal:loopback or hal:plant."
             )
+        super().__init__(1.0)
         self._plant = what == "plant"
         self.label = WHAT[what]
         if self._plant and machine.told_positions:
@@ -58,39 +57,10 @@ class HalLink:
         """What HAL has done after a fault."""
         return "HAL has played what it held, which ends at rest."
 
-    @property
-    def sent(self) -> Mapping[str, bytes]:
-        """Nothing: the rows of the plan are what it is sent."""
-        return {}
-
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
         """Say what is at the far end."""
         return [self.label]
 
-    def close(self) -> None:
-        """Do nothing: HAL ends with its run."""
-
-    def run(
-        self,
-        plan: Plan,
-        desk: Desk,
-        sink: Sink,
-        *,
-        pass_stops: bool,
-        hold_at_rest: bool,
-        watch: Callable[[Executor], None],
-    ) -> tuple[Ended, str]:
-        """Run it."""
-        start = way_of(plan.machine).start(plan.commands)
-        ended, text, _ = run_commands(
-            plan.commands,
-            plan.machine,
-            hal_link(plan.machine, start, plant=self._plant),
-            desk,
-            sink,
-            speed=1.0,
-            pass_stops=pass_stops,
-            hold_at_rest=hold_at_rest,
-            watch=watch,
-        )
-        return ended, text
+    def _connected(self, machine: Machine, start: IntArray) -> AbstractContextManager[Connection]:
+        """Start HAL and the process in front of it."""
+        return hal_link(machine, start, plant=self._plant)

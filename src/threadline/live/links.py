@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from contextvars import Context
 from pathlib import Path
 from typing import Protocol
 
+from threadline.arrays import IntArray
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.live.desk import Desk
+from threadline.live.executed_link import ExecutedLink
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_port import Port
 from threadline.live.grbl_run import GrblRun
@@ -20,8 +23,8 @@ from threadline.live.kept import Sink
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_process import REAL_TIME, sim_link
 from threadline.live.states import State
-from threadline.live.supervised import run_commands
 from threadline.live.ways import way_of
+from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.signals import Ended
@@ -75,7 +78,7 @@ class Link(Protocol):
         """Run it; return how it ended, and why."""
 
 
-class SimLink:
+class SimLink(ExecutedLink):
     """The link to the simulated machine.
 
     Parameters
@@ -89,7 +92,12 @@ class SimLink:
     label = ""
 
     def __init__(self, speed: float, fault: SimFault | None) -> None:
-        self._speed, self._fault = speed, fault
+        super().__init__(speed)
+        self._fault = fault
+
+    def _connected(self, machine: Machine, start: IntArray) -> AbstractContextManager[Connection]:
+        """Return the connection to a process of its own."""
+        return sim_link(machine, start, self._speed, self._fault)
 
     @property
     def after_fault(self) -> str:
@@ -101,42 +109,9 @@ class SimLink:
             braked += " If the computer was too busy for real time, --speed 0 simulates without it."
         return braked
 
-    @property
-    def sent(self) -> Mapping[str, bytes]:
-        """Nothing: the rows of the plan are what it is sent."""
-        return {}
-
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
         """Return nothing."""
         return ()
-
-    def close(self) -> None:
-        """Do nothing: the simulated machine ends with its run."""
-
-    def run(
-        self,
-        plan: Plan,
-        desk: Desk,
-        sink: Sink,
-        *,
-        pass_stops: bool,
-        hold_at_rest: bool,
-        watch: Callable[[Running], None],
-    ) -> tuple[Ended, str]:
-        """Run it in a process of its own."""
-        start = way_of(plan.machine).start(plan.commands)
-        ended, text, _ = run_commands(
-            plan.commands,
-            plan.machine,
-            sim_link(plan.machine, start, self._speed, self._fault),
-            desk,
-            sink,
-            speed=self._speed,
-            pass_stops=pass_stops,
-            hold_at_rest=hold_at_rest,
-            watch=watch,
-        )
-        return ended, text
 
 
 class GrblLink:

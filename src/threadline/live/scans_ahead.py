@@ -32,8 +32,8 @@ class ScansAhead:
         Schedule that is run.
     machine
         Machine with its outputs.
-    pass_stops
-        Of no meaning here: a move list has no stops for the operator.
+    pass_stops, loads_follow
+        Of no meaning here: a move list has no stops for the operator, and cylinders have no loops.
 
     Attributes
     ----------
@@ -58,6 +58,7 @@ class ScansAhead:
         machine: Machine,
         *,
         pass_stops: bool = False,  # noqa: ARG002
+        loads_follow: bool = False,  # noqa: ARG002
     ) -> None:
         schedule = switch_schedule(commands)
         if schedule.outputs != tuple(machine.outputs):

@@ -116,6 +116,7 @@ def run_commands(
     speed: float,
     pass_stops: bool = False,
     hold_at_rest: bool = False,
+    loads_follow: bool = False,
     watch: Callable[[Executor], None] | None = None,
 ) -> tuple[Ended, str, int]:
     """Run checked commands from enabling the drives to the end of settling.
@@ -128,7 +129,7 @@ def run_commands(
         The machine, and the link to it.
     desk, sink, speed
         See ``Executor``.
-    pass_stops, hold_at_rest
+    pass_stops, hold_at_rest, loads_follow
         See ``Executor.start``.
     watch
         Called after each step, for progress.
@@ -146,7 +147,12 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return Ended.STOPPED, "stopped by the operator while it homed", 0
-        executor.start(commands, pass_stops=pass_stops, hold_at_rest=hold_at_rest)
+        executor.start(
+            commands,
+            pass_stops=pass_stops,
+            hold_at_rest=hold_at_rest,
+            loads_follow=loads_follow,
+        )
         while not executor.over:
             executor.step()
             if watch is not None:

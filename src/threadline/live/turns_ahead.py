@@ -47,8 +47,8 @@ class TurnsAhead:
         Step tables that are played.
     machine
         Machine with its axes.
-    pass_stops
-        Whether the run goes on at stops of the program.
+    pass_stops, loads_follow
+        Of no meaning here: tables have no stops, and their axes are not told loads.
 
     Attributes
     ----------
@@ -74,6 +74,7 @@ class TurnsAhead:
         machine: Machine,
         *,
         pass_stops: bool = False,  # noqa: ARG002
+        loads_follow: bool = False,  # noqa: ARG002
     ) -> None:
         play = played(commands)
         if play.axes != machine.axis_names:

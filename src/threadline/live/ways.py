@@ -111,7 +111,12 @@ class MakeAhead(Protocol):
     """Makes what a run sends ahead."""
 
     def __call__(
-        self, commands: Commands, machine: Machine, *, pass_stops: bool = False
+        self,
+        commands: Commands,
+        machine: Machine,
+        *,
+        pass_stops: bool = False,
+        loads_follow: bool = False,
     ) -> RunAhead:
         """Return it for the beginning of a run."""
 
@@ -135,6 +140,8 @@ class Way:
     hold_deviation_m
         Returns how far beside its path a hold would stand, in m; infinite where work is held at
         its rests alone.
+    loads_follow
+        Whether the commands of a plan tell the motors what the loads need.
     by_hand
         Whether its axes can be moved by hand, one at a time.
     """
@@ -145,6 +152,7 @@ class Way:
     guards: Callable[[Machine], Watch]
     halts: Callable[[Commands], Iterable[Event]]
     hold_deviation_m: Callable[[Plan], float]
+    loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
 
 
@@ -156,6 +164,7 @@ _WAYS: dict[type[Commands], Way] = {
         guards=Guards,
         halts=halts_of_rows,
         hold_deviation_m=hold_deviation_m,
+        loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,
     ),
     SwitchSchedule: Way(

@@ -193,7 +193,11 @@ class KeptRuns:
             "duration_s": ready.plan.duration_s,
         }
         try:
-            executor.start(ready.plan.commands, hold_at_rest=at_rest)
+            executor.start(
+                ready.plan.commands,
+                hold_at_rest=at_rest,
+                loads_follow=way.loads_follow(ready.plan),
+            )
         except ThreadlineError as error:
             self._break_off(error)
             raise

@@ -68,6 +68,21 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
     )
 
 
+def fastest(machine: Machine, axis: str) -> float | None:
+    """Return the speed of an axis that its motor reaches alone at full output, in m/s or rad/s.
+
+    Nothing behind a belt can hurry it further for long. None where that speed never settles.
+    """
+    dc_gain, amplifier = actuator_of(machine, axis).dc_gain, machine.drive_of(axis).amplifier
+    if dc_gain is None:
+        return None
+    volts = machine.controller_of(axis).dac.range.si
+    if amplifier.mode == "voltage" and amplifier.voltage_limit is not None:
+        volts = min(volts, amplifier.voltage_limit.si / amplifier.gain.si)
+    turning = drive_rate(machine, axis, rigid_motion(machine, axis))
+    return abs(dc_gain * volts / turning)
+
+
 def _loaded(machine: Machine, axis: str) -> float | None:
     drive = machine.drive_of(axis)
     rates = rigid_motion(machine, axis)
