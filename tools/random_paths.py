@@ -31,6 +31,7 @@ from threadline.trajectory.extremes import derivatives, farthest
 ALLOWED = 1.001  # of a limit, anywhere
 SLOWER = 1e-9  # of the duration: rounding
 AXES = ("X", "Y", "A")
+SHORT = 0.9  # of the cases: few points each, of every kind
 TICKS = 20_000.0  # what a case on a machine may take: ``auto`` works tick by tick
 HOSTILE = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e300, 5e-324)
 
@@ -57,7 +58,8 @@ def drawn_points(random: np.random.Generator, axes: int, scales: np.ndarray) -> 
     moving = random.random(axes) < 0.85
     if not moving.any():
         moving[random.integers(axes)] = True
-    for _ in range(int(random.choice([1, 1, 2, 2, 3, 4, 6]))):
+    short = random.random() < SHORT
+    for _ in range(int(random.choice([1, 1, 1, 2, 2, 3] if short else [1, 1, 2, 2, 3, 4, 6]))):
         kind = random.choice(["any", "any", "any", "tiny", "repeat", "back", "one", "arc", "noise"])
         scale = float(random.choice(scales))
         step = random.uniform(-1.0, 1.0, axes) * scale * moving
@@ -70,7 +72,7 @@ def drawn_points(random: np.random.Generator, axes: int, scales: np.ndarray) -> 
         elif kind == "one":
             step = step * (np.arange(axes) == random.integers(axes))
         elif kind in ("arc", "noise") and axes > 1:
-            t = np.linspace(0.0, random.uniform(0.2, 7.0), 8)[1:]
+            t = np.linspace(0.0, random.uniform(0.2, 7.0), 5 if short else 8)[1:]
             more = np.zeros((len(t), axes))
             more[:, 0], more[:, 1] = scale * np.sin(t), scale * (1.0 - np.cos(t))
             if kind == "noise":

@@ -28,7 +28,7 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 MOST_PIECES = 20_000
 """Pieces of one run that are solved together; where a run has more, the motion rests between."""
 GAP = 1e-4
-_AT_FEED = 0.025  # of the time until the axes have the feed: half of a lead-in's time at it
+_AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts so long at it
 
 
 def fastest_blocks(
@@ -179,20 +179,20 @@ def _elements(
         1.0,
         from_rest=True,
         to_rest=True,
-        lead_s=(
-            _lead_s(c[0, 1], run.nominal_s[moves][0], limits),
-            _lead_s(slope(c[-1:])[0], run.nominal_s[moves][-1], limits),
+        lead_share=(
+            _lead_share(c[0, 1], run.nominal_s[moves][0], limits),
+            _lead_share(slope(c[-1:])[0], run.nominal_s[moves][-1], limits),
         ),
     )
 
 
-def _lead_s(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
-    """Return how long a lead-in takes at the feed: no longer than until the axes have reached it.
+def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
+    """Return what a lead-in may be of a piece: what is gone until the axes have their speed.
 
-    While they have not, the feed does not bind.
+    The speed is that of the feed, or of the limit of an axis. While the axes have not reached it,
+    neither binds. A lead-in that is much longer has a speed that its elements follow badly.
     """
-    if nominal_s <= 0.0:
-        return np.inf
-    feed = np.abs(rate) / nominal_s
-    rise_s = np.maximum(2.0 * np.sqrt(feed / limits.jerk), feed / limits.acceleration)
-    return _AT_FEED * float(rise_s.max())
+    least_s = max(nominal_s, float((np.abs(rate) / limits.velocity).max()))
+    speed = np.abs(rate) / least_s
+    rise_s = np.maximum(2.0 * np.sqrt(speed / limits.jerk), speed / limits.acceleration)
+    return _AT_SPEED * float(rise_s.max()) / least_s

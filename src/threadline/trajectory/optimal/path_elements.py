@@ -125,7 +125,7 @@ def elements_of(
     *,
     from_rest: bool,
     to_rest: bool,
-    lead_s: tuple[float, float] = (np.inf, np.inf),
+    lead_share: tuple[float, float] = (_LEAD_SHARE, _LEAD_SHARE),
 ) -> Elements:
     """Return the elements of consecutive pieces of one run.
 
@@ -143,9 +143,9 @@ def elements_of(
         Parameter length of the first piece.
     from_rest, to_rest
         Whether the run starts, or ends, here.
-    lead_s
-        How long the lead-in, and that to the rest at the end, take at the feed at most: in them
-        the feed bounds the rate of their parameter, which is the speed at their end alone.
+    lead_share
+        What the lead-in, and that to the rest at the end, may be of their pieces at most: in them
+        feed and velocity bound the rate of their parameter, which is the speed at their end alone.
     """
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
@@ -161,9 +161,9 @@ def elements_of(
         guard_cap=np.full(count, np.inf),
     )
     if from_rest:
-        whole = _with_lead_in(whole, lead_s[0])
+        whole = _with_lead_in(whole, lead_share[0])
     if to_rest:
-        whole = reverse(_with_lead_in(reverse(whole), lead_s[1]))
+        whole = reverse(_with_lead_in(reverse(whole), lead_share[1]))
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
     curve = _PARTS_OF_CURVE if count <= _DENSE else 1
     parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
@@ -188,14 +188,14 @@ def reverse(elements: Elements) -> Elements:
     )
 
 
-def _with_lead_in(elements: Elements, lead_s: float) -> Elements:
+def _with_lead_in(elements: Elements, most: float) -> Elements:
     """Replace the first part of the first element by one that starts from rest.
 
     Its ends have the position, velocity and acceleration of the path run through as
     ``w^3 - w^4 / 2`` of its parameter; on a straight piece it is exactly that.
     """
     first = elements.take(slice(0, 1))
-    share = np.clip(lead_s * np.sqrt(first.cap), _LEAST_LEAD_SHARE, _LEAD_SHARE)
+    share = np.clip(np.full(1, most), _LEAST_LEAD_SHARE, _LEAD_SHARE)
     head = restricted(first.c, np.zeros(1), share)[0]
     rest = Elements(
         c=restricted(first.c, share, 1.0 - share),
