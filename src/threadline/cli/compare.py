@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.found import AXES_ALONE, limit_words
+from threadline.cli.found import AXES_ALONE, command_line, limit_words
 from threadline.cli.level import NominalOption, TolerancesOption, trials_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -99,7 +100,8 @@ def compare(
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
     On an on/off machine shapers are compared instead, on an embroidery machine the laws of its
-    moves. The fastest feed of each interpolation is searched within the placement criteria alone.
+    moves. The fastest feed of each interpolation is searched within the placement criteria alone;
+    of a move list, a design, or a machine file without dynamics the answer says what searches it.
 
     Exit status: 0 when every proof is in spec, 1 when one is not, 2 wrong input.
 
@@ -147,13 +149,16 @@ def compare(
         written = None if report is None else write_comparison(found, report, tables)
     for said in dict.fromkeys(line for proof in found.proofs for line in proof_warnings(proof)):
         warning(said)
+    left_out = left_out_words(found, job, machine) if fastest else None
     if json:
-        content = comparison_json(found)
+        content = comparison_json(found) | {"fastest_left_out": left_out}
         if written is not None:
             content["report"] = str(written)
         print_json(content)
     else:
         show_comparison(found, shown)
+        if left_out is not None:
+            say(left_out)
         if written is not None:
             say(f"Report: {written}")
     raise typer.Exit(0 if all(proof.verdict.passed for proof in found.proofs) else 1)
@@ -165,11 +170,29 @@ def show_comparison(found: Comparison, shown: Sequence[str]) -> None:
         print_table(title, header, rows)
     for name, why in found.refused:
         say(f"{name} is refused: {why}")
-    if found.proofs[0].plan.machine.without_dynamics:
-        say(
+
+
+def left_out_words(found: Comparison, job: Path, machine: str) -> str | None:
+    """Return why no fastest of each was searched, and what searches it; None where one was."""
+    if found.fastest:
+        return None
+    plan = found.proofs[0].plan
+    searches = command_line("fastest", job, {"-m": machine})
+    if plan.machine.without_dynamics:
+        return (
             "No fastest feed within placement is searched: the machine file has no dynamics; "
-            "threadline fastest finds the feeds within its limits."
+            f"{searches} finds the feeds within its limits."
         )
+    return f"{_LEFT_OUT[plan.job.paced_by]} {searches} does that."
+
+
+_LEFT_OUT = {
+    "switchings": "The fastest of each shaper is not searched: the shortest cycle chooses shaper, "
+    "levels and waits for every move by itself.",
+    "shaft": "The fastest of each law is not searched: a speed of the shaft is searched with one "
+    "law, which --law names.",
+}
+"""By what paces a job that has no feed: why a comparison searches no fastest."""
 
 
 def comparison_tables(

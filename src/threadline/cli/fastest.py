@@ -40,9 +40,10 @@ from threadline.cli.shared_options import (
 from threadline.errors import OptionError
 from threadline.jobs.operations import Pace
 from threadline.machine.radii import with_radii
-from threadline.option_words import parse_margin
+from threadline.option_words import parse_margin, parse_number
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
+from threadline.search.until import Until
 from threadline.verdict import load_spec
 
 
@@ -92,8 +93,8 @@ def fastest(
     within: Annotated[
         str | None,
         typer.Option(
-            help='Of a part program: how long the search may take, "5 min"; then the best so far '
-            "is told. Ctrl-C asks for it at once."
+            help='How long the search may take, "5 min"; then the best so far is told. Ctrl-C '
+            "asks for it at once."
         ),
     ] = None,
     report: Annotated[
@@ -172,7 +173,7 @@ def fastest(
         },
         low=low,
         high=high,
-        within=within,
+        until=Until.within(_seconds(within)),
         band=band,
         out=out,
         mismatch=mismatch,
@@ -181,7 +182,7 @@ def fastest(
         json=json,
     )
     answer = ANSWERS[read.paced_by]
-    given = {"--low": low, "--high": high, "--within": within, "--band": band, "--out": out}
+    given = {"--low": low, "--high": high, "--band": band, "--out": out}
     for name, value in given.items():
         if value is not None and name not in answer.takes:
             raise OptionError(
@@ -189,7 +190,17 @@ def fastest(
                 f"{answer.searched} searched",
                 remedy=f"Leave it out{_INSTEAD.get(name, '')}.",
             )
-    answer.tell(asked)
+    with asked.until.with_answer():
+        answer.tell(asked)
+
+
+def _seconds(within: str | None) -> float | None:
+    if within is None:
+        return None
+    within_s = parse_number("--within", within, "s", "5 min")
+    if not within_s > 0.0:
+        raise OptionError(f"--within {within!r} must be greater than 0")
+    return within_s
 
 
 def _by_feed(asked: Asked) -> NoReturn:
@@ -220,14 +231,13 @@ class _Answer:
 
 _SPAN = frozenset({"--low", "--high"})
 ANSWERS: Mapping[Pace, _Answer] = {
-    "feed": _Answer(_by_feed, "the feed is", _SPAN | {"--within"}),
+    "feed": _Answer(_by_feed, "the feed is", _SPAN),
     "needle": _Answer(fastest_seam, "the speed of the needle is", _SPAN),
     "shaft": _Answer(fastest_design, "the speed of the shaft is", _SPAN),
     "switchings": _Answer(fastest_moves, "commands and waits are", frozenset({"--band", "--out"})),
 }
 """By pace, as ``search.by_pace`` has the searches: how they are told."""
 _INSTEAD = {
-    "--within": "; this search takes few plans",
     "--band": "; prove --tolerances judges other machines",
     "--out": "; the command that proves the answer is printed",
 }

@@ -10,6 +10,7 @@ from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Trials
+from threadline.search.until import Until
 from threadline.verdict import Spec
 
 
@@ -29,8 +30,10 @@ class Asked:
         How to plan.
     words
         The options that a command of the shell needs to ask for the same plan, as typed.
-    low, high, within, band
+    low, high, band
         Texts of the options; None where they were not given.
+    until
+        When the search has to come to an answer.
     out
         Where the move list of the fastest is written; None to write none.
     mismatch, report
@@ -51,7 +54,7 @@ class Asked:
     words: Mapping[str, str | Path | None]
     low: str | None
     high: str | None
-    within: str | None
+    until: Until
     band: str | None
     out: Path | None
     mismatch: bool

@@ -20,6 +20,7 @@ from threadline.cli.found import (
     merged,
     resolution_words,
     typed,
+    until_words,
 )
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import (
@@ -38,7 +39,7 @@ from threadline.jobs import Job
 from threadline.jobs.gcode.f_words import as_f_words
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.option_words import feed_words, parse_feed, parse_number
+from threadline.option_words import feed_words, parse_feed
 from threadline.options import Options
 from threadline.pipeline import plan_job
 from threadline.plan import Following
@@ -52,7 +53,6 @@ from threadline.search import (
 )
 from threadline.search.feed import searched_by
 from threadline.search.mismatch import F_WORDS, FEED
-from threadline.search.until import Until
 from threadline.verdict import closing, criteria_json, verdict_rows
 
 _UNITS = {FeedMode.FASTEST_AXIS: ("mm/s", 1e3), FeedMode.F_WORD: ("F", 60_000.0)}
@@ -62,7 +62,6 @@ _UNITS = {FeedMode.FASTEST_AXIS: ("mm/s", 1e3), FeedMode.F_WORD: ("F", 60_000.0)
 def fastest_by_feed(asked: Asked) -> NoReturn:
     """Search the feed and the share of the limits, print the result, and end the program."""
     read, machine, options = asked.job, asked.machine, asked.options
-    within_s = _seconds(asked.within)
     check_mismatch(asked.mismatch, asked.actual is not None, asked.report)
     by, low, high = _span(read, asked.low, asked.high)
     warn(machine, read, own_feed=False)
@@ -77,7 +76,7 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
             progress=progress,
             actual=asked.actual,
             trials=asked.trials,
-            until=Until.within(within_s),
+            until=asked.until,
             by=by,
         )
         best = result.best
@@ -119,15 +118,6 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
         if drawn is not None:
             say(f"Report: {drawn}")
     raise typer.Exit(0 if found else 1)
-
-
-def _seconds(within: str | None) -> float | None:
-    if within is None:
-        return None
-    within_s = parse_number("--within", within, "s", "5 min")
-    if not within_s > 0.0:
-        raise OptionError(f"--within {within!r} must be greater than 0")
-    return within_s
 
 
 def _command(result: FastestJob, asked: Asked) -> str:
@@ -296,8 +286,7 @@ def _how_judged(result: FastestJob) -> Iterator[str]:
         )
         if not result.whole:
             yield "the whole job was not judged: prove it by the command below"
-    if result.ended:
-        yield f"{result.ended}: this is the best of what was tried so far"
+    yield from until_words(result.ended)
 
 
 def _verdict_content(found: Fastest) -> dict[str, Any]:

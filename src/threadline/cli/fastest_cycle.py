@@ -16,7 +16,7 @@ from threadline.cli.fastest_robust import (
     robust_table,
     show_robust,
 )
-from threadline.cli.found import command_line, limit_words, margin_words
+from threadline.cli.found import command_line, limit_words, margin_words, until_words
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import check_mismatch, drawn_of, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -53,14 +53,28 @@ def fastest_moves(asked: Asked) -> NoReturn:
     warn(machine, read, own_feed=False)
     with progress_bar(not asked.json) as progress:
         found = fastest_cycle(
-            read, machine, spec, progress=progress, actual=actual, trials=asked.trials
+            read,
+            machine,
+            spec,
+            progress=progress,
+            actual=actual,
+            trials=asked.trials,
+            until=asked.until,
         )
         cells = []
         if asked.mismatch:
             cells = cycle_over_tolerances(read, machine, spec, progress=progress)
         robust = None
         if band is not None:
-            robust = robust_cycle(read, machine, spec, band, progress=progress, trials=asked.trials)
+            robust = robust_cycle(
+                read,
+                machine,
+                spec,
+                band,
+                progress=progress,
+                trials=asked.trials,
+                until=asked.until,
+            )
         beside = cycles_beside(
             read, machine, spec, found, robust, band, actual=actual, progress=progress
         )
@@ -91,12 +105,13 @@ def fastest_moves(asked: Asked) -> NoReturn:
         said: dict[str, Any] = {
             "margin": asked.margin,
             "command": again,
+            "ended": asked.until.ended,
             "beside": beside_json(beside),
         }
         said |= {} if robust is None else {"robust": robust_json(robust)}
         print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
-        _show(found, moves)
+        _show(found, moves, asked.until.ended)
         if robust is not None and banded is not None:
             show_robust(robust, banded)
         print_table(*cycles)
@@ -179,7 +194,9 @@ def moves_table(found: FastestCycle, title: str) -> Printed:
     return f"{title}: commands, move by move", header, rows
 
 
-def _show(found: FastestCycle, table: Printed) -> None:
+def _show(found: FastestCycle, table: Printed, ended: str) -> None:
+    for line in until_words(ended):
+        say(line)
     print_table(*table)
     for move in found.moves:
         if " for " in move.how:

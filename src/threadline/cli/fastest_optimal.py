@@ -11,7 +11,7 @@ import typer
 
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import metres_per_second
-from threadline.cli.found import command_line, limit_words, margin_words, typed
+from threadline.cli.found import command_line, limit_words, margin_words, typed, until_words
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import report_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -38,7 +38,7 @@ def fastest_optimal(asked: Asked) -> NoReturn:
     OptionError
         If an option of a search by feed was given.
     """
-    wrong = {"--low": asked.low, "--within": asked.within, "--mismatch": asked.mismatch or None}
+    wrong = {"--low": asked.low, "--mismatch": asked.mismatch or None}
     for name, value in wrong.items():
         if value is not None:
             raise OptionError(
@@ -60,6 +60,7 @@ def fastest_optimal(asked: Asked) -> NoReturn:
             progress=progress,
             actual=asked.actual,
             trials=asked.trials,
+            until=asked.until,
         )
     best = found.best
     again = None
@@ -104,6 +105,7 @@ def _content(found: FastestJob) -> dict[str, Any]:
         "limited_by": best.found.limited_by,
         "duration_s": best.duration_s,
         "tried": len(found.rungs),
+        "ended": found.ended,
         "bounds": [{"within": b.within, "duration_s": b.duration_s} for b in found.bounds],
         "verdict": {
             "passed": best.found.verdict.passed,
@@ -148,6 +150,8 @@ def _show(found: FastestJob, title: str) -> None:
     ]
     print_table(f"{title}: plans proved", header, rows)
     best = found.best
+    for line in until_words(found.ended):
+        say(line)
     head, body = verdict_rows(best.found.verdict)
     if best.duration_s is None:
         say(f"no plan is in spec ({len(rows)} proved): {best.found.limited_by} fails at all")

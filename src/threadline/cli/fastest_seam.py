@@ -7,7 +7,14 @@ from typing import Any, NoReturn
 import typer
 
 from threadline.cli.fastest_asked import Asked
-from threadline.cli.found import alone_words, limit_words, margin_words, resolution_words, typed
+from threadline.cli.found import (
+    alone_words,
+    limit_words,
+    margin_words,
+    resolution_words,
+    typed,
+    until_words,
+)
 from threadline.cli.level import level_words
 from threadline.cli.mismatch import (
     ABOVE,
@@ -48,6 +55,7 @@ def fastest_seam(asked: Asked) -> NoReturn:
             progress=progress,
             actual=asked.actual,
             trials=asked.trials,
+            until=asked.until,
         )
         if asked.mismatch:
             end = found.best * ABOVE if high is None and found.best else (high or _UNKNOWN_HZ)
@@ -62,8 +70,11 @@ def fastest_seam(asked: Asked) -> NoReturn:
         tell(tolerance_warnings(plan))
         drawn = drawn or report_of(plan, asked)
     if asked.json:
-        print_json(_content(found) | {"margin": asked.margin} | mismatch_json(cells, drawn))
+        said = {"margin": asked.margin, "ended": asked.until.ended}
+        print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
+        for line in until_words(asked.until.ended):
+            say(line)
         _show(found, title)
         if found.best is not None:
             say(

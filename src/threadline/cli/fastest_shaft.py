@@ -14,6 +14,7 @@ from threadline.cli.found import (
     limit_words,
     margin_words,
     resolution_words,
+    until_words,
 )
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import (
@@ -57,6 +58,7 @@ def fastest_design(asked: Asked) -> NoReturn:
             progress=progress,
             actual=asked.actual,
             trials=asked.trials,
+            until=asked.until,
         )
         cells = []
         if asked.mismatch:
@@ -70,9 +72,11 @@ def fastest_design(asked: Asked) -> NoReturn:
         drawn = report_of(_plan(found, asked), asked)
     again = _command(found, asked)
     if asked.json:
-        said = {"margin": asked.margin, "command": again}
+        said = {"margin": asked.margin, "command": again, "ended": asked.until.ended}
         print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
+        for line in until_words(asked.until.ended):
+            say(line)
         _show(found, title)
         if again is not None:
             say(f"To prove it: {again}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from threadline.search.allowance import ALLOWED, LIMITS
@@ -75,6 +75,12 @@ def margin_words(margin: float) -> str:
     ', 20 % of every limit kept free'
     """
     return f", {margin * 100.0:g} % of every limit kept free" if margin else ""
+
+
+def until_words(ended: str) -> Iterator[str]:
+    """Yield the line that says why a search stopped before its end; nothing where it did not."""
+    if ended:
+        yield f"{ended}: this is the best of what was tried so far"
 
 
 def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None]) -> str:

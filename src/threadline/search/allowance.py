@@ -26,6 +26,7 @@ from threadline.search.fastest import Fastest, Interval, worst_criterion
 from threadline.search.feed import feed_range_m_s
 from threadline.search.refused import beyond
 from threadline.search.rungs import Bound, FastestJob, Rung
+from threadline.search.until import Until, as_far_as
 from threadline.trajectory.optimal.drives import axis_limits, limits_of
 from threadline.trajectory.optimal.fastest_motion import least_time_s
 from threadline.verdict import Spec, Verdict
@@ -55,6 +56,7 @@ def fastest_allowed(
     progress: Progress | None = None,
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> FastestJob:
     """Return the fastest plan in spec, and the least times that the limits alone would allow.
 
@@ -68,6 +70,8 @@ def fastest_allowed(
         The machine that does the job, where it isn't the one that plans are made for.
     trials
         Which runs a plan is judged by.
+    until
+        When the search has to come to an answer.
 
     Raises
     ------
@@ -79,6 +83,8 @@ def fastest_allowed(
     by_contour = options.follows_contour and not machine.told_positions  # no loop, no lag
 
     def proved(amount: float) -> Rung:
+        if until is not None:
+            until.check()
         if progress is not None:
             progress("proving", len(rungs) / _MOST_PROOFS)
         chosen = (
@@ -99,16 +105,18 @@ def fastest_allowed(
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
     amount: float | None = options.timing.contour_m if by_contour else options.limit_share
-    while amount is not None:
-        rungs[amount] = proved(amount)
-        alone = by_contour and options.contour_m is not None
-        amount = None if alone or len(rungs) >= _MOST_PROOFS else next_one(rungs)
-    if by_contour and options.contour_m is None:
-        _look_beside(rungs, proved)
+    with as_far_as(until, lambda: rungs):
+        while amount is not None:
+            rungs[amount] = proved(amount)
+            alone = by_contour and options.contour_m is not None
+            amount = None if alone or len(rungs) >= _MOST_PROOFS else next_one(rungs)
+        if by_contour and options.contour_m is None:
+            _look_beside(rungs, proved)
     return FastestJob(
         best=_best(rungs, ALLOWED if by_contour else LIMITS),
         rungs=tuple(rungs[amount] for amount in sorted(rungs, reverse=True)),
         bounds=_bounds(job, machine, options),
+        ended="" if until is None else until.ended,
     )
 
 

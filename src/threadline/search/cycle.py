@@ -19,6 +19,7 @@ from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import overlapped, with_choices
+from threadline.search.until import Until, as_far_as
 from threadline.verdict import Spec, Status
 
 _ROUNDS = 14
@@ -74,6 +75,7 @@ def fastest_cycle(
     progress: Progress | None = None,
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> FastestCycle:
     """Search commands and waits of every move together; the shortest cycle in spec wins.
 
@@ -88,6 +90,9 @@ def fastest_cycle(
         The machine that runs the cycles, where it isn't the one that commands are made for.
     trials
         Which runs a cycle is judged by.
+    until
+        When the search has to come to an answer: the job as it is, without a shaper, is judged
+        however short the time is.
 
     Raises
     ------
@@ -113,26 +118,29 @@ def fastest_cycle(
             tried=1,
         )
     tried = 1
-    for round_ in range(_ROUNDS):
-        if progress is not None:
-            progress("cycles", round_ / _ROUNDS)
-        cycle = forecast.next()
-        if cycle is None or (best is not None and cycle.scans >= best[2].scans):
-            break
-        chosen = forecast.job_of(cycle)
-        tried += 1
-        try:
-            proof = try_plan(plan_job(chosen, machine, Options()), spec, trials, actual)
-        except (PlanError, RecordingError):
-            continue  # its valves cannot, or an input that it waits for never comes
-        if proof.verdict.passed:
-            # What was learned from it may show a way to a shorter one.
-            best = chosen, proof, cycle
-        else:
-            limited_by = _failing(proof)
-            if _excess(proof) < closest[0]:
-                closest = _excess(proof), proof, cycle
-        forecast.learn(cycle, proof)
+    with as_far_as(until, lambda: base):
+        for round_ in range(_ROUNDS):
+            if until is not None:
+                until.check()
+            if progress is not None:
+                progress("cycles", round_ / _ROUNDS)
+            cycle = forecast.next()
+            if cycle is None or (best is not None and cycle.scans >= best[2].scans):
+                break
+            chosen = forecast.job_of(cycle)
+            tried += 1
+            try:
+                proof = try_plan(plan_job(chosen, machine, Options()), spec, trials, actual)
+            except (PlanError, RecordingError):
+                continue  # its valves cannot, or an input that it waits for never comes
+            if proof.verdict.passed:
+                # What was learned from it may show a way to a shorter one.
+                best = chosen, proof, cycle
+            else:
+                limited_by = _failing(proof)
+                if _excess(proof) < closest[0]:
+                    closest = _excess(proof), proof, cycle
+            forecast.learn(cycle, proof)
     if best is None:
         return FastestCycle(
             job=None,

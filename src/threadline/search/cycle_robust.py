@@ -25,6 +25,7 @@ from threadline.plan import Plan
 from threadline.plant.pneumatic import flow_mode, step_ringing
 from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
 from threadline.search.move_list import levels_of_operations, overlapped, with_choices
+from threadline.search.until import Until
 from threadline.shaping.onoff.flow_levels import (
     FlowCommand,
     FlowMove,
@@ -107,6 +108,7 @@ def robust_cycle(
     *,
     progress: Progress | None = None,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> RobustCycle:
     """Search the shortest cycle that is in spec on every machine of the band.
 
@@ -117,6 +119,8 @@ def robust_cycle(
     trials
         Which runs of the machine as its file says a cycle is judged by, besides one run of each
         machine of the band.
+    until
+        When the search has to come to an answer: the cycle that is tried then is its last.
 
     Raises
     ------
@@ -141,7 +145,7 @@ def robust_cycle(
         in_spec = not search.learn(runs)
         proof = try_plan(plan, spec, trials if in_spec else NOMINAL)
         passed = in_spec and proof.verdict.passed
-        if passed or tried == _ROUNDS:
+        if passed or tried == _ROUNDS or (until is not None and until.over()):
             return RobustCycle(
                 job=candidate if passed else None,
                 proof=proof,

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.options import Options
@@ -27,7 +26,7 @@ from threadline.search.fastest import (
 )
 from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
 from threadline.search.rungs import FastestJob, Rung
-from threadline.search.until import HaltError, Until
+from threadline.search.until import HaltError, Until, no_answer
 from threadline.trajectory import Pace
 from threadline.verdict import Spec
 
@@ -66,7 +65,7 @@ def fastest_job(
     trials
         Which runs a feed is judged by.
     until
-        When the search has to come to an answer; not of ``optimal``.
+        When the search has to come to an answer.
     by
         What the feed is of; when None F where the job's rule for it is another than the fastest
         axis, else that. ``optimal`` is always capped by the fastest axis.
@@ -79,7 +78,15 @@ def fastest_job(
     check_loops(machine)
     if options.interpolation == OPTIMAL:
         return fastest_allowed(
-            job, machine, spec, options, high=high, progress=progress, actual=actual, trials=trials
+            job,
+            machine,
+            spec,
+            options,
+            high=high,
+            progress=progress,
+            actual=actual,
+            trials=trials,
+            until=until,
         )
     by = searched_by(job) if by is None else by
     lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
@@ -125,9 +132,7 @@ def fastest_job(
             _climb(tried, rungs)
     except HaltError as halt:
         if not rungs:
-            raise OptionError(
-                "no plan could be judged in that time", remedy="Give --within a longer time."
-            ) from halt
+            raise no_answer() from halt
     except KeyboardInterrupt as signal:
         if until is None or not rungs or not until.interrupted(signal):
             raise

@@ -18,6 +18,7 @@ from threadline.search.fastest import (
     find_fastest,
 )
 from threadline.search.refused import beyond
+from threadline.search.until import Until
 from threadline.verdict import Spec, Verdict
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
@@ -56,6 +57,7 @@ def fastest_needle(
     actual: Machine | None = None,
     edge_relative: float = EDGE_RELATIVE,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> Fastest:
     """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
 
@@ -70,11 +72,15 @@ def fastest_needle(
         The machine that sews, where it isn't the one that plans are made for.
     trials
         Which runs a speed is judged by.
+    until
+        When the search has to come to an answer, as ``find_fastest`` takes it.
 
     Raises
     ------
     JobError, OptionError
         If the seam cannot be read, or the range is empty.
+    HaltError
+        If the time is over before a speed was judged.
     """
     lowest, highest = needle_range_hz(read_job(seam, machine), machine)
     begin, end = lowest if low is None else low, highest if high is None else high
@@ -98,4 +104,5 @@ def fastest_needle(
         edge_relative=edge_relative,
         progress=progress,
         unit="stitch/s",
+        until=until,
     )

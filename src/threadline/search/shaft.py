@@ -17,6 +17,7 @@ from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Proof, Trials, check_machine, plan_job, try_plan
 from threadline.plan import Plan
 from threadline.search.fastest import Fastest, find_fastest
+from threadline.search.until import Until, as_far_as
 from threadline.verdict import Spec, Verdict
 
 _POINTS, _NEAR = 24, 3
@@ -73,6 +74,7 @@ def fastest_shaft(
     progress: Progress | None = None,
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> FastestShaft:
     """Search the speeds of the shaft, and the schedule of speeds.
 
@@ -85,6 +87,13 @@ def fastest_shaft(
         The machine that sews, where it isn't the one that plans are made for.
     trials
         Which runs a speed is judged by.
+    until
+        When the search has to come to an answer, as ``find_fastest`` takes it.
+
+    Raises
+    ------
+    HaltError
+        If the time is over before a speed was judged.
     """
     check_machine(machine)
     constant = constant_speeds(
@@ -97,14 +106,15 @@ def fastest_shaft(
         progress=progress,
         actual=actual,
         trials=trials,
+        until=until,
     )
     constant_s = None
     if constant.best is not None:
         constant_s = plan_job(job, machine, _at_speed(options, constant.best)).duration_s
     schedule = None
     assert machine.shaft is not None
-    if machine.shaft.acceleration is not None:
-        schedule = _schedule(job, machine, spec, options, actual, trials, progress)
+    if machine.shaft.acceleration is not None and constant.complete:
+        schedule = _schedule(job, machine, spec, options, actual, trials, progress, until)
     times = [constant_s, None if schedule is None else schedule.plan.duration_s]
     best = min((t for t in times if t is not None), default=None)
     by_schedule = schedule is not None and best == schedule.plan.duration_s
@@ -133,6 +143,7 @@ def constant_speeds(
     progress: Progress | None = None,
     actual: Machine | None = None,
     trials: Trials = NOMINAL,
+    until: Until | None = None,
 ) -> Fastest:
     """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does.
 
@@ -167,6 +178,7 @@ def constant_speeds(
             edge_relative=_EDGE,
             progress=progress,
             unit="stitch/s",
+            until=until,
         )
 
     found = searched(judged)
@@ -175,7 +187,10 @@ def constant_speeds(
             if end not in whole:
                 judged(end, shorten=False)
     ends = [whole[end] for one in found.intervals for end in (one.low, one.high)]
-    if not all(verdict.passed for verdict in ends):
+    if not found.complete:
+        held = tuple(i for i in found.intervals if whole[i.low].passed and whole[i.high].passed)
+        found = replace(found, intervals=held)
+    elif not all(verdict.passed for verdict in ends):
         return searched(lambda speed_hz: judged(speed_hz, shorten=False))
     return found if found.best is None else replace(found, verdict=whole[found.best])
 
@@ -226,8 +241,12 @@ def _schedule(
     actual: Machine | None,
     trials: Trials,
     progress: Progress | None,
+    until: Until | None,
 ) -> Proof | None:
-    """Return the fastest schedule in spec, by the tolerance that it is planned with."""
+    """Return the fastest schedule in spec, by the tolerance that it is planned with.
+
+    Where the time is over first, it is the fastest of those that were tried.
+    """
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     limit = min(limits, default=options.tolerance_m)
     tried = 0
@@ -246,11 +265,14 @@ def _schedule(
     best = proof_at(low)
     if not best.verdict.passed:
         return None
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        proof = proof_at(middle)
-        if proof.verdict.passed:
-            low, best = middle, proof
-        else:
-            high = middle
+    with as_far_as(until, lambda: best):
+        for _ in range(_HALVINGS):
+            if until is not None:
+                until.check()
+            middle = 0.5 * (low + high)
+            proof = proof_at(middle)
+            if proof.verdict.passed:
+                low, best = middle, proof
+            else:
+                high = middle
     return best

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+from threadline.errors import OptionError
 
 INTERRUPTED, OUT_OF_TIME = "interrupted", "out of time"
 
@@ -41,9 +45,14 @@ class Until:
         HaltError
             If it is.
         """
-        if self.ended or time.monotonic() >= self.end_s:
-            self.ended = self.ended or OUT_OF_TIME
+        if self.over():
             raise HaltError
+
+    def over(self) -> bool:
+        """Say whether the search has to answer now, and note why."""
+        if not self.ended and time.monotonic() >= self.end_s:
+            self.ended = OUT_OF_TIME
+        return bool(self.ended)
 
     def interrupted(self, signal: KeyboardInterrupt) -> bool:
         """Say whether an interrupt asks for the answer of now, and not for the end of the program.
@@ -55,3 +64,50 @@ class Until:
         if asks:
             self.ended = INTERRUPTED
         return asks
+
+    @contextmanager
+    def with_answer(self) -> Iterator[None]:
+        """Search, and refuse to have been given less time than one plan takes.
+
+        Raises
+        ------
+        OptionError
+            If the time was over before a plan was judged.
+        """
+        try:
+            yield
+        except HaltError as halt:
+            raise no_answer() from halt
+
+
+@contextmanager
+def as_far_as(until: Until | None, known: Callable[[], object]) -> Iterator[None]:
+    """Search in this block; where its time is over or a person asks, leave it with what is known.
+
+    Parameters
+    ----------
+    until
+        When the search has to come to an answer; None for a search that goes to its end.
+    known
+        Returns whether there is anything to answer with.
+
+    Raises
+    ------
+    HaltError, KeyboardInterrupt
+        If nothing is known yet, or the interrupt is one that ends the program.
+    """
+    try:
+        yield
+    except HaltError:
+        if not known():
+            raise
+    except KeyboardInterrupt as signal:
+        if until is None or not known() or not until.interrupted(signal):
+            raise
+
+
+def no_answer() -> OptionError:
+    """Return the error of a search whose time was over before it had judged a plan."""
+    return OptionError(
+        "no plan could be judged in that time", remedy="Give --within a longer time."
+    )

@@ -1,0 +1,52 @@
+"""``compare`` searches the fastest of each, or says which command does."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from tests.test_limits_alone import files as limits_alone
+
+from threadline.cli.main import main
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def _compared(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    with pytest.raises(SystemExit) as end:
+        main(["compare", *words, "--nominal"])
+    assert end.value.code in {0, 1}
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "machine", "of"),
+    [
+        ("letter-cycle.toml", "letter-placer", "each shaper"),
+        ("rosette.dst", "table-embroiderer", "each law"),
+    ],
+)
+def test_what_has_no_feed_is_told_its_own_search(
+    name: str, machine: str, of: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(EXAMPLES / name), "-m", machine]
+    told = json.loads(_compared(capsys, *words, "--json"))
+    assert told["fastest"] == {}
+    assert told["fastest_left_out"].startswith(f"The fastest of {of} is not searched")
+    assert shlex.join(["threadline", "fastest", *words]) in told["fastest_left_out"]
+    assert "is not searched" in " ".join(_compared(capsys, *words).split())
+    assert "is not searched" not in _compared(capsys, *words, "--no-fastest")
+
+
+def test_limits_alone_and_a_job_with_feeds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits, job = limits_alone(tmp_path, "G1 X20 A90 F1000\nG1 X0")
+    told = json.loads(_compared(capsys, str(job), "-m", str(limits), "--json"))
+    assert "the machine file has no dynamics" in told["fastest_left_out"]
+    words = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--interpolation", "linear"]
+    told = json.loads(_compared(capsys, *words, "--json"))
+    assert told["fastest"]["linear"]["best"] > 0.0
+    assert told["fastest_left_out"] is None

@@ -1,0 +1,156 @@
+"""``--within`` and Ctrl-C: every search answers with the best so far, whatever paces the job."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from threadline.cli.main import main
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.path.interpolations import OPTIMAL
+from threadline.pipeline import open_job
+from threadline.search.cycle import fastest_cycle
+from threadline.search.cycle_robust import robust_cycle
+from threadline.search.gentle import fastest_job
+from threadline.search.needle import fastest_needle
+from threadline.search.shaft import fastest_shaft
+from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
+from threadline.verdict import load_spec
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+class After(Until):
+    """The time is over when so many plans were asked for, or somebody interrupts then."""
+
+    def __init__(self, plans: int, *, interrupts: bool = False) -> None:
+        super().__init__()
+        self.left, self.interrupts = plans, interrupts
+
+    def over(self) -> bool:
+        self.left -= 1
+        if self.left < 0 and self.interrupts and not self.ended:
+            raise KeyboardInterrupt
+        self.ended = self.ended or (OUT_OF_TIME if self.left < 0 else "")
+        return bool(self.ended)
+
+
+def needle(until: Until) -> tuple[float | None, int]:
+    machine = load_machine("stitcher-rigid")
+    spec = load_spec(None, machine)
+    seam = EXAMPLES / "strap.seam.toml"
+    found = fastest_needle(seam, machine, spec, Options(), low=1.0, high=200.0, until=until)
+    return found.best, found.tried
+
+
+def shaft(until: Until) -> tuple[float | None, int]:
+    machine = load_machine("table-embroiderer")
+    job = open_job(EXAMPLES / "rosette.dst", machine, Options())
+    found = fastest_shaft(job, machine, load_spec(None, machine), Options(), until=until)
+    assert found.schedule is None
+    return found.constant.best, found.constant.tried
+
+
+def optimal(until: Until) -> tuple[float | None, int]:
+    machine = load_machine("lathe-winder")
+    options = Options(interpolation=OPTIMAL)
+    job = open_job(EXAMPLES / "x-180.prg", machine, options)
+    found = fastest_job(job, machine, load_spec(None, machine), options, until=until)
+    assert found.ended == until.ended
+    return found.best.found.best, len(found.rungs)
+
+
+SEARCHES: dict[str, Callable[[Until], tuple[float | None, int]]] = {
+    "needle": needle,
+    "shaft": shaft,
+    "optimal": optimal,
+}
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize("interrupts", [False, True])
+def test_a_search_that_is_ended_answers_with_what_it_tried(name: str, interrupts: bool) -> None:
+    until = After(3, interrupts=interrupts)
+    _, tried = SEARCHES[name](until)
+    assert tried == 3
+    assert until.ended == (INTERRUPTED if interrupts else OUT_OF_TIME)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_search_that_judged_nothing_has_no_answer(name: str) -> None:
+    with pytest.raises(HaltError):
+        SEARCHES[name](After(0))
+    with pytest.raises(KeyboardInterrupt):
+        SEARCHES[name](After(0, interrupts=True))
+
+
+def test_schedules_of_a_shaft_end_with_the_best_so_far() -> None:
+    """The speeds are searched to their end; of the seven schedules one is tried."""
+    machine = load_machine("schiffli-frame")
+    job = open_job(EXAMPLES / "rosette.dst", machine, Options())
+    spec = load_spec(None, machine)
+    whole = After(10**6)
+    span = {"low": 1.9, "high": 2.0}
+    found = fastest_shaft(job, machine, spec, Options(), until=whole, **span)
+    used = 10**6 - whole.left
+    short = After(used - 6)
+    ended = fastest_shaft(job, machine, spec, Options(), until=short, **span)
+    assert found.schedule is not None and ended.schedule is not None
+    assert ended.constant.intervals == found.constant.intervals
+    assert short.ended == OUT_OF_TIME and whole.ended == ""
+    assert ended.schedule.plan.duration_s > found.schedule.plan.duration_s
+
+
+@pytest.mark.parametrize("interrupts", [False, True])
+def test_cycles_end_with_the_best_so_far(interrupts: bool) -> None:
+    machine = load_machine("letter-placer")
+    job = open_job(EXAMPLES / "letter-cycle.toml", machine, Options())
+    spec = load_spec(None, machine)
+    until = After(1, interrupts=interrupts)
+    assert fastest_cycle(job, machine, spec, until=until).tried == 2
+    assert until.ended == (INTERRUPTED if interrupts else OUT_OF_TIME)
+
+
+def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried() -> None:
+    """Less ringing than any cycle has: without an end ten are tried."""
+    machine = load_machine("letter-placer")
+    job = open_job(EXAMPLES / "letter-cycle.toml", machine, Options())
+    spec = load_spec(None, machine)
+    strict = replace(
+        spec, criteria=tuple(replace(c, limit=c.limit and 0.1 * c.limit) for c in spec.criteria)
+    )
+    until = After(0)
+    found = robust_cycle(job, machine, strict, 0.1, until=until)
+    assert (found.job, found.tried, until.ended) == (None, 1, OUT_OF_TIME)
+
+
+QUESTIONS = {
+    "strap.seam.toml": ("stitcher-rigid", []),
+    "rosette.dst": ("table-embroiderer", []),
+    "x-180.prg": ("lathe-winder", ["--interpolation", "optimal"]),
+    "letter-cycle.toml": ("letter-placer", []),
+}
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+def test_the_command_takes_a_time_for_every_kind(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without any time most have no plan at all; the cycle as it is listed is always judged."""
+    machine, more = QUESTIONS[name]
+    words = ["fastest", str(EXAMPLES / name), "-m", machine, "--nominal", "--json", *more]
+    with pytest.raises(SystemExit) as end:
+        main([*words, "--within", "1 ns"])
+    told = capsys.readouterr()
+    if name == "letter-cycle.toml":
+        answer: dict[str, Any] = json.loads(told.out)
+        assert (end.value.code, answer["tried"], answer["ended"]) == (1, 1, OUT_OF_TIME)
+    else:
+        assert end.value.code == 2
+        assert "no plan could be judged in that time" in told.err
