@@ -34,6 +34,8 @@ class GrblModel(threading.Thread):
         Positions at every step, until now.
     moves_since_lost
         Time in s that it moved on after the link was lost.
+    ahead_s
+        The most time in s, at the feeds, that it has held in jogs.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class GrblModel(threading.Thread):
         self.answers: deque[str] = deque()
         self.blocks: deque[tuple[np.ndarray, float]] = deque()
         self.target, self.feed = np.zeros(4), 0.0
+        self.ahead_s = 0.0
         self.client: socket.socket | None = None
         self.over = False
 
@@ -70,6 +73,7 @@ class GrblModel(threading.Thread):
             self._listen()
             if time.monotonic() >= self.homed_at_s:
                 self.at, self.homed_at_s = np.zeros(4), np.inf
+                self.state, self.target = "Idle", self.at.copy()
                 self._say("ok")
             self._plan()
             now = time.monotonic()
@@ -105,7 +109,7 @@ class GrblModel(threading.Thread):
             return
         self.heard += came
         for byte in came:
-            if byte in b"?!~\x18":
+            if byte in b"?!~\x18\x85":
                 self._at_once(byte)
             elif byte != 13:
                 self.rx.append(byte)
@@ -117,12 +121,15 @@ class GrblModel(threading.Thread):
             place = ",".join(f"{value:.3f}" for value in self.at)
             if not self.stuck:
                 self._say(f"<{state}|MPos:{place}|Bf:{self.room - len(self.blocks)},{ROOM}|FS:0,0>")
+        elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there
+            self.blocks.clear()
+            self.state, self.target = "Idle", self.at.copy()
         elif byte == ord("!") and self.state == "Run":
             self.state = "Hold"
         elif byte == ord("~") and self.state == "Hold":
             self.state = "Run"
         elif byte == 0x18:
-            if self.state == "Run" or self.homed_at_s < np.inf:
+            if self.state in {"Run", "Jog"} or self.homed_at_s < np.inf:
                 self._say("ALARM:3")
             self.homed_at_s = np.inf
             self.rx.clear()
@@ -148,8 +155,15 @@ class GrblModel(threading.Thread):
         elif line == "$#":
             self._say("[G54:0.000,0.000,0.000,0.000]")
             self._say("[G92:0.000,0.000,0.000,0.000]")
+        elif line == "$X":
+            self.state = "Idle"
+            self._say("[MSG:Caution: Unlocked]")
+        elif line.startswith("$J="):
+            if why := self._jog(line[3:]):
+                self._say(why)
+                return
         elif line == "$H":  # answered when it is done
-            self.homed_at_s = time.monotonic() + self.homing_s
+            self.state, self.homed_at_s = "Home", time.monotonic() + self.homing_s
             return
         elif self.state == "Alarm":
             self._say("error:9")
@@ -160,6 +174,24 @@ class GrblModel(threading.Thread):
         else:
             self._take_move(line)
         self._say("ok")
+
+    def _jog(self, words: str) -> str:
+        """Plan a jog, which leaves feed and modes alone; return an error, or nothing."""
+        if self.state not in {"Idle", "Jog"}:
+            return "error:8"
+        found = re.fullmatch(r"G21G90G53([XYZA])(-?[\d.]+)F([\d.]+)", words)
+        if found is None:
+            return "error:16"
+        target = self.target.copy()
+        target["XYZA".index(found[1])] = float(found[2])
+        if not np.array_equal(target, self.target):
+            self.blocks.append((target, float(found[3]) / 60.0))
+            self.target, self.state = target, "Jog"
+            ends = [self.at, *(end for end, _ in self.blocks)]
+            ways = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+            left = sum(way / speed for way, (_, speed) in zip(ways, self.blocks, strict=True))
+            self.ahead_s = max(self.ahead_s, float(left))
+        return ""
 
     def _take_move(self, line: str) -> None:
         target = self.target.copy()
@@ -175,7 +207,7 @@ class GrblModel(threading.Thread):
                 self.state = "Run"
 
     def _move(self, left_s: float) -> None:
-        if self.state != "Run":
+        if self.state not in {"Run", "Jog"}:
             return
         moved = bool(self.blocks)
         while self.blocks and left_s > 0.0:

@@ -20,6 +20,8 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import ASGIApp
 
 from tests.live.bench import winder
+from threadline.live.desk import Desk
+from threadline.live.link_operated import RowsOperated, at_link
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import _in_step, group_ticks
 from threadline.live.ways import way_of
@@ -31,12 +33,14 @@ from threadline.panel.calculation import Calculation
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 from threadline.panel.owner_link import OwnerLink
+from threadline.panel.owner_process import Owned, serve_owned
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate
 from threadline.panel.server import make_app
 
 PROGRAM = "%\nO 1;\nG91;\nG01 F 2000;\nN 10 A 20 X 60;\nN 20 A 20 X -60;\nM30;\n%\n"
 """There and back on X, 1.7 s each way at the normal feed."""
+GCODE = "G21\nG90\nG1 X20 A40 F3000\nX60 A60\nX0 A80\nM30\n"
 LOCAL = {"origin": "http://127.0.0.1"}
 
 
@@ -51,6 +55,7 @@ CASES = {
     "stitcher": Calculate(
         what="calculate", program="strap.seam.toml", feed_forward=True, level="nominal"
     ),
+    "stepper-winder": Calculate(what="calculate", program="there.gcode", level="nominal"),
     "schiffli-frame": Calculate(what="calculate", program="rosette.dst", level="nominal"),
 }
 """What is calculated in the tests of each machine."""
@@ -60,8 +65,9 @@ CASES = {
 def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the words and the figures of a program, proven once for all tests."""
     asked = CASES[machine]
-    if asked.program == "there.prg":
-        (folder / asked.program).write_text(PROGRAM, "utf-8")
+    if asked.program.startswith("there."):
+        text = PROGRAM if asked.program.endswith(".prg") else GCODE
+        (folder / asked.program).write_text(text, "utf-8")
     else:
         shutil.copy(EXAMPLES / asked.program, folder)
     if asked.program == "strap.seam.toml":
@@ -105,22 +111,32 @@ def own_here(
     server: socket.socket, link: socket.socket, folder: Path, speed: float, machine: Machine
 ) -> None:
     to = Connection(server)
-    runs = KeptRuns(folder, machine, None, folder / "runs", "sim", speed, lambda _: None)
-    far = Connection(link)
-    Owner(to, far, machine, speed, runs).serve()
-    far.close()
+    runs = KeptRuns(folder, machine, None, folder / "runs", "sim", "", speed, lambda *_: None)
+    far, desk = Connection(link), Desk()
+    Owner(to, RowsOperated(far, machine, desk, runs, speed=speed), machine, desk, runs).serve()
+    for end in (far, desk, to):
+        end.close()
+
+
+def own_at(server: socket.socket, link: str, folder: Path, machine: Machine) -> None:
+    """Own what is at the far end of a link, which is not simulated here."""
+    to = Connection(server)
+    serve_owned(to, Owned(machine, None, folder, folder / "runs", 1.0, link))
     to.close()
 
 
 class InThreads:
     """Starts owners with their machines in threads."""
 
-    def __init__(self, folder: Path, speed: float, machine: Machine) -> None:
-        self._folder, self._speed, self._machine = folder, speed, machine
+    def __init__(self, folder: Path, speed: float, machine: Machine, link: str = "sim") -> None:
+        self._folder, self._speed, self._machine, self._link = folder, speed, machine, link
         self._threads: list[threading.Thread] = []
 
     def __call__(self) -> tuple[None, Connection]:
         ours, theirs = socket.socketpair()
+        if self._link != "sim":
+            self._begin(own_at, theirs, self._link, self._folder, self._machine)
+            return None, Connection(ours)
         link, far = socket.socketpair()
         self._begin(machine_thread, far, self._speed, self._machine)
         self._begin(own_here, theirs, link, self._folder, self._speed, self._machine)
@@ -142,19 +158,25 @@ def app_of(
     start: Callable[[], tuple[subprocess.Popen[bytes] | None, Connection]],
     token: str = "",
     machine: Machine | None = None,
+    link: str = "sim",
 ) -> ASGIApp:
     machine = machine or winder()
     calculation = Known(machine, None, folder, folder)
-    panel = Panel(machine, OwnerLink(start), calculation)
+    far_end = at_link(link, machine, 1.0)
+    panel = Panel(machine, OwnerLink(start), calculation, link, far_end)
     return make_app(panel, folder, folder / "runs", Admission("127.0.0.1", token))
 
 
 @contextmanager
 def served(
-    folder: Path, speed: float = 4.0, token: str = "", machine: Machine | None = None
+    folder: Path,
+    speed: float = 4.0,
+    token: str = "",
+    machine: Machine | None = None,
+    link: str = "sim",
 ) -> Iterator[TestClient]:
-    owners = InThreads(folder, speed, machine or winder())
-    app = app_of(folder, owners, token, machine)
+    owners = InThreads(folder, speed, machine or winder(), link)
+    app = app_of(folder, owners, token, machine, link)
     with TestClient(app, base_url="http://127.0.0.1", headers=LOCAL) as client:
         yield client
     owners.join()

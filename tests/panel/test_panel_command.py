@@ -21,7 +21,9 @@ from threadline.cli.main import main
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--link", "grbl:/dev/ttyUSB0"], "the panel has no link 'grbl:/dev/ttyUSB0'"),
+        (["--link", "mill"], "unknown link 'mill'"),
+        (["--link", "hal:mill"], "there is no link hal:mill"),
+        (["--link", "grbl:127.0.0.1:23", "--speed", "2"], "are of the simulated machine"),
         (["--host", "0.0.0.0"], "who may reach this computer could move the machine"),
         (["--token", "short"], "--token has 5 characters, the least is 16"),
         (["nowhere"], "'nowhere' is no folder"),

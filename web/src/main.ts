@@ -5,7 +5,7 @@ import { Curves } from "./curves";
 import { by, made } from "./dom";
 import { Draw } from "./draw";
 import { Hands } from "./hands";
-import type { FromPanel, Mandrel, State } from "./messages";
+import type { FromPanel, Mandrel, State, Welcome } from "./messages";
 import { Program } from "./program";
 import { Session, say, unitOf } from "./session";
 import { Teach } from "./teach";
@@ -32,6 +32,7 @@ function heard(message: FromPanel): void {
     by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
     hands.build();
     program.build();
+    tellLink(message);
     offer(message.axes.map((axis) => axis.name));
     bare = message.mandrel;
     view?.show(session.figures, bare);
@@ -47,6 +48,13 @@ function heard(message: FromPanel): void {
   } else if (message.type === "answer") {
     if (!message.ok) { if (session.moves) session.letGo(); else say(message.text, true); }
   } else if (message.type === "said") say(message.text, message.wrong);
+}
+
+/** Say what is at the far end of the link, and what is not had there. */
+function tellLink(welcome: Welcome): void {
+  const lacking = Object.entries(welcome.lacks).map(([what, why]) => `${what} is not had on this link: ${why}.`);
+  by("link-notes").replaceChildren(...[welcome.label, ...lacking, ...welcome.notes].filter(Boolean).map((text) => made("li", text)));
+  for (const [what, why] of Object.entries(welcome.lacks)) for (const one of document.querySelectorAll<HTMLButtonElement>(`button[data-what="${what}"]`)) one.title = `not had on this link: ${why}`;
 }
 
 /** Offer axes, and what else moves, for the curves. */

@@ -76,8 +76,8 @@ export class View3d {
     this.playing = null;
     const at: At = {};
     for (const [name, where] of Object.entries(state.axes)) at[name] = where.measured ?? where.load ?? where.commanded ?? 0;
-    const run = state.progress !== null && state.progress.ended === null;
-    this.put(at, run ? this.step(state.time_s) : 0);
+    const run = state.progress?.ended === null ? state.progress : null; // its time stands still in a hold
+    this.put(at, run ? this.step(run.time_s) : 0);
     by("seen").textContent = this.moves() ? "the machine, now" : "the machine, at rest";
   }
 

@@ -14,6 +14,7 @@ from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import MachineOption, ParOption, SpecOption, machine_from
 from threadline.cli.told import at_work
 from threadline.errors import OptionError
+from threadline.live.link_operated import at_link
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.pipeline import check_machine
 from threadline.verdict import load_spec
@@ -28,12 +29,19 @@ def panel(
     ] = Path(),
     spec: SpecOption = None,
     link: Annotated[
-        str, typer.Option(help="Link to the machine: sim is a simulated one, in its own process.")
+        str,
+        typer.Option(
+            help="Link to the machine: sim is a simulated one, in its own process; "
+            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
+            "hal:plant are LinuxCNC's HAL without a machine."
+        ),
     ] = "sim",
     speed: Annotated[
         float,
         typer.Option(
-            min=LEAST_SPEED, max=_MOST_SPEED, help="Simulated seconds a second; 1 is real time."
+            min=LEAST_SPEED,
+            max=_MOST_SPEED,
+            help="Of sim: simulated seconds a second; 1 is real time.",
         ),
     ] = REAL_TIME,
     host: Annotated[
@@ -54,16 +62,12 @@ def panel(
 
     Example: threadline panel examples -m lathe-winder
     """
-    if link != "sim":
-        raise OptionError(
-            f"the panel has no link {link[:40]!r}",
-            remedy="Use --link sim; threadline run drives a controller with grbl.",
-        )
     if not folder.is_dir():
         raise OptionError(f"{str(folder)!r} is no folder", remedy="Name the project folder.")
     chosen = machine_from(machine, par)
     check_machine(chosen)
     load_spec(spec, chosen)
+    far_end = at_link(link, chosen, speed)
     # Imported here, so that no other command waits for a web server.
     import uvicorn
 
@@ -76,11 +80,12 @@ def panel(
     from threadline.panel.server import make_app
 
     admission = Admission(host, token)
-    owned = Owned(chosen, spec, folder, store, speed)
+    owned = Owned(chosen, spec, folder, store, speed, link)
     with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept:
         calculation = Calculation(chosen, spec, folder, Path(kept))
         owner = OwnerLink(lambda: start_owner(owned))
-        app = make_app(Panel(chosen, owner, calculation), folder, store, admission)
+        served = Panel(chosen, owner, calculation, link, far_end)
+        app = make_app(served, folder, store, admission)
         listening = _listen(host, port)
         say(f"The panel of {chosen.name} is at http://{host}:{port}/ (Ctrl-C stops and ends)")
         at_work("serving", shown=True)  # what it does is seen in the browser

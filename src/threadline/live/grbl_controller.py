@@ -69,6 +69,24 @@ class Controller:
         self._compare(settings)
         self._homes = bool(settings.get(22, 0.0))
 
+    @property
+    def has_switches(self) -> bool:
+        """Whether it homes to switches; without them it is where it says."""
+        return self._homes
+
+    def unlock(self) -> None:
+        """Reset it at rest; where it has no switches to home to, clear its alarm, too.
+
+        Raises
+        ------
+        LinkFaultError
+            If it does not answer.
+        """
+        self.port.send(RESET)
+        self._quiet()
+        if not self._homes and self.ask_status().state == "Alarm":
+            self.ask(b"$X\n", _ANSWER_S)
+
     def home(self, stopped: Callable[[], bool]) -> FloatArray:
         """Home it where it has switches; return the (axes,) place where it stands, m or rad.
 

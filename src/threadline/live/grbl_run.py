@@ -69,15 +69,21 @@ class GrblRun:
         self._port, self._machine = controller.port, controller.machine
         machine = self._machine
         self.state = State.DISABLED
+        self._at: FloatArray = np.zeros(len(machine.axes))
+        self._asked_s = self._heard_s = 0.0
+        self._none = Program((), np.zeros((0, len(machine.axes))), np.zeros(0))
+        self._trace = ReportTrace(machine, sink)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget the run before."""
         self.ended: tuple[Ended, str] | None = None
         self.over = False
         self.executed = self.acknowledged = 0
-        self._trace = ReportTrace(machine, sink)
         self._count = CharacterCount()
-        self._program = Program((), np.zeros((0, len(machine.axes))), np.zeros(0))
-        self._at: FloatArray = np.zeros(len(machine.axes))
+        self._program = self._none
         self._sent_from = self._at
-        self._begun_s = self._asked_s = self._heard_s = 0.0
+        self._begun_s = 0.0
         self._settled_s: float | None = None
         self._braking = False
         self._resumed_s = -np.inf
@@ -106,7 +112,8 @@ class GrblRun:
             self._go(Cause.FAULT, error.message)
             raise
         self._trace.begin(self._at)
-        self._go(Cause.HOMED)
+        found = self.controller.has_switches
+        self._go(Cause.HOMED, "" if found else "it has no switches: it is where it says")
 
     def _stopped(self) -> bool:
         """Take what the operator asked for while it homes; return whether that was a stop."""
@@ -134,6 +141,17 @@ class GrblRun:
             If an end of a line is beyond the travel.
         """
         next_state(self.state, Cause.START)
+        self.refuse_program(program, starts)
+        self._forget()
+        self._trace.again(self._at)
+        self._program = program
+        self._go(Cause.START)
+        self._sent_from = starts
+        self._begun_s = self._heard_s = time.monotonic()
+        self._feed()
+
+    def refuse_program(self, program: Program, starts: FloatArray) -> None:
+        """Refuse a program that begins elsewhere, or leaves the travel; see ``start``."""
         away = np.abs(self._at - starts) * self._machine.radius_m
         if away.max() > _OFF_PATH_M:
             k = int(away.argmax())
@@ -147,30 +165,41 @@ class GrblRun:
                 raise CommandError(
                     f"axis {name}: the program leaves its travel", remedy="Move the job."
                 )
-        self._program = program
-        self._go(Cause.START)
-        self._sent_from = starts
-        self._begun_s = self._heard_s = time.monotonic()
-        self._feed()
 
     # --- a run -----------------------------------------------------------------------------
 
     def step(self) -> None:
         """Wait for a line or a command and act on it; to be called until ``over`` is True."""
+        self._wait(POLL_S)
+        self._obey()
+        self._listen()
+
+    def _wait(self, most_s: float) -> None:
+        """Ask for the position where that is due, and wait until there is something to do."""
         now = time.monotonic()
         if now - self._asked_s >= POLL_S:
-            self._asked_s = now
-            self._port.send(STATUS)
+            self._ask(now)
         if not self._port.waiting and not self._port.lost:
             wait_s = max(self._asked_s + POLL_S - time.monotonic(), 0.0)
-            ready, _, _ = select.select([self._desk.fileno(), self._port.fileno()], [], [], wait_s)
+            waited = [self._desk.fileno(), self._port.fileno()]
+            ready, _, _ = select.select(waited, [], [], min(wait_s, most_s))
             if self._desk.fileno() in ready:
                 self._desk.woken()
+
+    def _ask(self, now_s: float) -> None:
+        self._asked_s = now_s
+        self._port.send(STATUS)
+
+    def _obey(self) -> None:
+        """Execute what the operator has asked for."""
         while (cause := self._desk.take()) is not None:
             try:
                 self._command(cause)
             except CommandError as error:
                 self._sink.state(self._trace.tick, self.state, cause, error.message)
+
+    def _listen(self) -> None:
+        """Act on what the controller has said, or on its silence."""
         try:
             while not self.over and (line := self._port.receive(0.0)) is not None:
                 self._hear(line)

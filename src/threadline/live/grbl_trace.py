@@ -31,11 +31,13 @@ class ReportTrace:
     ----------
     tick
         Number of the next sample.
+    channels
+        A commanded position for each axis.
     """
 
     def __init__(self, machine: Machine, sink: Sink) -> None:
         self._sink = sink
-        self._channels = tuple(
+        self.channels = tuple(
             Channel(
                 name=f"{name}.commanded",
                 kind=ChannelKind.COMMANDED,
@@ -50,8 +52,12 @@ class ReportTrace:
 
     def begin(self, at: FloatArray) -> None:
         """Begin at a place, and tell the sink the channels."""
-        self._before = at
-        self._sink.begin(self._channels, False)
+        self.again(at)
+        self._sink.begin(self.channels, False)
+
+    def again(self, at: FloatArray) -> None:
+        """Begin another run at a place, with the channels that the sink knows."""
+        self.tick, self._sample_s, self._before = 0, 0.0, at
 
     def record(self, now_s: float, at: FloatArray) -> None:
         """Record the samples up to a report at the time ``now_s`` of the run."""
@@ -60,7 +66,7 @@ class ReportTrace:
         known = [self._sample_s, max(now_s, self._sample_s + 1e-9)]
         samples = {
             channel.name: np.interp(times, known, [self._before[k], at[k]])
-            for k, channel in enumerate(self._channels)
+            for k, channel in enumerate(self.channels)
         }
         if len(times):
             self._put(samples)
@@ -70,7 +76,7 @@ class ReportTrace:
     def end(self, ended: Ended, text: str) -> None:
         """Record how the run ended."""
         event = Event(tick=self.tick, kind=ended.value, operation=-1, name=text)
-        self._put({channel.name: np.empty(0) for channel in self._channels}, event)
+        self._put({channel.name: np.empty(0) for channel in self.channels}, event)
 
     def _put(self, samples: dict[str, FloatArray], *events: Event) -> None:
         first = {_CLOCK.name: self.tick}

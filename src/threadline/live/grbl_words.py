@@ -1,6 +1,7 @@
 """What grbl is told and what it answers: lines, status reports, and its counted buffer.
 
-Sources: "Grbl v1.1 Interface" and "Grbl v1.1 Commands" in the documentation of gnea/grbl.
+Sources: "Grbl v1.1 Interface", "Grbl v1.1 Commands" and "Grbl v1.1 Jogging" in the documentation of
+gnea/grbl.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import LinkFaultError, PlanError
 
-STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 """Bytes that grbl acts on at once, wherever they come; they take no room in its buffer."""
 RX_BYTES = 128
 """Characters that grbl's receive buffer holds."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from contextvars import Context
-from pathlib import Path
 from typing import Protocol
 
 from threadline.arrays import IntArray
@@ -14,10 +11,11 @@ from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.live.desk import Desk
 from threadline.live.executed_link import ExecutedLink
-from threadline.live.grbl_controller import Controller, units_of
+from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_port import Port
+from threadline.live.grbl_program import notes_on, written_program
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import Program, program_of, runs_out
+from threadline.live.grbl_words import Program
 from threadline.live.hal_link import HalLink
 from threadline.live.kept import Sink
 from threadline.live.sim_faults import SimFault
@@ -143,27 +141,15 @@ class GrblLink:
         )
         self._program: Program | None = None
         self._controller: Controller | None = None
-        self.sent: dict[str, bytes] = {}
+        self.sent: Mapping[str, bytes] = {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:
         """Write the program, and meet the controller; say what it does when the link is lost."""
         machine = plan.machine
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "program.nc"
-            # In a context of its own it is there at once, and no output of the command.
-            Context().run(kind_of(machine).targets["grbl"].write, plan, file)
-            text = file.read_bytes()
-        self.sent = {file.name: text}
-        starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
-        self._program = program_of(text, machine.axis_names, units_of(machine), starts)
+        self._program, self.sent = written_program(plan)
         self._controller = Controller(Port(self._address), machine)
         self._controller.meet()
-        goes_s, _ = runs_out(self._program, self._controller.blocks)
-        return [
-            "grbl plans its own ramps: what is proved is the program's path, not its timing",
-            f"if the link is lost, the controller runs out its own buffer: up to {goes_s:.1f} s "
-            "at these feeds",
-        ]
+        return notes_on(self._program, self._controller.blocks)
 
     def run(
         self,

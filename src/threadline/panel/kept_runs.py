@@ -17,15 +17,14 @@ from typing import Any
 from threadline.arrays import finite
 from threadline.errors import ProofError, ThreadlineError
 from threadline.input_files import inputs_read, noting_inputs
-from threadline.live.executor import Executor
 from threadline.live.hold_deviation import hold_limit_m
+from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, State
 from threadline.live.supervised import check_halts, check_override, check_runnable
 from threadline.live.ways import way_of
 from threadline.machine import Machine
 from threadline.panel.project_programs import planned
 from threadline.pipeline import with_shaping
-from threadline.plan import Plan
 from threadline.proof_file import ProofFile
 from threadline.signals import Channel, RecordingBlock
 from threadline.signals.files import read_recording
@@ -47,7 +46,7 @@ class Prepared:
 
     number: int
     stops: int
-    plan: Plan
+    load: Load
     spec: Spec
     proof: ProofFile
     override: str | None
@@ -72,10 +71,10 @@ class KeptRuns:
         The machine, and the specification; None is the machine's own.
     store
         Folder of the runs.
-    link, speed
-        As they are written into the index.
+    link, label, speed
+        As they are written into the index; see ``AtLink``.
     said
-        Called with what people have to know.
+        Called with what people have to know, and whether something is wrong.
 
     Attributes
     ----------
@@ -90,11 +89,13 @@ class KeptRuns:
         spec_file: Path | None,
         store: Path,
         link: str,
+        label: str,
         speed: float,
-        said: Callable[[str], None],
+        said: Callable[[str, bool], None],
     ) -> None:
         self._folder, self._machine, self._spec_file = folder, machine, spec_file
-        self._store, self._link, self._speed, self._said = store, link, speed, said
+        self._store, self._speed, self._said = store, speed, said
+        self._link = {"link": link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
         self._judging: Future[_Finished] | None = None
@@ -135,10 +136,11 @@ class KeptRuns:
         """Whether a run is prepared, open, or being judged."""
         return not (self._preparing is None and self._open is None and self._judging is None)
 
-    def prepare(self, told: Mapping[str, Any], stops: int) -> None:
+    def prepare(self, told: Mapping[str, Any], stops: int, executor: Operated) -> None:
         """Begin to check what a client wants to run; ``prepared`` has the answer."""
         number = int(told["number"])
-        self._preparing = (self._pool.submit(self._prepared, told, stops), number, stops)
+        work = self._pool.submit(self._prepared, told, stops, executor)
+        self._preparing = (work, number, stops)
 
     def prepared(self) -> Prepared | tuple[int, str] | None:
         """Return what was prepared, or its number and why it is refused; None while it is not."""
@@ -151,7 +153,7 @@ class KeptRuns:
         except (ThreadlineError, OSError) as error:
             return number, str(error)
 
-    def _prepared(self, told: Mapping[str, Any], stops: int) -> Prepared:
+    def _prepared(self, told: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
         """Plan it anew, and compare that with the proof, hash by hash."""
         proof_file = Path(str(told["proof_file"]))
         override = None if told["override"] is None else str(told["override"])
@@ -166,9 +168,10 @@ class KeptRuns:
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
-        return Prepared(int(told["number"]), stops, plan, spec, proof, override, inputs, leaves_m)
+        load = executor.prepare(plan)
+        return Prepared(int(told["number"]), stops, load, spec, proof, override, inputs, leaves_m)
 
-    def set_out(self, ready: Prepared, executor: Executor) -> None:
+    def set_out(self, ready: Prepared, executor: Operated) -> None:
         """Open the run in the store, and begin it.
 
         Raises
@@ -176,11 +179,13 @@ class KeptRuns:
         CommandError
             If the machine is not idle, or the run begins elsewhere.
         """
-        told = {"link": self._link, **({"override": ready.override} if ready.override else {})}
+        plan, sent = ready.load.plan, ready.load.sent
+        told = {**self._link, **({"override": ready.override} if ready.override else {})}
         at_rest = ready.leaves_m > hold_limit_m(ready.spec) or not math.isfinite(ready.leaves_m)
-        way = way_of(self._machine)
-        way.ahead(ready.plan.commands, self._machine).refuse_elsewhere(executor.stands)
-        run = RunStore(self._store).begin(ready.plan, ready.proof, told, self._speed, ready.inputs)
+        executor.refuse(ready.load)
+        for note in ready.load.notes:
+            self._said(note, False)
+        run = RunStore(self._store).begin(plan, ready.proof, told, self._speed, ready.inputs, sent)
         stack = ExitStack()
         stack.enter_context(run)
         run.begin(self._channels, self._simulated)
@@ -188,21 +193,17 @@ class KeptRuns:
         self._held, self._held_from = 0, None
         self._progress = {
             "run": run.path.name,
-            "program": ready.plan.job.name,
+            "program": plan.job.name,
             "time_s": 0.0,
-            "duration_s": ready.plan.duration_s,
+            "duration_s": plan.duration_s,
         }
         try:
-            executor.start(
-                ready.plan.commands,
-                hold_at_rest=at_rest,
-                loads_follow=way.loads_follow(ready.plan),
-            )
+            executor.run(ready.load, hold_at_rest=at_rest)
         except ThreadlineError as error:
             self._break_off(error)
             raise
 
-    def end(self, executor: Executor) -> None:
+    def end(self, executor: Operated) -> None:
         """Close a run that is over, and let it be judged; take up the verdict of the last one."""
         if self._open is not None:
             run, ready, stack = self._open
@@ -211,7 +212,9 @@ class KeptRuns:
             assert executor.ended is not None
             ended, why = executor.ended
             assert self._progress is not None
-            self._progress |= {"time_s": executor.time_s, "ended": ended.value, "why": why}
+            share, whole_s = executor.share_done, float(self._progress["duration_s"])
+            time_s = executor.time_s if share is None else share * whole_s
+            self._progress |= {"time_s": time_s, "ended": ended.value, "why": why}
             self._judging = self._pool.submit(self._judged, run, ready, ended.value, why)
         elif self._judging is not None and self._judging.done():
             future, self._judging = self._judging, None
@@ -219,13 +222,13 @@ class KeptRuns:
             try:
                 self._progress["verdict"] = future.result().closing
             except (ThreadlineError, OSError) as error:
-                self._said(f"the run could not be judged: {error}")
+                self._said(f"the run could not be judged: {error}", True)
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
-        verdict = judge([read_recording(run.trace)], ready.plan, ready.spec)
+        verdict = judge([read_recording(run.trace)], ready.load.plan, ready.spec)
         content = {
-            **verdict_json(verdict, ready.plan),
-            "link": self._link,
+            **verdict_json(verdict, ready.load.plan),
+            **self._link,
             **({"override": ready.override} if ready.override else {}),
             "run": run.path.name,
             "trace": str(run.trace),
@@ -235,13 +238,16 @@ class KeptRuns:
         run.judged(content, ended, why)
         return _Finished(content, closing(verdict))
 
-    def progress(self, time_s: float) -> dict[str, Any] | None:
+    def progress(self, executor: Operated) -> dict[str, Any] | None:
         """Return how far the open run is, or how the last one ended; None where there was none.
 
         Time that it was held does not count: what is left of a run is its duration without that.
         """
         if self._progress is None or self._open is None:
             return self._progress
+        if (share := executor.share_done) is not None:
+            return {**self._progress, "time_s": share * float(self._progress["duration_s"])}
+        time_s = executor.time_s
         period_s = float(self._machine.command_clock.period_s)
         since = 0.0 if self._held_from is None else time_s - self._held_from * period_s
         return {**self._progress, "time_s": time_s - self._held * period_s - max(since, 0.0)}

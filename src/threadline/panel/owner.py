@@ -17,7 +17,7 @@ from typing import Any
 
 from threadline.errors import CommandError, LinkFaultError, ThreadlineError
 from threadline.live.desk import Desk
-from threadline.live.executor import Executor
+from threadline.live.operated import Operated
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
@@ -50,22 +50,22 @@ class Owner:
     ----------
     server
         Connection to the web server.
-    link
-        Link to the machine.
+    executor
+        The machine at the far end of its link, which was not met yet.
     machine
         The machine.
-    speed
-        Seconds of the machine's time in a second; 1 is real time.
+    desk
+        Queue of the operator's commands to the executor.
     runs
         Where runs are kept.
     """
 
     def __init__(
-        self, server: Connection, link: Connection, machine: Machine, speed: float, runs: KeptRuns
+        self, server: Connection, executor: Operated, machine: Machine, desk: Desk, runs: KeptRuns
     ) -> None:
         self._server, self._machine, self._runs = server, machine, runs
-        self._desk = Desk()
-        self._executor = Executor(link, machine, self._desk, runs, speed=speed)
+        self._desk, self._executor = desk, executor
+        executor.meanwhile = self._tell
         self._asked: deque[_Asked] = deque()
         self._stops = 0
         self._heard_s = time.monotonic()
@@ -97,7 +97,6 @@ class Owner:
         finally:
             executor.close()
             self._runs.close(failed)
-            self._desk.close()
 
     # --- the server ------------------------------------------------------------------------
 
@@ -173,7 +172,7 @@ class Owner:
             self._moves.begin([(str(head["axis"]), to)], asked.stops, time.monotonic())
         elif what == "start":
             self._refuse_impossible(Cause.START)
-            self._runs.prepare(head, asked.stops)
+            self._runs.prepare(head, asked.stops, executor)
         elif what == "enable":
             executor.enable()
         elif what == "disable":
@@ -243,7 +242,7 @@ class Owner:
         if now_s - self._told_s < TELL_S and executor.state is self._told:
             return
         self._told_s, self._told = now_s, executor.state
-        channels = executor.far_end.channels
+        channels = executor.channels
         self._say(
             "now",
             state=executor.state.value,
@@ -254,7 +253,8 @@ class Owner:
             late_ticks=executor.late_ticks,
             moving=executor.under_way or bool(self._moves.left),
             busy=self._runs.busy,
-            progress=self._runs.progress(executor.time_s),
+            progress=self._runs.progress(executor),
+            age_s=executor.age_s,
         )
 
     def _say(self, kind: str, **head: Any) -> None:

@@ -8,12 +8,13 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from threadline.live.sim_process import sim_link
+from threadline.errors import ThreadlineError
+from threadline.live.desk import Desk
+from threadline.live.link_operated import at_link, operated
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.panel.kept_runs import KeptRuns
@@ -36,6 +37,8 @@ class Owned:
         Folders of the programs and of the runs.
     speed
         Seconds of the simulated machine's time in a second.
+    link
+        Name of the link to it.
     """
 
     machine: Machine
@@ -43,6 +46,7 @@ class Owned:
     folder: Path
     store: Path
     speed: float
+    link: str = "sim"
 
 
 def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
@@ -75,18 +79,26 @@ def be_owner() -> None:
 
 
 def own(server: Connection, owned: Owned) -> None:
-    """Own a simulated machine until the server leaves."""
+    """Own a machine until the server leaves, whatever signals come."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the server is asked, and this stops without it
-    runs = KeptRuns(
-        owned.folder,
-        owned.machine,
-        owned.spec_file,
-        owned.store,
-        "sim",
-        owned.speed,
-        lambda text: server.send(Message("said", {"text": text, "wrong": True})),
-    )
-    at = np.zeros(len(owned.machine.axes), dtype=np.int64)
-    with sim_link(owned.machine, at, owned.speed) as link:
-        Owner(server, link, owned.machine, owned.speed, runs).serve()
+    serve_owned(server, owned)
+
+
+def serve_owned(server: Connection, owned: Owned) -> None:
+    """Own a machine until the server leaves; where nothing answers, say so."""
+    machine, link = owned.machine, owned.link
+
+    def said(text: str, wrong: bool) -> None:
+        server.send(Message("said", {"text": text, "wrong": wrong}))
+
+    with closing(Desk()) as desk:
+        try:
+            label = at_link(link, machine, owned.speed).label
+            runs = KeptRuns(
+                owned.folder, machine, owned.spec_file, owned.store, link, label, owned.speed, said
+            )
+            with operated(link, machine, owned.speed, desk, runs) as executor:
+                Owner(server, executor, machine, desk, runs).serve()
+        except ThreadlineError as error:  # nothing answers there
+            server.send(Message("dead", {"why": str(error)}))

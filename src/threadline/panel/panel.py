@@ -9,6 +9,7 @@ from typing import assert_never
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
+from threadline.live.link_operated import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.ways import way_of
 from threadline.live.wire import Message
@@ -44,10 +45,20 @@ class Panel:
         The connection to the process that owns it.
     calculation
         Calculates and proves programs.
+    link, far_end
+        Name of the link to the machine, and what is at its far end.
     """
 
-    def __init__(self, machine: Machine, owner: OwnerLink, calculation: Calculation) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        owner: OwnerLink,
+        calculation: Calculation,
+        link: str = "sim",
+        far_end: AtLink | None = None,
+    ) -> None:
         self._machine, self._owner, self.calculation = machine, owner, calculation
+        self._link, self._far_end = link, far_end or AtLink()
         self._control = ControlLease()
         self._clients: dict[int, Client] = {}
         self._numbers = 0
@@ -82,8 +93,11 @@ class Panel:
                 client=client.number,
                 machine=machine.name,
                 title=machine.title,
-                link="sim",
-                simulated=True,
+                link=self._link,
+                simulated=self._link == "sim",
+                label=self._far_end.label,
+                lacks=dict(self._far_end.lacks),
+                notes=list(self._far_end.notes),
                 axes=[
                     say.Axis(
                         name=axis_name,
@@ -248,6 +262,7 @@ class Panel:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
             found = [what for what in found if what not in {"start", "approach"}]
+        found = [what for what in found if what not in self._far_end.lacks]
         calculates = ["cancel"] if calculation.share is not None else []
         return [*found, *(["calculate"] if at_rest else calculates)]
 
@@ -285,7 +300,7 @@ class Panel:
             state="gone" if gone else str(now.get("state", "connecting")),
             why=gone or str(now.get("why", "")),
             allowed=self.allowed(),
-            age_s=round(now_s - self._owner.heard_s, 3),
+            age_s=round(now_s - self._owner.heard_s + float(now.get("age_s", 0.0)), 3),
             time_s=float(now.get("time_s", 0.0)),
             axes={
                 name: say.Where(commanded=at[0], measured=at[1], load=at[2])

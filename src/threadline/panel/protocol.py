@@ -191,6 +191,12 @@ class Welcome(BaseModel):
     title: str
     link: str
     simulated: bool
+    label: str = ""
+    """What is at the far end of the link, where that is neither a machine nor its twin."""
+    lacks: dict[str, str] = {}
+    """Commands that are not had on this link, and why."""
+    notes: list[str] = []
+    """What the operator has to know of the link."""
     axes: list[Axis]
     mandrel: Mandrel | None
     jog_lease_s: float

@@ -1,0 +1,310 @@
+"""A controller with grbl as an operator's panel has it: homed, moved by hand, run repeatedly."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.errors import CommandError, LinkFaultError
+from threadline.live.desk import Desk
+from threadline.live.executor import LEASE_S
+from threadline.live.grbl_by_hand import GrblJog, fastest_by_hand
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_program import notes_on, written_program
+from threadline.live.grbl_run import POLL_S, GrblRun
+from threadline.live.grbl_words import Status
+from threadline.live.kept import Sink
+from threadline.live.operated import Load
+from threadline.live.states import Cause, State, next_state
+from threadline.live.ways import way_of
+from threadline.plan import Plan
+from threadline.signals import Channel, Ended
+
+_AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
+"""States in which it does not matter what a controller at rest tells: nothing is begun in them."""
+
+
+class GrblOperated(GrblRun):
+    """A controller with grbl, for one run or jog after the other; see ``Operated``.
+
+    Parameters
+    ----------
+    controller
+        The controller, which was not met yet.
+    desk, sink
+        Queue of the operator's commands; receiver of samples, events and changes of state.
+    """
+
+    def __init__(self, controller: Controller, desk: Desk, sink: Sink) -> None:
+        super().__init__(controller, desk, sink)
+        self.latest: Mapping[str, float] = {}
+        self.meanwhile: Callable[[], None] = lambda: None
+        self._set_out = False
+        self._jog: GrblJog | None = None
+        self._lease_until_s = 0.0
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """A commanded position for each axis: nothing else is reported."""
+        return self._trace.channels
+
+    @property
+    def stands(self) -> IntArray:
+        """Where the controller has stepped to, (axes,) in counts."""
+        return np.rint(self._at * self._machine.counts_per_unit).astype(np.int64)
+
+    @property
+    def age_s(self) -> float:
+        """Age of the latest report beyond the time from one to the next, s."""
+        return max(time.monotonic() - self._heard_s - POLL_S, 0.0)
+
+    @property
+    def share_done(self) -> float | None:
+        """Share of the program's time at its feeds whose lines the reports have passed."""
+        whole = float(self._program.durations_s.sum())
+        done = float(self._program.durations_s[: self.executed].sum())
+        return done / whole if whole else 0.0
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a run or a jog has begun and is not over."""
+        return self._set_out and not self.over
+
+    # --- at rest ---------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Meet the controller; see ``Controller.meet``."""
+        self.controller.meet()
+        self._note(self.controller.ask_status())
+        self._trace.begin(self._at)
+
+    def close(self) -> None:
+        """Leave the controller; one that runs is told to hold first."""
+        if self.under_way:
+            self._brake()
+        self._port.close()
+
+    def disable(self) -> None:
+        """Note that the operator has done with it; grbl switches its drives by itself."""
+        self._go(Cause.DISABLE)
+
+    def home(self) -> None:
+        """Home it, heeding a stop meanwhile; see ``Controller.home``."""
+        try:
+            super().home()
+        except LinkFaultError as error:
+            self.ended, self.over = (Ended.FAULT, error.message), True
+            raise
+        self._heard_s = time.monotonic()
+        self._keep_latest()
+
+    def _stopped(self) -> bool:
+        self.meanwhile()
+        return super()._stopped()
+
+    def reset(self) -> None:
+        """Leave a fault, and reset the controller at rest; see ``Controller.unlock``.
+
+        Raises
+        ------
+        CommandError
+            If there is no fault, the machine still brakes, or the link is gone.
+        """
+        next_state(self.state, Cause.RESET)
+        if self._port.lost:
+            raise CommandError("the link is gone", remedy="Connect again.")
+        if self.under_way:
+            raise CommandError("the machine is still braking", remedy="Wait until it stands.")
+        self.controller.unlock()
+        self._go(Cause.RESET)
+
+    def stand(self, patience_s: float) -> None:
+        """Listen to a controller at rest, for ``patience_s`` at most, and obey what is asked."""
+        if self._port.lost and self.state is State.FAULT:
+            time.sleep(patience_s)
+            self._obey()
+            return
+        self._set_out = self.over = False  # the motion before is past: what comes is heard
+        self._wait(patience_s)
+        self._obey()
+        self._listen()
+
+    def _report_at_rest(self, found: Status) -> None:
+        self._note(found)
+        if found.state not in {"Idle", "Sleep"} and self.state not in _AT_REST:
+            self._fault_at_rest(f"the controller tells {found.state}, and was told nothing")
+
+    def _fault_at_rest(self, text: str) -> None:
+        if self.state is State.FAULT:
+            return
+        self.ended = (Ended.FAULT, text)
+        self._go(Cause.FAULT, text)
+
+    def _note(self, found: Status) -> None:
+        self._heard_s = time.monotonic()
+        self._at = self.controller.position(found)
+        self._keep_latest()
+
+    def _keep_latest(self) -> None:
+        places = zip(self._machine.axis_names, self._at.tolist(), strict=True)
+        self.latest = {f"{name}.commanded": place for name, place in places}
+
+    # --- runs ------------------------------------------------------------------------------
+
+    def prepare(self, plan: Plan) -> Load:
+        """Write the program of a plan."""
+        program, sent = written_program(plan)
+        return Load(plan, sent, notes_on(program, self.controller.blocks), program)
+
+    def refuse(self, load: Load) -> None:
+        """Refuse a program that begins elsewhere, or leaves the travel."""
+        assert load.program is not None
+        self.refuse_program(load.program, self._starts(load.plan))
+
+    def run(self, load: Load, *, hold_at_rest: bool) -> None:  # noqa: ARG002  # it holds on its path
+        """Begin a run."""
+        assert load.program is not None
+        self.start(load.program, self._starts(load.plan))
+        self._set_out = True
+
+    def _starts(self, plan: Plan) -> FloatArray:
+        return np.asarray(way_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit)
+
+    # --- by hand ---------------------------------------------------------------------------
+
+    def jog(self, axis: str, velocity: float) -> None:
+        """Move an axis until ``let_go``, or until it was not renewed for ``LEASE_S``.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle, has no such axis, or the speed is above the manual feed.
+        """
+        next_state(self.state, Cause.JOG)
+        self._begin_by_hand(axis, velocity, None, LEASE_S)
+
+    def move(self, axis: str, to_counts: int, lease_s: float = LEASE_S) -> None:
+        """Move an axis to a position at its manual feed, with the lease of a jog.
+
+        Raises
+        ------
+        CommandError
+            If the machine is not idle, has no such axis, or the position is beyond its travel.
+        """
+        next_state(self.state, Cause.JOG)
+        most = fastest_by_hand(self.controller, axis)
+        k = self._machine.axis_names.index(axis)
+        end = to_counts / float(self._machine.counts_per_unit[k])
+        velocity = most if end >= self._at[k] else -most
+        self._begin_by_hand(axis, velocity, end, min(lease_s, LEASE_S))
+
+    def _begin_by_hand(self, axis: str, velocity: float, end: float | None, lease_s: float) -> None:
+        k = self._machine.axis_names.index(axis) if axis in self._machine.axes else 0
+        jog = GrblJog(self.controller, float(self._at[k]), axis, velocity, end)
+        self._forget()
+        self._jog, self._set_out = jog, True
+        self._begun_s = self._heard_s = time.monotonic()
+        self._lease_until_s = self._begun_s + lease_s
+        self._go(Cause.JOG)
+        jog.feed(float(self._at[k]))
+
+    def renew(self) -> None:
+        """Renew a jog for another ``LEASE_S`` from now.
+
+        Raises
+        ------
+        CommandError
+            If there is no jog, or it has ended already.
+        """
+        if self.state is not State.JOGGING:
+            raise CommandError(
+                f"there is no jog: the machine is {self.state.value}", remedy="Begin one anew."
+            )
+        self._lease_until_s = time.monotonic() + LEASE_S
+
+    def let_go(self) -> None:
+        """End a jog: brake at once."""
+        if self._jog is not None and not self._jog.cancelled:
+            self._jog.cancel()
+
+    def step(self) -> None:
+        """Go on with a run or a jog; to be called until ``over`` is True."""
+        jog = self._jog
+        if jog is None:
+            super().step()
+            self._keep_latest()
+            return
+        self._wait(max(self._lease_until_s - time.monotonic(), 0.0))
+        self._obey()
+        if time.monotonic() >= self._lease_until_s and not jog.cancelled:
+            jog.why = f"nobody has renewed its lease for {LEASE_S:g} s"
+            jog.cancel()
+        self._listen()
+
+    def _ask(self, now_s: float) -> None:
+        super()._ask(now_s)
+        if self._jog is not None:
+            self._jog.asked()
+
+    def _brake(self) -> None:
+        if self._jog is None:
+            super()._brake()
+        else:
+            self._jog.cancel()
+
+    def _hear(self, line: str) -> None:
+        jog = self._jog
+        if jog is None and self.under_way:
+            super()._hear(line)
+        elif jog is not None and (line == "ok" or line.startswith("error")):
+            jog.answered("" if line == "ok" else line)
+            jog.feed(float(self._at[jog.column]))
+        elif line.startswith("<"):
+            super()._hear(line)
+        elif line.startswith("ALARM") and self.state is not State.FAULT:
+            self._fault(f"the controller is in alarm: {line}")
+        elif line.lower().startswith("grbl") and self.state not in _AT_REST:
+            self._fault("the controller was reset")
+
+    def _fault(self, text: str) -> None:
+        if self.under_way:
+            super()._fault(text)
+        else:
+            self._fault_at_rest(text)
+
+    def _report(self, found: Status) -> None:
+        jog = self._jog
+        if not self.under_way:
+            self._report_at_rest(found)
+            return
+        if jog is None:
+            super()._report(found)
+            return
+        self._note(found)
+        if self.state is not State.FAULT:
+            if name := self.controller.beyond(self._at):
+                self._fault(f"axis {name} is beyond its travel")
+            elif found.state not in {"Idle", "Jog"}:
+                self._fault(f"the controller tells {found.state}")
+        if jog.rests(found) or found.state == "Alarm":
+            self._end_by_hand(jog)
+        else:
+            jog.feed(float(self._at[jog.column]))
+
+    def _end_by_hand(self, jog: GrblJog) -> None:
+        self._jog, self.over = None, True
+        if self.state is State.JOGGING:
+            self.ended = (Ended.COMPLETED, jog.why)
+            self._go(Cause.AT_REST, jog.why)
+        elif self.state is State.STOPPING:
+            self._go(Cause.AT_REST)
+
+    def _lost(self, text: str) -> None:
+        if self.under_way:
+            super()._lost(text)
+        else:
+            self._fault_at_rest(text)
+        self._jog = None

@@ -1,0 +1,237 @@
+"""The panel at a controller with grbl, and at LinuxCNC's HAL."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.live.bench import winder
+from tests.live.grbl_model import GrblModel
+from tests.live.hal_bench import hal_alone, unhurried
+from tests.live.test_grbl import settings
+from tests.panel.bench import Operator, operator, proven, served
+from threadline.live.grbl_by_hand import AHEAD_S
+from threadline.live.link_operated import at_link
+from threadline.machine import load_machine
+from threadline.store.run_store import opened
+
+STEPPER = load_machine("stepper-winder")
+MANUAL_MM_S = 40.0
+"""A tenth of the limit of X, for the machine has no manual feed of its own."""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("project")
+    proven(folder, "stepper-winder")
+    return folder
+
+
+@contextmanager
+def grbl(project: Path, model: GrblModel, *, ready: bool = True) -> Iterator[Operator]:
+    model.start()
+    link = f"grbl:{model.address}"
+    try:
+        with served(project, machine=STEPPER, link=link) as client, operator(client) as anna:
+            if ready:
+                anna.ready()
+            yield anna
+    finally:
+        model.close()
+
+
+def wait(anna: Operator, until: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not until():
+        assert time.monotonic() < end, anna.state
+        if anna.hear()["type"] == "state" and anna.lease:
+            anna.say(type="alive", lease=anna.lease)
+
+
+def started(anna: Operator) -> None:
+    assert anna.act("calculate", program="there.gcode") == ""
+    proof = anna.until("state")["proven"]["proof"]
+    assert anna.act("start", proof=proof, override=None) == ""
+    anna.see("running")
+
+
+def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
+    """Held and resumed where it stands; what is kept says what was sent, and proves no more."""
+    model = GrblModel(settings(), faster=0.5)
+    with grbl(project, model) as anna:
+        welcome = next(one for one in anna.heard if one["type"] == "welcome")
+        assert not welcome["simulated"]
+        assert welcome["link"].startswith("grbl:")
+        assert set(welcome["lacks"]) == {"disable"}
+        for _ in range(2):
+            started(anna)
+            wait(anna, lambda: anna.x_mm() > 5.0)
+            assert anna.act("hold") == ""
+            anna.see("holding")
+            wait(anna, lambda: model.state == "Hold")
+            held = model.at.copy()
+            time.sleep(0.3)
+            assert (model.at == held).all()
+            assert anna.act("resume") == ""
+            wait(anna, lambda: bool((anna.state["progress"] or {}).get("verdict")))
+            told = anna.state["progress"]
+            assert (told["ended"], told["why"]) == ("completed", "")
+            assert told["time_s"] == pytest.approx(told["duration_s"])
+            assert told["verdict"].startswith("NOT PROVEN")
+            assert anna.x_mm() == pytest.approx(0.0, abs=0.02)
+            assert anna.act("zero-axis", axis="A") == ""
+            wait(anna, lambda: anna.state["state"] == "jogging")
+            while anna.state["state"] != "idle":
+                anna.ask("renew")
+                anna.until("state")
+            assert model.at == pytest.approx([0.0] * 4, abs=2e-3)
+    kept = opened(project / "runs")
+    assert kept is not None
+    assert {record.link for record in kept.index.runs()} == {welcome["link"]}
+    assert list((project / "runs").glob("*/sent/program.nc"))
+
+
+def test_a_run_on_grbl_is_stopped_by_who_watches(project: Path) -> None:
+    model = GrblModel(settings(), faster=0.2)
+    with grbl(project, model) as anna:
+        started(anna)
+        wait(anna, lambda: anna.x_mm() > 2.0)
+        anna.say(type="stop")
+        anna.see("idle")
+        assert model.state == "Idle"
+        at = model.at.copy()
+        time.sleep(0.3)
+        assert (model.at == at).all()
+        assert anna.state["progress"]["ended"] == "stopped"
+
+
+def test_a_jog_on_grbl_ends_where_nobody_renews_it(project: Path) -> None:
+    """What the controller is sent ahead is so little that it stands by itself soon enough."""
+    model = GrblModel(settings())
+    with grbl(project, model) as anna:
+        assert anna.act("jog", axis="X", share=1.0) == ""
+        anna.see("jogging")
+        while anna.state["state"] == "jogging":
+            anna.hear()
+        assert anna.state["state"] == "idle"
+        assert "nobody has renewed its lease" in anna.state["why"]
+        # 250 ms of lease, and what was on its way: a report, and the steps of the model.
+        assert 2.0 < model.at[0] <= MANUAL_MM_S * (0.25 + 0.35)
+        assert b"\x85" in model.heard
+        assert 0.0 < model.ahead_s <= AHEAD_S + 1e-6
+        there = model.at[0]
+        assert anna.act("jog", axis="X", share=0.5) == ""
+        anna.see("jogging")
+        for _ in range(8):
+            anna.ask("renew")
+            anna.until("state")
+        assert anna.act("let-go") == ""
+        anna.see("idle")
+        assert model.at[0] > there
+        assert anna.state["why"] == ""
+
+
+def test_a_step_on_grbl_is_as_long_as_asked_and_stays_in_the_travel(project: Path) -> None:
+    model = GrblModel(settings())
+    with grbl(project, model) as anna:
+        assert anna.act("step", axis="X", by=1e-3) == ""
+        wait(anna, lambda: anna.state["state"] == "idle" and abs(anna.x_mm() - 1.0) < 0.02)
+        assert model.at[0] == pytest.approx(1.0, abs=0.5 / 80.0)  # a count
+        assert anna.act("step", axis="X", by=0.9) == ""
+        assert "beyond its travel" in anna.until("said")["text"]
+        assert "not possible now" in anna.act("disable")
+
+
+def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: Path) -> None:
+    """It runs out what it holds, which ends at rest, and nobody sends more."""
+    model = GrblModel(settings())
+    with grbl(project, model) as anna:
+        assert anna.act("jog", axis="X", share=1.0) == ""
+        anna.until("state")
+        assert model.client is not None
+        model.stuck = True  # no report comes any more
+        wait(anna, lambda: anna.state["state"] in {"fault", "idle"})
+        time.sleep(0.3)
+        at = model.at[0]
+        time.sleep(0.3)
+        assert model.at[0] == at
+        assert at <= MANUAL_MM_S * (0.25 + 0.35)
+
+
+def test_an_alarm_at_rest_is_a_fault_and_a_reset_leaves_it(project: Path) -> None:
+    model = GrblModel(settings())
+    with grbl(project, model) as anna:
+        model.state = "Alarm"
+        wait(anna, lambda: anna.hear()["type"] == "state" and anna.state["state"] == "fault")
+        assert "Alarm" in anna.state["why"]
+        assert anna.act("reset") == ""
+        assert anna.act("enable") == ""
+        assert anna.act("home") == ""
+        anna.see("idle")
+        assert b"$X\n" in model.heard or model.state == "Idle"
+
+
+def test_homing_of_grbl_is_seen_and_stopped(project: Path) -> None:
+    """The panel goes on to tell while the controller homes, and a stop resets it."""
+    model = GrblModel(settings() | {22: 1.0})
+    model.homing_s = 30.0
+    with grbl(project, model, ready=False) as anna:
+        anna.take().see("disabled")
+        assert anna.act("enable") == ""
+        anna.until("state")
+        anna.ask("home")
+        anna.see("homing")
+        for _ in range(5):
+            anna.until("state")
+        anna.say(type="stop")
+        wait(anna, lambda: anna.hear()["type"] == "state" and anna.state["state"] == "fault")
+        assert "stopped by the operator while it homed" in anna.state["why"]
+        while not bytes(model.heard).rstrip(b"?").endswith(b"$H\n\x18"):
+            time.sleep(0.05)
+
+
+def test_a_controller_that_does_not_answer_is_said(project: Path) -> None:
+    link = "grbl:127.0.0.1:1"
+    with served(project, machine=STEPPER, link=link) as client, operator(client) as anna:
+        wait(anna, lambda: anna.until("state")["state"] == "gone")
+        assert "nothing answers at '127.0.0.1:1'" in anna.state["why"]
+        assert anna.state["allowed"] == ["reconnect"]
+
+
+def test_hal_is_homed_jogged_run_held_and_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loopback is said to be one: nothing is measured, and the verdict proves nothing."""
+    with hal_alone(monkeypatch), unhurried(monkeypatch):
+        proven(tmp_path)
+        link, machine = "hal:loopback", winder()
+        assert "loopback" in at_link(link, machine, 1.0).label
+        with served(tmp_path, machine=machine, link=link) as client, operator(client) as anna:
+            welcome = next(one for one in anna.heard if one["type"] == "welcome")
+            assert (welcome["link"], welcome["simulated"]) == (link, False)
+            assert "nothing is measured" in welcome["label"]
+            anna.ready()
+            assert anna.act("step", axis="X", by=1e-3) == ""
+            wait(anna, lambda: anna.state["state"] == "idle" and anna.x_mm() > 0.9)
+            assert anna.act("zero-axis", axis="X") == ""
+            wait(anna, lambda: anna.state["state"] == "idle" and abs(anna.x_mm()) < 1e-6)
+            assert anna.act("calculate", program="there.prg") == ""
+            proof = anna.until("state")["proven"]["proof"]
+            assert anna.act("start", proof=proof) == ""
+            wait(anna, lambda: anna.x_mm() > 3.0)
+            assert anna.act("hold") == ""
+            anna.see("holding")
+            assert anna.act("resume") == ""
+            wait(anna, lambda: anna.state["state"] == "running")
+            anna.say(type="stop")
+            anna.see("idle")
+            wait(anna, lambda: bool(anna.state["progress"]["verdict"]))
+            assert anna.state["progress"]["verdict"].startswith("NOT PROVEN")
+    kept = opened(tmp_path / "runs")
+    assert kept is not None
+    (record,) = kept.index.runs()
+    assert record.link == link
