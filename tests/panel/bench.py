@@ -237,11 +237,17 @@ class Operator:
         return self._number
 
     def act(self, what: str, **words: Any) -> str:
-        """Give a command on the state of now; return why it is refused, or nothing."""
-        self.until("state")
-        number = self.ask(what, **words)
-        while (message := self.until("answer"))["number"] != number:
-            pass
+        """Give a command on the state of now; return why it is refused, or nothing.
+
+        Where the computer is so busy that the state was old before it was acted on, look again.
+        """
+        for _ in range(20):
+            self.until("state")
+            number = self.ask(what, **words)
+            while (message := self.until("answer"))["number"] != number:
+                pass
+            if "Look again." not in message["text"]:
+                break
         return "" if message["ok"] else message["text"]
 
     def ready(self) -> Operator:
