@@ -6,6 +6,7 @@ from pathlib import Path
 from threadline.machine import load_machine
 from threadline.panel.admission import Admission
 from threadline.panel.calculation import Calculation
+from threadline.panel.machine_guide import MachineGuide
 from threadline.panel.owner_link import OwnerLink
 from threadline.panel.owner_process import Owned, start_owner
 from threadline.panel.panel import Panel
@@ -17,5 +18,7 @@ if __name__ == "__main__":
     machine, here = load_machine("lathe-winder"), Path()
     owner = OwnerLink(lambda: start_owner(Owned(machine, None, here, here, 1.0)))  # not called
     panel = Panel(machine, owner, Calculation(machine, None, here, here))
-    schema = schema_of(make_api(panel, here, here, Admission("127.0.0.1", "")))
+    schema = schema_of(
+        make_api(panel, MachineGuide(machine, here), here, here, Admission("127.0.0.1", ""))
+    )
     FILE.write_text(json.dumps(schema, indent=1) + "\n", encoding="utf-8")

@@ -31,6 +31,7 @@ from threadline.panel.admission import Admission
 from threadline.panel.calculating import calculate
 from threadline.panel.calculation import Calculation
 from threadline.panel.kept_runs import KeptRuns
+from threadline.panel.machine_guide import MachineGuide
 from threadline.panel.owner import Owner
 from threadline.panel.owner_link import OwnerLink
 from threadline.panel.owner_process import Owned, serve_owned
@@ -164,7 +165,8 @@ def app_of(
     calculation = Known(machine, None, folder, folder)
     far_end = at_link(link, machine, 1.0)
     panel = Panel(machine, OwnerLink(start), calculation, link, far_end)
-    return make_app(panel, folder, folder / "runs", Admission("127.0.0.1", token))
+    guide = MachineGuide(machine, folder.with_name(f"{folder.name}-guide"))
+    return make_app(panel, guide, folder, folder / "runs", Admission("127.0.0.1", token))
 
 
 @contextmanager

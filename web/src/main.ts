@@ -4,6 +4,7 @@ import "./style.css";
 import { Curves } from "./curves";
 import { by, made } from "./dom";
 import { Draw } from "./draw";
+import { Guide } from "./guide";
 import { Hands } from "./hands";
 import type { FromPanel, Mandrel, State, Welcome } from "./messages";
 import { Program } from "./program";
@@ -22,6 +23,7 @@ const program = new Program(session);
 const teach = new Teach(session, program);
 new Draw(session, program);
 const traces = new Traces(session);
+const guide = new Guide(session);
 const view = shownIn3d();
 const shown = (): string => by<HTMLSelectElement>("axis").value;
 
@@ -85,6 +87,7 @@ function open(part: string): void {
   for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== part;
   if (part !== "operate" && part !== "teach-in") hands.disarm();
   if (part === "runs") void traces.list();
+  if (part === "guide") void guide.open();
 }
 
 for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button")) tab.onclick = () => open(tab.dataset.part!);

@@ -41,7 +41,12 @@ def guide(
     if json:
         document = guide_of(chosen)
         tables = [
-            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
+            {
+                "title": t.title,
+                "header": list(t.header),
+                "rows": [list(row) for row in t.rows],
+                "note": t.note,
+            }
             for t in document.tables
         ]
         print_json({"machine": chosen.name, "guide": str(page), "tables": tables})

@@ -73,6 +73,7 @@ def panel(
 
     from threadline.panel.admission import Admission
     from threadline.panel.calculation import Calculation
+    from threadline.panel.machine_guide import MachineGuide
     from threadline.panel.owner_link import OwnerLink
     from threadline.panel.owner_process import Owned, start_owner
     from threadline.panel.panel import Panel
@@ -85,7 +86,8 @@ def panel(
         calculation = Calculation(chosen, spec, folder, Path(kept))
         owner = OwnerLink(lambda: start_owner(owned))
         served = Panel(chosen, owner, calculation, link, far_end)
-        app = make_app(served, folder, store, admission)
+        guide = MachineGuide(chosen, Path(kept))
+        app = make_app(served, guide, folder, store, admission)
         listening = _listen(host, port)
         say(f"The panel of {chosen.name} is at http://{host}:{port}/ (Ctrl-C stops and ends)")
         at_work("serving", shown=True)  # what it does is seen in the browser

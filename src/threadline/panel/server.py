@@ -23,6 +23,7 @@ from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.clients import Client
 from threadline.panel.drawing_requests import add_drawing
 from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
+from threadline.panel.machine_guide import MachineGuide, add_guide
 from threadline.panel.panel import Panel
 from threadline.panel.project_programs import MOST_UPLOAD, program_names, take_program
 
@@ -39,18 +40,22 @@ _REFUSALS: dict[int | str, dict[str, Any]] = {
 _REFUSED, _UNREADABLE, _OTHER_PROTOCOL, _SLOW = 4401, 4400, 4406, 4408  # codes of a close
 
 
-def make_app(panel: Panel, folder: Path, store: Path, admission: Admission) -> ASGIApp:
+def make_app(
+    panel: Panel, guide: MachineGuide, folder: Path, store: Path, admission: Admission
+) -> ASGIApp:
     """Return the application, which is reached by admitted requests alone; see ``make_api``."""
-    return AdmittingApp(make_api(panel, folder, store, admission), admission)
+    return AdmittingApp(make_api(panel, guide, folder, store, admission), admission)
 
 
-def make_api(panel: Panel, folder: Path, store: Path, admission: Admission) -> FastAPI:
+def make_api(
+    panel: Panel, guide: MachineGuide, folder: Path, store: Path, admission: Admission
+) -> FastAPI:
     """Return what answers the requests that are admitted.
 
     Parameters
     ----------
-    panel
-        The panel.
+    panel, guide
+        The panel, and the guide to its machine.
     folder, store
         Folders of the programs and of the runs.
     admission
@@ -74,6 +79,7 @@ def make_api(panel: Panel, folder: Path, store: Path, admission: Admission) -> F
     _add_requests(app, panel, folder)
     _add_runs(app, store)
     add_drawing(app)
+    add_guide(app, guide)
     _add_schema(app)
     _add_live(app, panel, admission)
     _add_page(app)

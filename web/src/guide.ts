@@ -1,0 +1,50 @@
+/** The guide to the machine: axes, signals, connectors, calibration step by step; on paper, too. */
+
+import { by, made } from "./dom";
+import type { Session } from "./session";
+import { say } from "./session";
+
+interface Table { title: string; header: string[]; rows: string[][]; note: string }
+
+export class Guide {
+  private there = false;
+
+  constructor(private readonly session: Session) {
+    by("print-guide").onclick = () => window.print();
+    by("guide-pdf").onclick = () => void this.save();
+  }
+
+  async open(): Promise<void> {
+    if (this.there) return;
+    by("guide-said").textContent = "being written";
+    const answer = await this.session.ask("/api/guide");
+    by("guide-said").textContent = "";
+    if (!answer.ok) { say((await answer.text()).trim(), true); by("guide-said").textContent = "there is no guide: see Operate, What happened"; return; }
+    const { machine, tables } = (await answer.json()) as { machine: string; tables: Table[] };
+    by("guide-tables").replaceChildren(made("h2", `Guide to ${machine}`), ...tables.flatMap((one) => this.table(one)));
+    this.there = true;
+  }
+
+  private table({ title, header, rows, note }: Table): HTMLElement[] {
+    const table = made("table"), head = made("tr");
+    head.append(...header.map((name) => made("th", name)));
+    table.append(head, ...rows.map((row) => {
+      const line = made("tr");
+      line.append(...row.map((text) => made("td", text)));
+      return line;
+    }));
+    const what = made("p", note);
+    what.className = "hint";
+    return [made("h3", title), ...(note ? [what] : []), table];
+  }
+
+  private async save(): Promise<void> {
+    const answer = await this.session.ask("/api/guide.pdf");
+    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
+    const to = made("a");
+    to.href = URL.createObjectURL(await answer.blob());
+    to.download = "guide.pdf";
+    to.click();
+    URL.revokeObjectURL(to.href);
+  }
+}
