@@ -9,7 +9,9 @@ from tests.panel.test_panel_killed import Plant
 def test_the_guide_is_shown_and_printed_alone(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     part(page, "Guide")
-    expect(page.locator("#guide-tables")).to_contain_text("Calibration, step by step")
+    expect(page.locator("#guide-tables")).to_contain_text(
+        "Calibration, step by step", timeout=60_000
+    )
     expect(page.locator("#guide-tables")).to_contain_text("Connector CN1")
     expect(page.get_by_role("button", name="STOP")).to_be_visible()
     shot(page, "17-guide")
