@@ -156,6 +156,40 @@ def test_a_climb_comes_to_the_worst_of_all_corners(
     assert sum(tried) < 64
 
 
+@pytest.mark.parametrize("most_corners", [12, 0])
+def test_the_worst_machine_may_lie_inside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_corners: int
+) -> None:
+    """A share that peaks within the tolerance and is 0 at its ends: no corner is as bad."""
+    file = tmp_path / "one.toml"
+    names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
+    others = [name for name in names if name != "bodies.x.inertia"]
+    file.write_text(
+        f'base = "lathe-winder"\nname = "one"\n[tolerances]\nexclude = {json.dumps(others)}\n',
+        encoding="utf-8",
+    )
+    machine = load_machine(file)
+    plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
+    study = MachineYield(plan, load_spec(None, machine))
+    as_it_is = study.judged
+
+    def peaked(parts: np.ndarray, done=None):
+        found = as_it_is(parts, done)
+        rows = [
+            replace(row, values=row.limit * (1.0 - parts[:, 0] ** 2)) if row.limit else row
+            for row in found.rows
+        ]
+        return replace(found, rows=rows)
+
+    monkeypatch.setattr(study, "judged", peaked)
+    monkeypatch.setattr(study, "_told_alone", lambda parts, share, binding: (share, binding))
+    monkeypatch.setattr(machine_yield, "MOST_CORNERS", most_corners)
+    known = study.drawn(20, 1)
+    worst = study.worst(known)
+    assert worst.share >= machine_yield.shares_of(known.found)[0].max() > 0.9
+    assert np.all(np.abs(worst.parts) < 1.0) and not worst.of_corners
+
+
 def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec]) -> None:
     plan, spec = asked
     judged = MachineYield(plan, spec)

@@ -198,10 +198,14 @@ class MachineYield:
     def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:
         """Return the worst machine within the tolerances that is found.
 
-        With up to 12 numbers every corner is tried. With more the search starts from the worst
+        With up to 12 numbers every corner is tried. With more a search starts from the worst
         machines in ``known``: each number is tried at its other end, those ends that are worse are
         tried together, the worst of these machines is taken, and so on until none is worse. Counts
         per unit keep their value, because commands are written in counts.
+
+        Either way one search starts from the worst machine as it was drawn, for the worst may lie
+        inside, as where a mode passes a zero of a law; with more than 12 numbers the others start
+        from the corners next to the worst ones.
 
         Parameters
         ----------
@@ -216,17 +220,29 @@ class MachineYield:
             parts *= self._ends
             shares, binding = shares_of(self.judged(parts, done))
             at = int(np.argmax(shares))
-            return self._worst(parts[at], float(shares[at]), binding[at], of_corners=True)
+            corner = parts[at], float(shares[at]), binding[at]
+            inner = [self._climbed(one, free, done) for one in self._worst_drawn(known, 1, free)]
+            if all(one[1] <= corner[1] for one in inner):
+                return self._worst(*corner, of_corners=True)
+            return self._worst(*inner[0], of_corners=False)
         starts = np.zeros((1, len(self.numbers)))
         if known is not None:
             most = _STARTS if self._many is not None else _STARTS_ALONE
-            order = np.argsort(-shares_of(known.found)[0], kind="stable")[:most]
-            starts = drawn(self.plan.machine, known.seed, order)
-            starts = np.where(starts < 0.0, -1.0, 1.0) * self._ends
-        held = [k for k in range(len(self.numbers)) if k not in free]
-        starts[:, held] = 0.0
+            near = self._worst_drawn(known, most, free)
+            corners = np.where(near < 0.0, -1.0, 1.0) * self._ends
+            corners[:, _others(free, corners)] = 0.0
+            starts = np.concatenate([near[:1], corners])
         climbed = [self._climbed(start, free, done) for start in np.unique(starts, axis=0)]
         return self._worst(*max(climbed, key=lambda one: one[1]), of_corners=False)
+
+    def _worst_drawn(self, known: Yield | None, most: int, free: list[int]) -> FloatArray:
+        """Return (k, n) parts of the worst machines that were drawn, counts per unit as typed."""
+        if known is None:
+            return np.empty((0, len(self.numbers)))
+        order = np.argsort(-shares_of(known.found)[0], kind="stable")[:most]
+        parts = drawn(self.plan.machine, known.seed, order)
+        parts[:, _others(free, parts)] = 0.0
+        return parts
 
     def _climbed(
         self, start: FloatArray, free: list[int], done: Done | None
@@ -285,6 +301,11 @@ class MachineYield:
             fewer[:, k] *= 0.5
             found[k] = self.judged(fewer, done).passed.mean()
         return found
+
+
+def _others(free: list[int], parts: FloatArray) -> list[int]:
+    """Return the columns of parts that are not free."""
+    return [k for k in range(parts.shape[1]) if k not in free]
 
 
 def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
