@@ -98,6 +98,11 @@ SLOW: dict[str, dict[str, str]] = {
     },
     "results-embroidery.md": {
         'threadline prove DESIGN -m schiffli-frame --tolerance "0.05 mm"': THEIRS,
+        "threadline prove DESIGN -m schiffli-frame": THEIRS,
+        'threadline law --mode 12Hz --damping 0.02 --move "16.5 mm" --time "120 ms" '
+        '--limit "6.33 m/s^2" --residual "0.05 mm" --band 0.3 --out wide.law.csv': (
+            "it writes a file; tests/stitching/test_claim.py plays such a law"
+        ),
         "threadline compare tree.dst -m schiffli-frame": THEIRS,
         "threadline fastest tree.dst -m schiffli-frame --nominal": THEIRS,
         "threadline fastest examples/rosette.dst -m schiffli-frame": "a minute",
