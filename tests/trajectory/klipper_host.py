@@ -36,13 +36,17 @@ max_velocity: {velocity}
 max_accel: {acceleration}
 square_corner_velocity: {corner}
 """
-_MANDREL = "[manual_stepper mandrel]\n" + _PINS.format(9, 10) + "rotation_distance: 360\n"
+_MANDREL = (
+    "[manual_stepper mandrel]\n" + _PINS.format(9, 10) + "rotation_distance: 360\naccel: {alone}\n"
+)
 _BEGIN = """SET_KINEMATIC_POSITION X=0 Y=0 Z=0
 MANUAL_STEPPER STEPPER=mandrel GCODE_AXIS=A LIMIT_VELOCITY={turning} LIMIT_ACCEL={spinning} \
-INSTANTANEOUS_CORNER_VELOCITY=1
+INSTANTANEOUS_CORNER_VELOCITY={instant}
 G90
 G4 P1000
 """
+# To set a position makes it work out every step; at the end of its input it drops what is left.
+_END = "M400\nSET_KINEMATIC_POSITION X=0 Y=0 Z=0\n"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,15 +74,18 @@ def steps_on_klipper(
     ----------
     limits
         ``velocity`` and ``acceleration`` of X, ``turning`` and ``spinning`` of A, ``corner``, the
-        square corner velocity, in mm and degrees.
+        square corner velocity; ``instant`` and ``alone`` of A, its step of speed at corners and its
+        acceleration in moves of its own (0 for that of all moves); in mm and degrees.
     """
     checkout, python = klipper
     rails = "".join(
         f"[stepper_{axis}]\n{_PINS.format(3 * k, 3 * k + 1)}{_RAIL.format(3 * k + 2)}"
         for k, axis in enumerate("xyz")
     )
-    (folder / "printer.cfg").write_text(_PRINTER.format(**limits) + rails + _MANDREL)
-    (folder / "job.gcode").write_text(f"{_BEGIN.format(**limits)}{moves}M400\n")
+    (folder / "printer.cfg").write_text(
+        _PRINTER.format(**limits) + rails + _MANDREL.format(**limits)
+    )
+    (folder / "job.gcode").write_text(f"{_BEGIN.format(**limits)}{moves}{_END}")
     dictionary = checkout / "out" / "klipper.dict"
     words = ["printer.cfg", "-i", "job.gcode", "-o", "out.serial", "-d", str(dictionary)]
     for script, given in (

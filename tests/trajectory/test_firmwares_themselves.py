@@ -35,7 +35,10 @@ LIMITS = {
     "turning": 600.0,
     "spinning": 2000.0,
     "corner": 5.0,
+    "instant": 1.0,
+    "alone": 0.0,
 }
+OF_ITS_OWN = {"instant": 20.0, "alone": 700.0}
 
 
 def number(text: str, unit: str):
@@ -79,6 +82,11 @@ def circuits() -> list[str]:
     return lines
 
 
+TUNED = replace(
+    KLIPPER,
+    jump={"A": number("20 deg/s", "rad/s")},
+    alone={"A": number("700 deg/s^2", "rad/s^2")},
+)
 JOBS = {"circuit": circuit(), "short": short_moves(), "circuits": circuits()}
 
 
@@ -104,14 +112,19 @@ def planned(
     return plan_trajectory(plan_path(programmed_path(job, machine), machine, "firmware"), machine)
 
 
-@pytest.mark.parametrize("name", JOBS)
-def test_klippers_host_makes_every_step_where_ours_is(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "planner", "more"),
+    [(name, KLIPPER, {}) for name in JOBS] + [(name, TUNED, OF_ITS_OWN) for name in JOBS],
+)
+def test_klippers_host_makes_every_step_where_ours_is(
+    tmp_path: Path, name: str, planner: KlipperPlanner, more: dict[str, float]
+) -> None:
     klipper = klipper_host.installed()
     if klipper is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_KLIPPER names a checkout of Klipper")
-    ours = planned(tmp_path, KLIPPER, JOBS[name], "A", "marlin")
+    ours = planned(tmp_path, planner, JOBS[name], "A", "marlin")
     moves = "".join(f"{line}\n" for line in JOBS[name])
-    theirs = klipper_host.steps_on_klipper(moves, tmp_path, LIMITS, klipper)
+    theirs = klipper_host.steps_on_klipper(moves, tmp_path, LIMITS | more, klipper)
     begin_s = 1.25  # a quarter of a second behind its start, and the pause
     sizes = {"X": klipper_host.STEP_MM / 1e3, "A": np.radians(klipper_host.STEP_DEG)}
     for column, axis in enumerate("XA"):

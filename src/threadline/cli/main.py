@@ -31,8 +31,10 @@ from threadline.writing import noting_outputs
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
 EXIT_NO_READER = 141  # 128 + SIGPIPE
-_MOST_SHOWN = 480  # characters of an error: a value of thousands would bury what is wrong with it
-_HEAD_SHOWN, _TAIL_SHOWN = 320, 155
+# Characters of an error: a value of thousands would bury what is wrong with it. A remedy, which is
+# of our own making and may list many values to give, stands whole.
+_HEAD_SHOWN, _TAIL_SHOWN, _MOST_OF_REMEDY = 320, 155, 3000
+_LEFT_OUT = " ... "
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 _EPILOG = (
@@ -117,7 +119,7 @@ def _run(given: list[str], termination: Termination) -> int:
             tell_warnings(told.warnings)
     except ThreadlineError as error:
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
-        _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT)
+        _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT, remedy=error.remedy)
     except TyperException as error:
         _stop(_of_arguments(error), EXIT_WRONG_INPUT)
     except BrokenPipeError:
@@ -182,11 +184,12 @@ def _nobody_reads() -> NoReturn:
     sys.exit(EXIT_NO_READER)
 
 
-def _stop(text: str, status: int) -> NoReturn:
+def _stop(text: str, status: int, *, remedy: str = "") -> NoReturn:
     """Say in one line why the program ends, and end it."""
     line = " ".join(text.split())
-    if len(line) > _MOST_SHOWN:
+    tail = min(max(_TAIL_SHOWN, len(" ".join(remedy.split()))), _MOST_OF_REMEDY)
+    if len(line) > _HEAD_SHOWN + tail + len(_LEFT_OUT):
         # The subject stands at the head and the remedy at the tail.
-        line = f"{line[:_HEAD_SHOWN]} ... {line[-_TAIL_SHOWN:]}"
+        line = f"{line[:_HEAD_SHOWN]}{_LEFT_OUT}{line[-tail:]}"
     note(f"error: {line}")
     sys.exit(status)

@@ -15,7 +15,7 @@ from threadline.machine.acting_radius import acts_at_m, check_radii
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
 from threadline.machine.mandrel import LocalRadii, local_radii
-from threadline.machine.motion_planner import FirmwarePlanner, MarlinPlanner, RepRapPlanner
+from threadline.machine.motion_planner import FirmwarePlanner, check_by_axis
 from threadline.machine.parts import (
     STRICT,
     Axis,
@@ -185,12 +185,8 @@ class Machine:
             check_known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             check_known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
         check_radii(self.axes, self.tool)
-        if isinstance(self.planner, MarlinPlanner | RepRapPlanner):
-            check_known(self.planner.jump, self.axes, "planner.jump", "axis")
-            for name, jump in self.planner.jump.items():
-                unit = "rad/s" if name in self.rotary else "m/s"
-                if jump.unit != unit:
-                    raise ValueError(f"planner.jump.{name} is in {jump.unit}, the axis in {unit}")
+        if self.planner is not None:
+            check_by_axis(self.planner, self.axes, self.rotary)
         self._on_off_references()
         self._stitching_references()
         if self.tolerances != Tolerances():  # a variant is made often, and names nothing mostly

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated, Literal
 
 from pydantic import Field, StrictBool, model_validator
@@ -9,6 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from threadline.machine.parts import STRICT
 from threadline.machine.quantity import Quantity, Units
+from threadline.machine.references import check_known
 
 _RING = 16  # BLOCK_BUFFER_SIZE, as grbl 1.1 and Marlin 2.1 come
 _DUET_RING = 60  # the moves that a Duet 3 holds
@@ -18,6 +20,7 @@ Deviation = Annotated[Quantity, Units(("m",), not_negative=True)]
 Speed = Annotated[Quantity, Units(("m/s",), not_negative=True)]
 Jump = Annotated[Quantity, Units(("m/s", "rad/s"), not_negative=True)]
 Acceleration = Annotated[Quantity, Units(("m/s^2",), positive=True)]
+AloneAcceleration = Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
 Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 
@@ -74,7 +77,10 @@ class KlipperPlanner:
     """Klipper's planner: trapezoids with a least cruise, and corners by square corner velocity.
 
     ``velocity`` and ``acceleration`` are ``max_velocity`` and ``max_accel`` of Klipper's
-    ``[printer]``; ``minimum_cruise_ratio`` is 50 % when left out, as in Klipper.
+    ``[printer]``; ``minimum_cruise_ratio`` is 50 % when left out, as in Klipper. ``jump`` is the
+    step of speed that an axis beside X, Y and Z may make (``INSTANTANEOUS_CORNER_VELOCITY``), by
+    the axis' letter, 1 mm/s or deg/s when left out; ``alone`` its acceleration in moves without X,
+    Y and Z (``accel`` of ``[manual_stepper]``).
     """
 
     kind: Literal["klipper"]
@@ -82,6 +88,8 @@ class KlipperPlanner:
     acceleration: Acceleration
     square_corner_velocity: Speed
     minimum_cruise_ratio: Annotated[Quantity, Units(("",), not_negative=True)] | None = None
+    jump: dict[str, Jump] = Field(default_factory=dict)
+    alone: dict[str, AloneAcceleration] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _below_one(self) -> KlipperPlanner:
@@ -152,3 +160,20 @@ FirmwarePlanner = Annotated[
     GrblPlanner | MarlinPlanner | KlipperPlanner | RepRapPlanner | LinuxCncPlanner,
     Field(discriminator="kind"),
 ]
+
+
+def check_by_axis(planner: FirmwarePlanner, axes: Collection[str], rotary: Collection[str]) -> None:
+    """Check that what a planner gives by axis names one, in the unit of its kind.
+
+    Raises
+    ------
+    ValueError
+        If an axis does not exist, or turns where the number is of a way, or the other way about.
+    """
+    for key, unit in (("jump", "/s"), ("alone", "/s^2")):
+        given: dict[str, Quantity] = getattr(planner, key, {})
+        check_known(given, axes, f"planner.{key}", "axis")
+        for name, value in given.items():
+            own = f"{'rad' if name in rotary else 'm'}{unit}"
+            if value.unit != own:
+                raise ValueError(f"planner.{key}.{name} is in {value.unit}, the axis in {own}")

@@ -150,3 +150,20 @@ class Settings:
                 place=Place(self.file, line),
                 remedy="Keep the line that is in force.",
             )
+
+
+def times(text: str, factor: float) -> str:
+    """Return the number ``text`` times ``factor``; a text that is none as it stands."""
+    try:
+        return repr(float(text) * factor)
+    except ValueError:
+        return text
+
+
+def unknown(line: str, file: str, number: int, form: str) -> MachineError:
+    """Return the error of a line that cannot be read, by an example of a right one."""
+    return MachineError(
+        f"{line.strip()[:60]!r} is no line of these settings",
+        place=Place(file, number),
+        remedy=f"Lines are like {form}",
+    )

@@ -16,7 +16,7 @@ _PLANNERS = {
     "grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper",
     "reprapfirmware": "reprapfirmware",
 }  # fmt: skip
-_BY_JUMPS = ("marlin", "reprapfirmware")
+_BY_JUMPS = ("marlin", "klipper", "reprapfirmware")
 _PLANNER_KEYS = {
     "grbl": {"junction_deviation": ("mm", "0.01 mm")},
     "marlin": {"junction_deviation": ("mm", "0.013 mm"), "acceleration": ("mm/s^2", "")},
@@ -189,12 +189,19 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
     if firmware in _BY_JUMPS and jumps and "junction_deviation" not in said:
         texts = (
             f'{key.removeprefix("jump.")} = "'
-            + _of_planner(value, "deg/s" if key[-1] in turning else "mm/s", firmware)
+            + _of_planner(value, f"{_unit(key[-1], turning)}/s", firmware)
             + '"'
             for key, value in jumps.items()
             if key.removeprefix("jump.") in settings.axes
         )
         yield f"jump = {{ {', '.join(texts)} }}"
+    alone = {key[-1]: value for key, value in said.items() if key.startswith("alone.")}
+    if alone:
+        texts = (
+            f'{axis} = "{_of_planner(value, f"{_unit(axis, turning)}/s^2", firmware)}"'
+            for axis, value in alone.items()
+        )
+        yield f"alone = {{ {', '.join(texts)} }}"
     for key, (unit, default) in _PLANNER_KEYS[_PLANNERS[firmware]].items():
         if key == "junction_deviation" and jumps and key not in said:
             continue
@@ -208,6 +215,10 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
                 place=Place(settings.file),
                 remedy="Give the printer.cfg whole: Klipper itself asks for it.",
             )
+
+
+def _unit(axis: str, turning: list[str]) -> str:
+    return "deg" if axis in turning else "mm"
 
 
 def _check_jumps(settings: Settings) -> None:

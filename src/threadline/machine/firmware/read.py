@@ -1,7 +1,7 @@
 """Readers of settings files, one for each firmware, which is recognised from the content.
 
 Sources: grbl 1.1 wiki, "Configuring Grbl" ($100 to $135); Marlin, marlinfw.org/docs/gcode M92,
-M201, M203, M503; FluidNC wiki, "Axes"; Klipper, docs/Config_Reference.md, [stepper] and [printer].
+M201, M203, M503; FluidNC wiki, "Axes".
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from pathlib import Path
 
 from threadline.errors import MachineError, Place
 from threadline.input_files import read_text
-from threadline.machine.firmware.axis_settings import Settings
+from threadline.machine.firmware.axis_settings import Settings, times, unknown
 from threadline.machine.firmware.config_g import LINE as _OF_CONFIG_G
 from threadline.machine.firmware.config_g import read_config_g
+from threadline.machine.firmware.printer_cfg import read_printer_cfg
 
 _MOST_BYTES = 1_000_000
 _LETTERS = "XYZABCUVW"
@@ -29,12 +30,6 @@ _FLUIDNC = {
     "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
     "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
 }  # fmt: skip
-_KLIPPER = {
-    "max_velocity": "velocity", "max_accel": "acceleration",
-    "square_corner_velocity": "square_corner_velocity",
-    "minimum_cruise_ratio": "minimum_cruise_ratio",
-}  # fmt: skip
-_TEETH = re.compile(r"(\d+\.?\d*|\.\d+)\s*:\s*(\d+\.?\d*|\.\d+)")
 
 
 def read_settings(path: str | Path) -> Settings:
@@ -78,7 +73,7 @@ def _grbl(lines: list[str], file: str) -> Settings:
         match = _GRBL_LINE.match(line.strip())
         if match is None:
             if _GRBL_OTHER.match(line.strip()) is None:
-                raise _unknown(line, file, number, "$110=5000.000")
+                raise unknown(line, file, number, "$110=5000.000")
             continue
         code = int(match[1])
         if code == _GRBL_DEVIATION:
@@ -103,7 +98,7 @@ def _marlin(lines: list[str], file: str) -> Settings:
         if match is None:
             if line.strip().startswith(("echo:", "Cap:", "ok", "FIRMWARE_NAME", "Unknown", "//")):
                 continue
-            raise _unknown(line, file, number, "echo:  M92 X80.00 Y80.00")
+            raise unknown(line, file, number, "echo:  M92 X80.00 Y80.00")
         code = int(match[1] or 0)
         for letter, text in re.findall(r"([A-Z])(-?[0-9.]+)", match[2] or ""):
             name = f"M{code} {letter}"
@@ -114,16 +109,9 @@ def _marlin(lines: list[str], file: str) -> Settings:
             elif code == 204 and letter == "T":
                 settings.say_of_planner("acceleration", text, number, name)
             if code in _MARLIN and letter in _LETTERS:
-                written = _times(text, 60.0) if code == 203 else text  # mm/s there
+                written = times(text, 60.0) if code == 203 else text  # mm/s there
                 settings.say(letter, _MARLIN[code], written, number, name)
     return settings
-
-
-def _times(text: str, factor: float) -> str:
-    try:
-        return repr(float(text) * factor)
-    except ValueError:
-        return text
 
 
 def _fluidnc(lines: list[str], file: str) -> Settings:
@@ -142,7 +130,7 @@ def _fluidnc(lines: list[str], file: str) -> Settings:
             )
         key, colon, value = code.strip().partition(":")
         if not colon:
-            raise _unknown(line, file, number, "steps_per_mm: 80.000")
+            raise unknown(line, file, number, "steps_per_mm: 80.000")
         while path and path[-1][0] >= indent:
             path.pop()
         above = [name for _, name in path]
@@ -159,107 +147,10 @@ def _fluidnc(lines: list[str], file: str) -> Settings:
     return settings
 
 
-def _klipper(lines: list[str], file: str) -> Settings:
-    settings = Settings("klipper", file)
-    sections: dict[str, dict[str, tuple[str, int]]] = {}
-    section: dict[str, tuple[str, int]] | None = None
-    for number, whole in enumerate(lines, start=1):
-        # What SAVE_CONFIG has added is in force, behind a mark that makes it a comment elsewhere.
-        saved = whole.startswith("#*#")
-        line = whole.removeprefix("#*#").strip() if saved else whole
-        code = line.split("#", 1)[0].rstrip()
-        place = Place(file, number)
-        if not code.strip():
-            continue
-        header = re.match(r"\[([^\]]+)\]$", code)
-        if header is not None:
-            if header[1].startswith("include "):
-                raise MachineError(
-                    f"[{header[1]}] is not followed",
-                    place=place,
-                    remedy="Put the text of that file in its place.",
-                )
-            section = sections.setdefault(header[1].strip(), {})
-            continue
-        if saved and (section is None or "=" not in code):
-            continue  # its heading
-        if section is None:
-            raise _unknown(line, file, number, "[stepper_x]")
-        if code[0] in " \t":
-            continue  # the value of the key before it goes on
-        match = re.match(r"([A-Za-z0-9_]+)\s*[:=]\s*(.*)$", code)
-        if match is None:
-            raise _unknown(line, file, number, "rotation_distance: 40")
-        section[match[1].lower()] = match[2].strip(), number
-    printer = sections.get("printer", {})
-    kinematics, at = printer.get("kinematics", ("cartesian", 0))
-    if kinematics not in ("cartesian", "none"):
-        settings.refuse_kinematics(f"kinematics: {kinematics}", at)
-    if "input_shaper" in sections:
-        first = min((line for _, line in sections["input_shaper"].values()), default=0)
-        settings.shapes("[input_shaper]", first)
-    for key, ours in _KLIPPER.items():
-        if key in printer:
-            text, number = printer[key]
-            settings.say_of_planner(ours, text, number, f"[printer] {key}")
-    for name, keys in sections.items():
-        found = re.match(r"stepper_([a-z])$", name)
-        if found is None or found[1].upper() not in _LETTERS:
-            continue
-        axis = found[1].upper()
-        _stepper(settings, axis, keys, name)
-        slow = "z_" if axis == "Z" and "max_z_velocity" in printer else ""
-        for key, what, factor in (
-            (f"max_{slow}velocity", "rate", 60.0),
-            (f"max_{slow}accel", "acceleration", 1.0),
-        ):
-            if key in printer:
-                text, number = printer[key]
-                settings.say(axis, what, _times(text, factor), number, f"[printer] {key}")
-    return settings
-
-
-def _stepper(settings: Settings, axis: str, keys: dict[str, tuple[str, int]], section: str) -> None:
-    def number(key: str, default: str) -> float:
-        text, line = keys.get(key, (default, 0))
-        try:
-            return float(text)
-        except ValueError:
-            raise _unknown(f"{key}: {text}", settings.file, line, f"{key}: {default}") from None
-
-    if "rotation_distance" in keys and "microsteps" in keys:
-        ratio = 1.0
-        for part in keys.get("gear_ratio", ("1:1", 0))[0].split(","):
-            teeth = _TEETH.fullmatch(part.strip())
-            if teeth is None or not (float(teeth[1]) and float(teeth[2])):
-                line = keys["gear_ratio"][1]
-                raise _unknown(f"gear_ratio: {part}", settings.file, line, "gear_ratio: 60:20")
-            ratio *= float(teeth[1]) / float(teeth[2])
-        distance = number("rotation_distance", "40")
-        steps = number("full_steps_per_rotation", "200") * number("microsteps", "16") * ratio
-        line = keys["rotation_distance"][1]
-        text = repr(steps / distance) if distance else "0"
-        settings.say(axis, "steps", text, line, f"[{section}] rotation_distance")
-        settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
-    if "position_max" in keys:
-        way = number("position_max", "200") - number("position_min", "0")
-        settings.say(
-            axis, "travel", repr(way), keys["position_max"][1], f"[{section}] position_max"
-        )
-
-
-def _unknown(line: str, file: str, number: int, form: str) -> MachineError:
-    return MachineError(
-        f"{line.strip()[:60]!r} is no line of these settings",
-        place=Place(file, number),
-        remedy=f"Lines are like {form}",
-    )
-
-
 _READERS: tuple[tuple[re.Pattern[str], Callable[[list[str], str], Settings]], ...] = (
     (re.compile(r"\s*\$1[0-3]\d\s*="), _grbl),
     (_OF_CONFIG_G, read_config_g),
     (re.compile(r"\s*(?:echo:)?\s*M92\s"), _marlin),
-    (re.compile(r"\[(?:stepper_[a-z]|printer)\]"), _klipper),
+    (re.compile(r"\[(?:stepper_[a-z]|manual_stepper \w+|printer)\]"), read_printer_cfg),
     (re.compile(r"axes:\s*$"), _fluidnc),
 )

@@ -84,7 +84,8 @@ class Rules:
             most = planner.acceleration.si * MM
             plain = (direction * self._plane != 0.0).any(axis=1)
             fastest = np.where(plain, np.minimum(fastest, planner.velocity.si * MM), fastest)
-            acceleration = np.where(plain, np.minimum(acceleration, most), acceleration)
+            alone = along_axes(self._of_axes(planner.alone), direction)
+            acceleration = np.minimum(acceleration, np.where(plain, most, alone))
         elif isinstance(planner, MarlinPlanner) and planner.acceleration is not None:
             acceleration = np.minimum(acceleration, planner.acceleration.si * MM)
         elif isinstance(planner, RepRapPlanner) and planner.acceleration is not None:
@@ -98,14 +99,14 @@ class Rules:
         """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""
         planner = self.planner
         if isinstance(planner, MarlinPlanner) and planner.jump:
-            return by_jumps(moves, self._jumps(planner.jump))
+            return by_jumps(moves, self._of_axes(planner.jump))
         if isinstance(planner, KlipperPlanner):
             between = by_square_corner(moves, self._plane, planner.square_corner_velocity.si * MM)
             plain = (moves.direction * self._plane != 0.0).any(axis=1)
             between = np.minimum(between, self._beside(moves))
             between = np.where(plain[1:] & plain[:-1], between, 0.0)
         elif isinstance(planner, RepRapPlanner):
-            between = by_shared_speed(moves, self._jumps(planner.jump))
+            between = by_shared_speed(moves, self._of_axes(planner.jump))
             if not planner.joins_all:
                 across = self._across(moves.direction)
                 between = np.where(across[1:] == across[:-1], between, 0.0)
@@ -140,11 +141,11 @@ class Rules:
         along = (tangent[1:] * tangent[:-1]).sum(axis=1)
         return np.asarray(np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0)))
 
-    def _jumps(self, said: Mapping[str, Quantity]) -> FloatArray:
-        """Return the (axes,) jumps of speed; infinity where ``said`` has none."""
+    def _of_axes(self, said: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
+        """Return the (axes,) values of ``said``; ``default`` where it has none."""
         return np.array(
             [
-                said[axis].si * scale if axis in said else np.inf
+                said[axis].si * scale if axis in said else default
                 for axis, scale in zip(self.axes, self.scale, strict=True)
             ]
         )
@@ -163,9 +164,10 @@ class Rules:
 
         Klipper, docs/Config_Reference.md, ``instantaneous_corner_velocity``.
         """
-        change = np.abs(np.diff(moves.direction, axis=0) * (1.0 - self._plane)).max(axis=1)
-        with np.errstate(divide="ignore"):
-            return np.asarray((_INSTANT / change) ** 2)
+        assert isinstance(self.planner, KlipperPlanner)
+        jumps = self._of_axes(self.planner.jump, _INSTANT)
+        change = np.diff(moves.direction, axis=0) * (1.0 - self._plane)
+        return along_axes(jumps, change) ** 2
 
     @property
     def _counted(self) -> list[str]:
