@@ -9,6 +9,7 @@ from threadline.trajectory.averaged import (
 )
 from threadline.trajectory.budget import check_budget
 from threadline.trajectory.limits import Peak, check_limits, limit_peaks
+from threadline.trajectory.limits_used import Retimed
 from threadline.trajectory.path_to_trajectory import Pace, plan_trajectory
 from threadline.trajectory.retime import retime
 from threadline.trajectory.speed_steps import Leads, leads_of, with_steps
@@ -19,6 +20,7 @@ __all__ = [
     "Leads",
     "Pace",
     "Peak",
+    "Retimed",
     "Trajectory",
     "TrajectoryBlock",
     "TrajectoryReader",

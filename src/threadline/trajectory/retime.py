@@ -7,12 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, IntArray, read_only
 from threadline.errors import PlanError
 from threadline.path.auto import auto_pieces
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
 from threadline.signals import Stream
+from threadline.trajectory.limits_used import Retimed, limits_used
 from threadline.trajectory.optimal import Limits
+from threadline.trajectory.optimal.along_path import AlongPath, reversals
 from threadline.trajectory.optimal.fastest_motion import limited_blocks
 from threadline.trajectory.types import Trajectory
 
@@ -27,7 +29,13 @@ def retime(
     acceleration: ArrayLike,
     jerk: ArrayLike = np.inf,
     tolerance: float = 1e-4,
-) -> Trajectory:
+    *,
+    deceleration: ArrayLike | None = None,
+    path_velocity: float = np.inf,
+    path_acceleration: float = np.inf,
+    path_jerk: float = np.inf,
+    centripetal: float = np.inf,
+) -> Retimed:
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
 
     The path runs along the straight lines between the points and rounds the corners; it is never
@@ -42,6 +50,18 @@ def retime(
         (axes,) limits, or one number for all axes; above 0. Only the jerk may be infinite.
     tolerance
         Largest distance between path and lines, per axis; above 0.
+    deceleration
+        (axes,) limits while an axis becomes slower, where they are others than ``acceleration``.
+    path_velocity, path_acceleration, path_jerk
+        Limits of the length of the way gone, and ``centripetal`` of the acceleration across the
+        path; above 0 or infinite. Lengths of all axes are of one unit here. Where the path turns
+        back (by more than 148 degrees), a limit of ``path_acceleration`` or ``path_jerk`` asks for
+        a rest: the speed along the path has a kink there.
+
+    Returns
+    -------
+    Retimed
+        The trajectory; ``shares`` and ``bound`` say how much of each limit it uses at any instant.
 
     Raises
     ------
@@ -66,10 +86,23 @@ def retime(
     """
     places = _checked_points(points)
     axes = places.shape[1]
+    along = AlongPath(
+        velocity=_checked_number("path_velocity", path_velocity),
+        acceleration=_checked_number("path_acceleration", path_acceleration),
+        jerk=_checked_number("path_jerk", path_jerk),
+        centripetal=_checked_number("centripetal", centripetal),
+        radius_m=np.ones(axes),
+    )
+    kinks = bool(np.isfinite([along.acceleration, along.jerk]).any())
+    limited = kinks or bool(np.isfinite([along.velocity, along.centripetal]).any())
     limits = Limits(
         velocity=_checked_limit("velocity", velocity, axes),
         acceleration=_checked_limit("acceleration", acceleration, axes),
         jerk=_checked_limit("jerk", jerk, axes, infinite=True),
+        deceleration=None
+        if deceleration is None
+        else _checked_limit("deceleration", deceleration, axes),
+        along=along if limited else None,
     )
     if not _LEAST <= tolerance <= _LARGEST:
         raise PlanError(
@@ -79,7 +112,7 @@ def retime(
     programmed = ProgrammedPath(
         axes=tuple(str(axis) for axis in range(axes)),
         radius_m=np.ones(axes),
-        blocks=Stream.of([_vertices(places)]),
+        blocks=Stream.of([_vertices(places, reversals(places) if kinks else None)]),
     )
     path = PlannedPath(
         axes=programmed.axes,
@@ -92,12 +125,13 @@ def retime(
         ),
     )
     # It will be read many times: the motion is worked out once and kept.
-    return Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
+    motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
+    return Retimed(axes=path.axes, blocks=motion.blocks, shares=limits_used(motion, limits))
 
 
-def _vertices(places: FloatArray) -> VertexBlock:
+def _vertices(places: FloatArray, rests: IntArray | None = None) -> VertexBlock:
     count = len(places)
-    rest = np.zeros(count, dtype=np.int64)
+    rest = np.zeros(count, dtype=np.int64) if rests is None else rests.copy()
     rest[-1] = 1
     return VertexBlock(
         positions=places,
@@ -144,10 +178,24 @@ def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = F
             continue
         if not _LEAST <= value <= _LARGEST:
             raise PlanError(
-                f"{name} of axis {axis} is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
+                f"{_whose(name, axis)} is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
                 remedy="Correct it, or choose another unit.",
             )
     return values
+
+
+def _whose(name: str, axis: int) -> str:
+    of_path = name.startswith("path_") or name == "centripetal"
+    return name if of_path else f"{name} of axis {axis}"
+
+
+def _checked_number(name: str, limit: float) -> float:
+    """Return one limit of the path, which may be infinite."""
+    if np.ndim(limit):
+        raise PlanError(
+            f"{name} is {limit!r}; it must be one number", remedy="There is one path: give one."
+        )
+    return float(_checked_limit(name, limit, 1, infinite=True)[0])
 
 
 def _each(values: FloatArray) -> Iterator[tuple[int, float]]:

@@ -17,7 +17,8 @@ def line_alone(
 ) -> TrajectoryBlock | None:
     """Return the fastest motion from rest to rest along a straight piece.
 
-    None where a drive could bind before the limits of the axes do: then there is no closed form.
+    None where a drive could bind before the limits of the axes do, or where axes brake otherwise
+    than they speed up: then there is no closed form.
 
     Parameters
     ----------
@@ -31,6 +32,13 @@ def line_alone(
         velocity = float((limits.velocity / way).min())
         acceleration = float((limits.acceleration / way).min())
         jerk = float((limits.jerk / way).min())
+    if limits.deceleration is not None:
+        return None
+    if limits.along is not None:
+        length = float(np.linalg.norm(way * limits.along.radius_m))
+        velocity = min(velocity, limits.along.velocity / length)
+        acceleration = min(acceleration, limits.along.acceleration / length)
+        jerk = min(jerk, limits.along.jerk / length)
     if nominal_s > 0.0:
         velocity = min(velocity, 1.0 / nominal_s)
     rates = np.array([velocity, acceleration])

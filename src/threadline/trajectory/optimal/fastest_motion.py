@@ -14,6 +14,7 @@ from threadline.path.runs import COINCIDENT_M
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.plant.closed_loop import answers_of
 from threadline.trajectory.optimal.alone import line_alone
+from threadline.trajectory.optimal.along_path import divided, with_length
 from threadline.trajectory.optimal.drives import limits_of
 from threadline.trajectory.optimal.following_error import Follower, Past, followed
 from threadline.trajectory.optimal.in_time import in_time
@@ -80,9 +81,10 @@ def limited_blocks(
                     run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, now
                 )
             if block is None:
-                elements = _elements(run, moves, path.radius_m, limits)
+                within = limits.with_length()
+                elements = _elements(run, path.radius_m, within)
                 if follower is None:
-                    block = in_time(fastest(elements, limits, GAP), limits, now)
+                    block = in_time(fastest(elements, within, GAP), within, now)
                 else:
                     block = followed(elements, limits, follower, past, now)
             now = block.end_s
@@ -155,12 +157,11 @@ def _beyond_rounding(run: PieceBlock, moves: BoolArray, radius_m: FloatArray) ->
     return moves & inner if inner.any() else moves
 
 
-def _elements(
-    run: PieceBlock,
-    moves: BoolArray,
-    radius_m: FloatArray,
-    limits: Limits,
-) -> Elements:
+def _elements(run: PieceBlock, radius_m: FloatArray, limits: Limits) -> Elements:
+    """Return the elements of a run; with limits along the path, the way gone is their last axis."""
+    if limits.along is not None:
+        run = divided(run)
+    moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
     moves = _beyond_rounding(run, moves, radius_m)
     c = run.coefficients[moves].copy()
     # What lies beyond the first and the last of these pieces is less than a rounding of theirs.
@@ -171,9 +172,13 @@ def _elements(
     c[0, 1] -= start
     if c.shape[1] < 4:
         c = np.pad(c, ((0, 0), (0, 4 - c.shape[1]), (0, 0)))
+    ratio, last = 1.0 / np.sqrt(factors(c, radius_m)[:-1]), slope(c[-1:])[0]
+    if limits.along is not None:
+        c = with_length(c, limits.along.radius_m)
+        last = np.append(last, c[-1, :, -1] @ np.arange(6.0))
     return elements_of(
         c,
-        1.0 / np.sqrt(factors(c, radius_m)[:-1]),
+        ratio,
         run.nominal_s[moves],
         run.operation[moves],
         1.0,
@@ -181,7 +186,7 @@ def _elements(
         to_rest=True,
         lead_share=(
             _lead_share(c[0, 1], run.nominal_s[moves][0], limits),
-            _lead_share(slope(c[-1:])[0], run.nominal_s[moves][-1], limits),
+            _lead_share(last, run.nominal_s[moves][-1], limits),
         ),
     )
 

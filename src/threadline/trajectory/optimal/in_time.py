@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.trajectory.optimal.along_path import across, true_shares
+from threadline.trajectory.optimal.braking import asked as asked_of_sides
 from threadline.trajectory.optimal.path_elements import restricted
 from threadline.trajectory.optimal.solve import Limits, Solution
 from threadline.trajectory.types import TrajectoryBlock
@@ -46,6 +48,11 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     coefficients = np.concatenate([part[1] for part in done])[order]
     duration_s = np.concatenate([part[2] for part in done])[order]
     duration_s = duration_s * _stretch(coefficients, duration_s, limits)
+    if limits.along is not None:
+        # The way gone was one of the axes: it is dropped, and what it is in truth is held.
+        coefficients = coefficients[:, :, :-1]
+        used = true_shares(coefficients, duration_s, limits.along)
+        duration_s = duration_s * max(1.0, *(share ** (1.0 / k) for k, share in enumerate(used, 1)))
     return TrajectoryBlock(
         start_s=begin_s + np.concatenate([[0.0], np.cumsum(duration_s)[:-1]]),
         duration_s=duration_s,
@@ -133,12 +140,19 @@ def _shares(
 ) -> Iterator[tuple[int, FloatArray]]:
     """Yield orders of derivatives and (n,) bounds of the shares of their limits."""
     rates = [coefficients]
-    for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
+    largest = limits.largest_acceleration
+    for order, limit in enumerate((limits.velocity, largest, limits.jerk), start=1):
         power = rates[-1]
         rates.append(power[:, 1:] * np.arange(1, power.shape[1])[None, :, None])
         yield order, (_hull(rates[-1]) / (limit * duration_s[:, None] ** order)).max(axis=1)
     _, velocity, acceleration, _ = rates
     time_s = duration_s[:, None, None]
+    if limits.deceleration is not None:
+        pushes = _bernstein(acceleration) / time_s**2
+        yield 2, asked_of_sides(_bernstein(velocity), pushes, limits.sides).max(axis=1)
+    if limits.along is not None and np.isfinite(limits.along.centripetal):
+        bent = across(coefficients[:, :, :-1] * limits.along.radius_m)
+        yield 2, bent / (limits.along.centripetal * duration_s**2)
     for demand in limits.demand:
         asked = velocity * (demand[:, 0] / time_s)
         asked[:, :-1] += acceleration * (demand[:, 1] / time_s**2)
@@ -148,6 +162,11 @@ def _shares(
 
 def _hull(power: FloatArray) -> FloatArray:
     """Return (n, axes): the largest of the absolute Bernstein coefficients."""
+    return np.asarray(np.abs(_bernstein(power)).max(axis=1))
+
+
+def _bernstein(power: FloatArray) -> FloatArray:
+    """Return the (n, order, axes) Bernstein coefficients."""
     degree = power.shape[1] - 1
     matrix = np.zeros((degree + 1, degree + 1))
     for i in range(degree + 1):
@@ -155,4 +174,4 @@ def _hull(power: FloatArray) -> FloatArray:
         for k in range(i + 1):
             matrix[i, k] = share
             share *= (i - k) / (degree - k) if degree > k else 0.0
-    return np.asarray(np.abs(np.einsum("ik,nka->nia", matrix, power)).max(axis=1))
+    return np.asarray(np.einsum("ik,nka->nia", matrix, power))

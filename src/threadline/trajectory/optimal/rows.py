@@ -30,7 +30,7 @@ BASE = np.array([[1.0, -2.0, 1.0], [0.0, 2.0, -2.0], [0.0, 0.0, 1.0]])
 
 
 @njit()
-def _bernstein(power, degree, out):
+def bernstein_of(power, degree, out):
     """Write the Bernstein coefficients of a polynomial in powers into ``out[: degree + 1]``."""
     for i in range(degree + 1):
         total = 0.0
@@ -42,7 +42,8 @@ def _bernstein(power, degree, out):
 
 
 @njit()
-def _degree(c, j):
+def degree_of(c, j):
+    """Return the highest power of axis ``j`` that is not 0."""
     for k in range(ORDER - 1, 0, -1):
         if c[k, j] != 0.0:
             return k
@@ -55,12 +56,12 @@ def _fastest(c, j, degree):
     slope, one = np.zeros(ORDER), np.zeros(ORDER)
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
-    _bernstein(slope, degree - 1, one)
+    bernstein_of(slope, degree - 1, one)
     return np.abs(one).max()
 
 
 @njit()
-def _acceleration_rows(c, j, degree, limit, out):
+def acceleration_rows(c, j, degree, limit, out):
     """Write the rows of one curved axis; return how many: its degree and one more, made odd."""
     odd = 3 if degree <= 3 else 5
     power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
@@ -74,7 +75,7 @@ def _acceleration_rows(c, j, degree, limit, out):
                     power[k - 2 + s] += second * BASE[m, s]
                 if s >= 1:
                     power[k - 1 + s - 1] += 0.5 * first * s * BASE[m, s]
-        _bernstein(power, odd, one)
+        bernstein_of(power, odd, one)
         for i in range(odd + 1):
             out[i, m] = one[i] / limit
     return odd + 1
@@ -98,7 +99,7 @@ def _jerk_rows(c, j, degree, limit, out, points):
                     power[k - 2 + s - 1] += 1.5 * second * s * BASE[m, s]
                 if s == 2:
                     power[k - 1] += first * BASE[m, s]
-        _bernstein(power, even, one)
+        bernstein_of(power, even, one)
         for i in range(even + 1):
             out[i, m] = one[i] / limit
     for i in range(even + 1):
@@ -117,7 +118,7 @@ def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
     n_acc, n_jerk = 0, 0
     line_a, line_j = 0.0, 0.0  # of straight axes, which all share one shape
     for j in range(c.shape[1]):
-        degree = _degree(c, j)
+        degree = degree_of(c, j)
         if degree == 0:
             continue
         top = min(top, (limit_v[j] / _fastest(c, j, degree)) ** 2)
@@ -125,15 +126,15 @@ def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
             line_a = max(line_a, abs(c[1, j]) / limit_a[j])
             line_j = max(line_j, abs(c[1, j]) / limit_j[j])
             continue
-        n_acc += _acceleration_rows(c, j, degree, limit_a[j], acc[n_acc:])
+        n_acc += acceleration_rows(c, j, degree, limit_a[j], acc[n_acc:])
         if limit_j[j] < np.inf:
             n_jerk += _jerk_rows(c, j, degree, limit_j[j], jerk[n_jerk:], points[n_jerk:])
     for j in range(guard.shape[1]):
-        degree = _degree(guard, j)
+        degree = degree_of(guard, j)
         if degree == 1:
             line_a = max(line_a, abs(guard[1, j]))
         elif degree > 1:
-            n_acc += _acceleration_rows(guard, j, degree, 1.0, acc[n_acc:])
+            n_acc += acceleration_rows(guard, j, degree, 1.0, acc[n_acc:])
     if line_a > 0.0:
         acc[n_acc, 0], acc[n_acc, 1], acc[n_acc, 2] = -line_a, line_a, 0.0
         acc[n_acc + 1, 0], acc[n_acc + 1, 1], acc[n_acc + 1, 2] = 0.0, -line_a, line_a
@@ -157,7 +158,7 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
     power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for k in range(1, degree + 1):
         power[k - 1] = share_v * k * c[k, j]
-    _bernstein(power, top, one)
+    bernstein_of(power, top, one)
     low, high = one[: top + 1].min(), one[: top + 1].max()
     for i in range(top + 1):
         out[i, 6] = one[i]
@@ -171,14 +172,14 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
                     power[k - 2 + s] += share_a * second * BASE[m, s]
                 if s >= 1:
                     power[k - 1 + s - 1] += share_a * 0.5 * first * s * BASE[m, s]
-        _bernstein(power, top, one)
+        bernstein_of(power, top, one)
         for i in range(top + 1):
             out[i, m] = one[i]
         power[:] = 0.0
         for k in range(1, degree + 1):
             for s in range(3):
                 power[k - 1 + s] += share_v * k * c[k, j] * BASE[m, s]
-        _bernstein(power, top, one)
+        bernstein_of(power, top, one)
         for i in range(top + 1):
             out[i, 3 + m] = one[i]
     rows = top + 1
@@ -215,7 +216,7 @@ def demand_rows(c, demand, limit_a, top):
     used = 0
     for i in range(n):
         for j in range(axes):
-            degree = _degree(c[i], j)
+            degree = degree_of(c[i], j)
             if degree == 0:
                 continue
             for m in range(len(demand)):

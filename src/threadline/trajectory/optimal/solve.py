@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
+from threadline.trajectory.optimal.along_path import AlongPath, across
+from threadline.trajectory.optimal.braking import braking_shares, with_braking
 from threadline.trajectory.optimal.first_guess import even, feasible, roundings, used
 from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.rows import assemble, demand_rows
@@ -41,19 +43,55 @@ class Limits:
         (m, axes, 2) share of what the drive of an axis has to give (volts, current) that 1 m/s,
         and 1 m/s^2, of it needs; 0 for none. At an acceleration of its limit and no velocity, no
         demand may be above 1.
+    deceleration
+        (axes,) what an axis may brake with, where that is another limit than ``acceleration``.
+    along
+        What the tool may do along its path and across it.
     """
 
     velocity: FloatArray
     acceleration: FloatArray
     jerk: FloatArray
     demand: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    deceleration: FloatArray | None = None
+    along: AlongPath | None = None
+
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """(axes,) limits of speeding up, and of braking."""
+        braking = self.acceleration if self.deceleration is None else self.deceleration
+        return self.acceleration, braking
+
+    @property
+    def largest_acceleration(self) -> FloatArray:
+        """(axes,) the higher limit of speeding up and braking."""
+        return np.maximum(*self.sides)
+
+    def with_length(self) -> Limits:
+        """Return the limits with those along the path as of one more axis: the way gone."""
+        if self.along is None:
+            return self
+        speeding, braking = self.sides
+        own = self.along
+        return replace(
+            self,
+            velocity=np.append(self.velocity, own.velocity),
+            acceleration=np.append(speeding, own.acceleration),
+            jerk=np.append(self.jerk, own.jerk),
+            demand=np.pad(self.demand, ((0, 0), (0, 1), (0, 0))),
+            deceleration=None
+            if self.deceleration is None
+            else np.append(braking, own.acceleration),
+        )
 
     @property
     def ramp_s(self) -> float:
         """The time that the jerk takes to the limit of acceleration or velocity, about."""
-        by_jerk = np.minimum(self.acceleration / self.jerk, np.sqrt(self.velocity / self.jerk))
-        by_acceleration = _LEAST_RAMP * self.velocity / self.acceleration
-        return float(np.maximum(by_jerk, by_acceleration).min())
+        with np.errstate(invalid="ignore"):
+            by_jerk = np.fmin(self.acceleration / self.jerk, np.sqrt(self.velocity / self.jerk))
+            by_acceleration = _LEAST_RAMP * self.velocity / self.acceleration
+        # What has no limit at all has no ramp either.
+        return float(np.nanmin(np.fmax(by_jerk, by_acceleration)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,19 +205,31 @@ class Problem:
 
     def _assemble(self) -> None:
         at, of = self.elements, self.limits
+        largest = of.largest_acceleration
+        self.top = self._top()
         acc, jerk, points, count, top = assemble(
-            at.c, at.guard, of.velocity, of.acceleration, of.jerk, at.top
+            at.c, at.guard, of.velocity, largest, of.jerk, self.top
         )
-        drive, first = demand_rows(at.c, of.demand, of.acceleration, top)
+        drive, first = demand_rows(at.c, of.demand, largest, top)
+        if of.deceleration is not None:
+            drive, first = with_braking(drive, first, at.c, *of.sides)
         self.rows = acc, jerk, points, count, top, drive, first
         self.slacks = int(2 * count.sum() + len(at) + 3 * np.isfinite(top).sum() + len(drive))
+
+    def _top(self) -> FloatArray:
+        """Return the (n,) largest u'^2 of feed, guards and what may be across the path."""
+        along = self.limits.along
+        if along is None or not np.isfinite(along.centripetal):
+            return self.elements.top
+        bent = across(self.elements.c[:, :, :-1] * along.radius_m)
+        with np.errstate(divide="ignore"):
+            return np.minimum(self.elements.top, along.centripetal / bent)
 
     def _begin(self) -> None:
         """Start from a slow motion."""
         at, of = self.elements, self.limits
-        most = even(
-            at.length, at.c, at.guard, of.velocity, of.acceleration, of.jerk, of.demand, at.top
-        )
+        least = np.minimum(*of.sides)
+        most = even(at.length, at.c, at.guard, of.velocity, least, of.jerk, of.demand, self.top)
         self.b, self.tangent = feasible(at.length, self.rows, most)
 
     def _slow(self, allowed: float, *, anew: bool) -> None:
@@ -240,12 +290,14 @@ class Problem:
 
     def _shares(self) -> FloatArray:
         at, of = self.elements, self.limits
-        y = bernstein(self.b, at.length)
-        return np.asarray(
-            shares(
-                at.c, at.guard, y, of.velocity, of.acceleration, of.jerk, of.demand, at.top, _PLACES
-            )
+        y, largest = bernstein(self.b, at.length), of.largest_acceleration
+        used = shares(
+            at.c, at.guard, y, of.velocity, largest, of.jerk, of.demand, self.top, _PLACES
         )
+        if of.deceleration is None:
+            return np.asarray(used)
+        # First, for guards are told by their places at the end.
+        return np.concatenate([braking_shares(at.c, y, *of.sides, _PLACES), used], axis=2)
 
     def _idle(self) -> IntArray:
         """Return 2 for each element that reaches no limit somewhere, to be cut in two, else 1."""

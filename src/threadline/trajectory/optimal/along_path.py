@@ -1,0 +1,210 @@
+"""Limits along the path and across it: speed, its derivatives, and centripetal acceleration.
+
+The length of the way gone is one more axis: a polynomial of fifth degree on each part of a piece,
+with the length, its slope and its bend at both ends. What limits an axis limits it too. Centripetal
+acceleration at the rate u' of the path is ``u'^2`` times the part of q_uu across the path; that is
+at most ``q_uu - l q_u`` for any l, and the control points of such a polynomial bound it everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.path.types import PieceBlock
+from threadline.trajectory.extremes import hull_of
+from threadline.trajectory.optimal.path_elements import restricted
+
+_PARTS = 4  # of a curved piece: the polynomials of its length are 4^5 times as near as of the whole
+_STRAIGHT = 1e-9  # of the largest derivative: what is across a straight line by rounding
+_NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(8)[0]),
+                    0.5 * np.polynomial.legendre.leggauss(8)[1])  # fmt: skip
+_PLACES = np.linspace(0.0, 1.0, 13)  # of a polynomial in time, at which its length is held to
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlongPath:
+    """What the tool may do along its path; each may be infinite.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk
+        Of the length of the way gone, m/s, m/s^2, m/s^3.
+    centripetal
+        Acceleration across the path, m/s^2.
+    radius_m
+        (axes,) length at the tool of one unit of each axis.
+    """
+
+    velocity: float
+    acceleration: float
+    jerk: float
+    centripetal: float
+    radius_m: FloatArray
+
+
+def divided(run: PieceBlock) -> PieceBlock:
+    """Return the pieces with each that is curved cut into even parts."""
+    straight = ~run.coefficients[:, 2:].any(axis=(1, 2))
+    parts = np.where(straight, 1, _PARTS)
+    which = np.repeat(np.arange(len(run)), parts)
+    count = parts[which].astype(np.float64)
+    first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+    ends = first == parts[which] - 1
+    return PieceBlock(
+        coefficients=restricted(run.coefficients[which], first / count, 1.0 / count),
+        operation=run.operation[which],
+        nominal_s=run.nominal_s[which] / count,
+        rest_after=np.where(ends, run.rest_after[which], 0),
+        dwell_s=np.where(ends, run.dwell_s[which], 0.0),
+        line=run.line[which],
+    )
+
+
+def with_length(c: FloatArray, radius_m: FloatArray) -> FloatArray:
+    """Return (n, 6, axes + 1): pieces with the length of the way gone as their last axis."""
+    n, order, axes = c.shape
+    at_tool = c * radius_m
+    powers = np.arange(1, order)
+    way = np.zeros(n)
+    for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
+        way += weight * _size(_at(at_tool[:, 1:] * powers[:, None], node))
+    first = at_tool[:, 1:] * powers[:, None]
+    second = first[:, 1:] * powers[: order - 2, None]
+    ends = []
+    for u in (0.0, 1.0):
+        rate, bend = _at(first, u), _at(second, u)
+        size = _size(rate)
+        along = np.divide((rate * bend).sum(axis=1), size, out=np.zeros(n), where=size > 0.0)
+        ends.append((size, along))
+    (v0, a0), (v1, a1) = ends
+    gone, slope, turn = way - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
+    out = np.zeros((n, 6, axes + 1))
+    out[:, :order, :axes] = c
+    out[:, :, axes] = np.stack(
+        [
+            np.cumsum(way) - way,
+            v0,
+            0.5 * a0,
+            10.0 * gone - 4.0 * slope + 0.5 * turn,
+            -15.0 * gone + 7.0 * slope - turn,
+            6.0 * gone - 3.0 * slope + 0.5 * turn,
+        ],
+        axis=1,
+    )
+    straight = ~c[:, 2:].any(axis=(1, 2))
+    out[straight, 2:, axes] = 0.0
+    return out
+
+
+def across(c: FloatArray) -> FloatArray:
+    """Return (n,) bounds of the second derivative across the first, for (n, order, axes) curves.
+
+    A curve that begins or ends at rest does so with its third power, as the elements do.
+    """
+    order = c.shape[1]
+    powers = np.arange(1.0, order)
+    ends = c[:, 1:] * powers[:, None]
+    # One at rest at its end is looked at from there.
+    size = np.abs(ends).max(axis=(1, 2))
+    closes = np.abs(ends.sum(axis=1)).max(axis=1) <= _STRAIGHT * size
+    back = restricted(c, np.ones(len(c)), -np.ones(len(c)))
+    c = np.where(closes[:, None, None], back, c)
+    first = c[:, 1:] * powers[:, None]
+    opens = np.abs(first[:, :2]).max(axis=(1, 2)) <= _STRAIGHT * size
+    second = np.zeros_like(first)
+    second[:, : order - 2] = first[:, 1:] * powers[: order - 2, None]
+    # At rest q_u is u^2 r: 2/u of it is a polynomial, and is along the path.
+    second[opens, : order - 2] -= 2.0 * first[opens, 1:]
+    second[opens, 0] = 0.0
+    along = []
+    for u in (0.0, 1.0):
+        # Beside a rest, r in place of q_u: u^2 less of both, which leaves their ratio.
+        rate, bend = _at(first, u), _at(second, u)
+        if u == 0.0 and opens.any() and order > 3:
+            rate[opens], bend[opens] = first[opens, 2], second[opens, 2]
+        squared = (rate**2).sum(axis=1)
+        along.append(
+            np.divide((rate * bend).sum(axis=1), squared, out=np.zeros(len(c)), where=squared > 0.0)
+        )
+    rest = np.zeros((len(c), order, c.shape[2]))
+    rest[:, :-1] = second - along[0][:, None, None] * first
+    rest[:, 1:] -= (along[1] - along[0])[:, None, None] * first
+    flat = np.moveaxis(rest, 1, 0).reshape(order, -1)
+    bound = np.sqrt((hull_of(flat).reshape(order, len(c), -1) ** 2).sum(axis=2)).max(axis=0)
+    bound[_on_one_line(first)] = 0.0
+    return np.asarray(bound)
+
+
+def true_shares(
+    coefficients: FloatArray, duration_s: FloatArray, limits: AlongPath
+) -> tuple[float, float, float]:
+    """Return the largest shares of speed, acceleration and jerk along the path, at many places.
+
+    ``coefficients`` (n, order, axes) are polynomials over [0, 1] of their times.
+    """
+    own, worst = coefficients * limits.radius_m, [0.0, 0.0, 0.0]
+    orders = [own]
+    for _ in range(3):
+        last = orders[-1]
+        orders.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+    for place in _PLACES.tolist():
+        v, a, j = (
+            _at(orders[k], place) / duration_s[:, None] ** k for k in (1, 2, 3)
+        )  # fmt: skip
+        speed = _size(v)
+        fast = speed > 1e-3 * speed.max(initial=0.0)
+        tangent = np.divide(v, speed[:, None], out=np.zeros_like(v), where=fast[:, None])
+        push = (tangent * a).sum(axis=1)
+        squared = np.maximum((a**2).sum(axis=1) - push**2, 0.0)
+        jerk = (tangent * j).sum(axis=1)
+        jerk += np.divide(squared, speed, out=np.zeros_like(speed), where=fast)
+        for k, (value, limit) in enumerate(
+            ((speed, limits.velocity), (push, limits.acceleration), (jerk, limits.jerk))
+        ):
+            worst[k] = max(worst[k], float(np.abs(value).max(initial=0.0)) / limit)
+    return worst[0], worst[1], worst[2]
+
+
+def reversals(places: FloatArray) -> IntArray:
+    """Return (n,) 1 for each of (n, axes) places at which the path turns back, else 0."""
+    way = np.diff(places, axis=0)
+    size = _size(way)
+    out = np.zeros(len(places), dtype=np.int64)
+    moved = np.flatnonzero(size > 0.0)
+    tangent = way[moved] / size[moved, None]
+    turned = (tangent[1:] * tangent[:-1]).sum(axis=1) < _BACK
+    out[moved[1:][turned]] = 1
+    return out
+
+
+_BACK = -0.85  # cosine of a corner (148 degrees) at which the motion rests: speed has a kink there
+
+
+def _on_one_line(first: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Say of (n, order, axes) derivatives whether all their coefficients have one direction."""
+    most = np.abs(first).max(axis=2).argmax(axis=1)
+    lead = first[np.arange(len(first)), most]
+    squared = (lead**2).sum(axis=1)
+    share = np.divide(
+        (first * lead[:, None]).sum(axis=2),
+        squared[:, None],
+        out=np.zeros(first.shape[:2]),
+        where=squared[:, None] > 0.0,
+    )
+    beside = np.abs(first - share[:, :, None] * lead[:, None]).max(axis=(1, 2))
+    return np.asarray(beside <= _STRAIGHT * np.sqrt(squared))
+
+
+def _at(poly: FloatArray, place: float) -> FloatArray:
+    """Return the (n, axes) values of (n, order, axes) polynomials at one place."""
+    out = poly[:, -1].copy()
+    for k in range(poly.shape[1] - 2, -1, -1):
+        out = out * place + poly[:, k]
+    return np.asarray(out)
+
+
+def _size(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
