@@ -303,6 +303,8 @@ def prove(
         If the job cannot be read, planned or judged on this machine.
     """
     check_machine(machine)
+    if progress is not None:
+        progress("planning", 0.0)
     plan = plan_job(open_job(job_file, machine, options), machine, options)
     return prove_plan(plan, spec, progress, trials, actual)
 

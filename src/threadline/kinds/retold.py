@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.signals import Commands, TickTable
+from threadline.machine.variants import variant
+from threadline.signals import Commands, Recording, TickTable
 
 
 def retold(commands: Commands, machine: Machine) -> Commands:
@@ -42,3 +47,18 @@ def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands
                 remedy="Give a machine file that has the planned one as its base.",
             )
     return retold(commands, actual)
+
+
+def one_by_one(
+    simulate: Callable[[Commands, Machine], Recording],
+    commands: Commands,
+    machine: Machine,
+    parts: FloatArray,
+    random: np.random.Generator,  # noqa: ARG001
+) -> Sequence[Recording]:
+    """Simulate machines within the tolerances one after the other, as ``Kind.others`` does it.
+
+    For kinds whose sensors do not differ from run to run: nothing is drawn from the generator.
+    """
+    machines = [variant(machine, row) for row in parts]
+    return [simulate(retold(commands, one), one) for one in machines]

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from threadline.arrays import FloatArray
 from threadline.described import describe
 from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.kinds.kind import Kind
-from threadline.kinds.retold import retold
+from threadline.kinds.retold import one_by_one
 from threadline.machine import Machine
-from threadline.machine.variants import variant
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.options import Options
 from threadline.path.interpolations import BY_LAW
@@ -97,16 +96,6 @@ def _days(
     return [_simulate(commands, one) for one in machines]
 
 
-def _others(
-    commands: Commands,
-    machine: Machine,
-    parts: FloatArray,
-    random: np.random.Generator,  # noqa: ARG001
-) -> Sequence[Recording]:
-    machines = [variant(machine, row) for row in parts]
-    return [_simulate(retold(commands, one), one) for one in machines]
-
-
 def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification as it is: no option of this kind adds a criterion."""
     return spec
@@ -125,7 +114,7 @@ STEPS = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
-    others=_others,
+    others=partial(one_by_one, _simulate),
     together=lambda _: False,
     asked=_asked,
     release=_release,

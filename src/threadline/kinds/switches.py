@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from threadline.arrays import FloatArray
 from threadline.described import describe
 from threadline.jobs.operations import Job
 from threadline.kinds.kind import Kind
-from threadline.kinds.retold import retold
+from threadline.kinds.retold import one_by_one
 from threadline.machine import Machine
-from threadline.machine.variants import variant
 from threadline.machine.vary import vary
 from threadline.options import Options, refuse_axis_options
 from threadline.plan import Plan, Scheduled
@@ -74,16 +73,6 @@ def _days(
     return [_simulate(commands, one) for one in machines]
 
 
-def _others(
-    commands: Commands,
-    machine: Machine,
-    parts: FloatArray,
-    random: np.random.Generator,  # noqa: ARG001
-) -> Sequence[Recording]:
-    machines = [variant(machine, row) for row in parts]
-    return [_simulate(retold(commands, one), one) for one in machines]
-
-
 def _release(plan: Plan) -> None:
     """Refuse nothing: a schedule that its valves cannot follow is not planned at all."""
 
@@ -97,7 +86,7 @@ SWITCHES = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
-    others=_others,
+    others=partial(one_by_one, _simulate),
     together=lambda _: False,
     asked=_asked,
     release=_release,

@@ -8,7 +8,7 @@ the table from which the array was made.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from threadline.signals.event import Event
 from threadline.signals.files.beside import NEEDLE_COLUMNS, Beside
 from threadline.signals.files.common import (
     Written,
-    clear_errors,
     reading,
 )
 from threadline.signals.files.events import events_cell, parse_events_cell
@@ -31,16 +30,13 @@ from threadline.signals.files.table import (
     END,
     READ_ROWS,
     checked_counts,
-    checked_rows,
     empty_block,
-    table_from,
     write_text,
 )
 from threadline.signals.files.table_text import (
     body_lines,
-    check_columns,
     check_end,
-    read_head,
+    read_text_table,
     told_end,
     whole_number,
 )
@@ -49,7 +45,7 @@ TITLE = "trajectory-array 1"
 MAX_TICKS = 1 << 31  # of one line: products with a remainder stay exact in 64 bits
 
 
-def _columns(axes: tuple[str, ...], needle: bool) -> list[str]:
+def _columns(axes: Sequence[str], needle: bool) -> list[str]:
     of_axis = [f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")]
     return ["ticks", *of_axis, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
@@ -177,12 +173,7 @@ def read_array(path: Path) -> TickTable:
         table of an older version has no hash of its rows: a wrong row of it is found only while it
         is read.
     """
-    with clear_errors(path):
-        meta, number, columns = read_head(path, TITLE)
-        needle = NEEDLE_COLUMNS[0] in columns.split(",")
-        table = table_from(meta, path, _blocks, number, len(NEEDLE_COLUMNS) if needle else 0)
-        check_columns(columns, _columns(table.axes, needle), Place(str(path), number))
-        return checked_rows(table, meta, path)
+    return read_text_table(path, TITLE, _columns, _blocks)
 
 
 def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import takewhile
 from os import SEEK_END
 from pathlib import Path
@@ -92,11 +92,37 @@ def read_table_csv(path: Path) -> TickTable:
         table of an older version has no hash of its rows: a wrong row of it is found only while it
         is read.
     """
+    return read_text_table(path, TITLE, csv_columns, _blocks)
+
+
+def read_text_table(
+    path: Path,
+    title: str,
+    columns_of: Callable[[Sequence[str], bool], list[str]],
+    blocks: Callable[..., Iterator[TickBlock]],
+) -> TickTable:
+    """Read a tick table from lines of text; the rows stay in the file until they are wanted.
+
+    Parameters
+    ----------
+    title
+        Name and version of the format, on the first line.
+    columns_of
+        Returns the columns that a table of these axes has, with those of the needle or without.
+    blocks
+        Called for each reading with the file and its hash, the number of axes, the number of the
+        line that names the columns, and how many columns the needle has; it yields the blocks.
+
+    Raises
+    ------
+    RecordingError
+        As ``read_table_csv`` and ``read_array`` raise it.
+    """
     with clear_errors(path):
-        meta, number, columns = read_head(path, TITLE)
+        meta, number, columns = read_head(path, title)
         needle = NEEDLE_COLUMNS[0] in columns.split(",")
-        table = table_from(meta, path, _blocks, number, len(NEEDLE_COLUMNS) if needle else 0)
-        check_columns(columns, csv_columns(table.axes, needle), Place(str(path), number))
+        table = table_from(meta, path, blocks, number, len(NEEDLE_COLUMNS) if needle else 0)
+        check_columns(columns, columns_of(table.axes, needle), Place(str(path), number))
         return checked_rows(table, meta, path)
 
 
