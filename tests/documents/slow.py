@@ -26,6 +26,7 @@ SLOW: dict[str, dict[str, str]] = {
         "make fuzz": "hours",
         "python tools/fuzz.py --seed 317 --reader READER --cases N": "an hour for all readers",
         "python -m tools.duration_against_contour": "an hour",
+        "python -m tools.x_180_bound": "12 s",
         "python tools/big_program.py 5000000 BIG.prg": "writes 197 MB",
         "/usr/bin/time -v threadline prove BIG.prg -m lathe-winder --interpolation NAME --json": (
             "253 s"

@@ -20,7 +20,7 @@ from threadline.signals import tick_table
 from threadline.trajectory import limit_peaks, plan_trajectory
 from threadline.trajectory.optimal import following_error
 from threadline.trajectory.optimal.drives import limits_of
-from threadline.trajectory.optimal.following_error import Follower, Past
+from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.types import TrajectoryBlock
 from threadline.twin import simulate
 from threadline.verdict import load_spec

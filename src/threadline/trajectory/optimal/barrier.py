@@ -81,8 +81,11 @@ def _add_demands(drive, y, tangent, weight, row, gy, hy):
 
 
 @njit()
-def newton(b, length, rows, tangent, weight):
-    """Return the Newton step of duration - weight * sum(log(slack)), and its decrement."""
+def derivatives(b, length, rows, tangent, weight):
+    """Return matrix and gradient of duration - weight * sum(log(slack)).
+
+    Entry (i, k) of the (n + 2, 3) matrix is that of row i and column i + k.
+    """
     acc, jerk, points, count, top, drive, begin = rows
     n = len(length)
     size = n + 2
@@ -146,15 +149,11 @@ def newton(b, length, rows, tangent, weight):
                     for m in range(3):
                         bend += p[k, a] * hy[k, m] * p[m, c]
                 matrix[i + a, c - a] += bend
-    step = _solve(matrix, g)
-    decrement = 0.0
-    for i in range(size):
-        decrement -= g[i] * step[i]
-    return step, decrement
+    return matrix, g
 
 
 @njit()
-def _solve(matrix, g):
+def solved(matrix, g):
     """Return z of ``matrix z = -g`` by L D L'; entry (i, k) is that of row i and column i + k."""
     size = len(g)
     one, two, d = np.zeros(size), np.zeros(size), np.zeros(size)
@@ -186,6 +185,17 @@ def _solve(matrix, g):
             v -= two[i + 2] * z[i + 2]
         z[i] = v
     return z
+
+
+@njit()
+def newton(b, length, rows, tangent, weight):
+    """Return the Newton step of duration - weight * sum(log(slack)), and its decrement."""
+    matrix, g = derivatives(b, length, rows, tangent, weight)
+    step = solved(matrix, g)
+    decrement = 0.0
+    for i in range(len(g)):
+        decrement -= g[i] * step[i]
+    return step, decrement
 
 
 @njit()

@@ -12,7 +12,7 @@ from threadline.machine import Machine
 from threadline.path.types import PlannedPath
 from threadline.trajectory.optimal.drives import axis_limits, demands_of
 from threadline.trajectory.optimal.fastest_motion import follower_of
-from threadline.trajectory.optimal.following_error import Follower, Past
+from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.types import Trajectory
 
 SAMPLES = 4001

@@ -16,7 +16,8 @@ from threadline.plant.closed_loop import answers_of
 from threadline.trajectory.optimal.alone import line_alone
 from threadline.trajectory.optimal.along_path import divided, with_length
 from threadline.trajectory.optimal.drives import limits_of
-from threadline.trajectory.optimal.following_error import Follower, Past, followed
+from threadline.trajectory.optimal.followers import Follower, Past
+from threadline.trajectory.optimal.following_error import followed
 from threadline.trajectory.optimal.in_time import in_time
 from threadline.trajectory.optimal.path_elements import Elements, elements_of
 from threadline.trajectory.optimal.solve import Limits, fastest

@@ -199,6 +199,11 @@ class Problem:
         self._assemble()
         self._slow(_KEPT, anew=True)
 
+    def limit(self, elements: Elements) -> None:
+        """Take the same elements with other rates that they allow; the motion stays as it is."""
+        self.elements = elements
+        self._assemble()
+
     def solution(self) -> Solution:
         """Return the motion as it was found."""
         return Solution(elements=self.elements, b=self.b, steps=self.steps, gap=self.gap())
