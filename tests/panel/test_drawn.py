@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
+import ezdxf
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from tests.panel.bench import LOCAL, served
 from threadline.errors import JobError
-from threadline.panel.drawn import Lettering, Shape, dxf, outlines, shapes_of
+from threadline.panel.drawn import Lettering, Shape, dxf, opened, outlines, shapes_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SHAPES = [
@@ -42,6 +44,39 @@ def test_drawings_of_the_examples_can_be_edited(name: str) -> None:
     assert len(again) == len(found)
 
 
+def test_looks_fills_and_leaders_are_entities_of_a_dxf() -> None:
+    """As ezdxf reads them; fills and leaders lie on layers of their own, and are not sewn."""
+    made = dxf(
+        [
+            Shape(kind="line", points=[(0, 0), (30, 0)], style="dashdot"),
+            Shape(kind="circle", points=[(50, 50), (60, 50)], fill="hatched"),
+            Shape(kind="arc", points=[(20, 0), (10, 10), (0, 0)], fill="solid"),
+            Shape(kind="spline", points=[(0, 0), (10, 5), (20, 0)], fill="crossed"),
+            Shape(kind="leader", points=[(50, 60), (70, 80), (80, 80)], label="glass {2}"),
+        ]
+    )
+    space = ezdxf.read(io.StringIO(made.decode())).modelspace()
+    assert space.query("LWPOLYLINE").first.dxf.linetype == "DASHDOT"
+    round_, arc, spline = space.query("HATCH")
+    assert {one.dxf.layer for one in (round_, arc, spline)} == {"FILL"}
+    assert (round_.dxf.pattern_name, arc.dxf.solid_fill) == ("ANSI31", 1)
+    assert spline.dxf.pattern_name == "ANSI37"
+    ring = np.array([vertex[:2] for vertex in round_.paths[0].vertices])
+    assert np.hypot(*(ring - 50.0).T) == pytest.approx(10.0, abs=1e-6)
+    half = np.array([vertex[:2] for vertex in arc.paths[0].vertices])
+    assert np.hypot(*(half - (10.0, 0.0)).T) == pytest.approx(10.0, abs=1e-6)
+    assert half[:, 1].min() >= -1e-6  # above its chord, as it was drawn
+    smooth = np.array([vertex[:2] for vertex in spline.paths[0].vertices])
+    assert np.abs(smooth - (10.0, 5.0)).sum(axis=1).min() < 1e-6  # through its points
+    leader = space.query("LEADER").first
+    assert np.array(leader.vertices)[0][:2] == pytest.approx((50.0, 60.0))
+    assert space.query("MTEXT").first.plain_text() == "glass {2}"
+    again = opened("a.dxf", made)
+    assert [one["kind"] for one in again["shapes"]] == ["line", "circle", "arc", "line"]
+    assert len(again["left_out"]) == 5
+    assert "a HATCH cannot be sewn" in again["left_out"][0]
+
+
 def test_capital_letters_are_as_high_as_asked() -> None:
     """An H is 10 mm high and begins on the baseline; an O has two rings."""
     (ring,) = outlines(Lettering(text="H", height_mm=10.0))
@@ -66,7 +101,8 @@ def test_requests(tmp_path: Path) -> None:
         answer = post(client, "dxf", sent)
         assert answer.status_code == 200
         read = post(client, "shapes?name=a.dxf", answer.content)
-        assert read.json() == [{"kind": "line", "points": [[0.0, 0.0], [10.0, 0.0]], "group": 1}]
+        line = {"kind": "line", "points": [[0.0, 0.0], [10.0, 0.0]], "group": 1}
+        assert read.json() == {"shapes": [line], "left_out": []}
         assert post(client, "text", b'{"text": "A", "height_mm": 5}').status_code == 200
         for path, bad in (
             ("dxf", b"[]"), ("dxf", b"{"), ("dxf", b'[{"kind": "line", "points": [[0, 1e9]]}]'),

@@ -191,7 +191,7 @@ def test_a_profile_and_a_stitch_path_are_drawn(
     page.locator("#text").fill("Rio")
     press(page, "Add text")
     expect(page.locator("#drawn")).to_contain_text("10 shapes")
-    press(page, "Rotate 15°")
+    press(page, "Rotate")
     press(page, "Delete")
     expect(page.locator("#drawn")).to_contain_text("4 shapes")
     press(page, "Undo")

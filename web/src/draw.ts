@@ -1,16 +1,16 @@
 /** Drawing: a stitch path or the profile of a mandrel, by pointer or by typed coordinates. */
 
 import { by, made, typing, value } from "./dom";
-import { foreignShapes, ownShapes, radiusText, seamText, svgText } from "./drawing_files";
+import { FILLS, foreignShapes, ownShapes, patterns, radiusText, seamText, svgText } from "./drawing_files";
 import type { Program } from "./program";
 import type { Session } from "./session";
 import { say } from "./session";
-import { NEEDS, bounds, middle, moved, pathData, turned } from "./shapes";
-import type { Kind, Point, Shape, Style } from "./shapes";
+import { LABEL_MM, NEEDS, bounds, middle, moved, pathData, scaled, turned } from "./shapes";
+import type { Fill, Kind, Point, Shape, Style } from "./shapes";
 
 const SVG = "http://www.w3.org/2000/svg";
 const NEAR_PX = 10;
-const DASH: Record<Style, string> = { solid: "", dashed: "6 3", dotted: "1 3" };
+const DASH: Record<Style, string> = { solid: "", dashed: "6 3", dotted: "1 3", dashdot: "8 3 1 3" };
 const MOST_UNDONE = 100;
 
 type Tool = Kind | "select";
@@ -20,8 +20,10 @@ export class Draw {
   private chosen = new Set<number>(); // groups
   private pending: Point[] = [];
   private tool: Tool = "select";
-  private undone: string[] = [];
+  private before: string[] = []; // what undo goes back to
+  private after: string[] = []; // what redo goes on to
   private dragged: Point | null = null;
+  private pulled = false;
   private pointer: Point | null = null;
   private readonly svg = document.createElementNS(SVG, "svg");
 
@@ -31,11 +33,12 @@ export class Draw {
     this.svg.setAttribute("role", "application");
     this.svg.setAttribute("aria-label", "Drawing; points can be typed below");
     by("paper").append(this.svg);
-    for (const tool of ["select", "line", "polygon", "arc", "circle", "spline"] as Tool[]) this.action(tool[0]!.toUpperCase() + tool.slice(1), () => this.choose(tool)).dataset.tool = tool;
+    for (const tool of ["select", "line", "polygon", "arc", "circle", "spline", "leader"] as Tool[]) this.action(tool[0]!.toUpperCase() + tool.slice(1), () => this.choose(tool)).dataset.tool = tool;
     const edits: [string, () => void][] = [
       ["Finish", () => this.finish()], ["Duplicate", () => this.change((one) => [one, { ...moved(one, [10, 10]), group: one.group + this.last() }])],
-      ["Rotate 15°", () => { const about = middle(this.chosenShapes()); this.change((one) => [turned(one, about, 15)]); }], ["Delete", () => this.change(() => [])],
-      ["To front", () => this.order(true)], ["To back", () => this.order(false)], ["Undo", () => this.undo()], ["Clear", () => { this.keep(); this.shapes = []; this.draw(); }],
+      ["Rotate", () => this.aboutMiddle("angle", (one, about, degrees) => turned(one, about, degrees))], ["Scale", () => this.aboutMiddle("factor", (one, about, factor) => scaled(one, about, factor))],
+      ["Delete", () => this.change(() => [])], ["To front", () => this.order(true)], ["To back", () => this.order(false)],
+      ["Undo", () => this.undo()], ["Redo", () => this.redo()], ["Clear", () => { this.keep(); this.shapes = []; this.draw(); }],
     ];
     for (const [name, act] of edits) this.action(name, act);
     this.choose("select");
@@ -45,8 +48,10 @@ export class Draw {
     this.svg.ondblclick = () => this.finish();
     this.svg.onkeydown = (event) => this.key(event);
     by<HTMLInputElement>("typed-point").onkeydown = (event) => { if (event.key === "Enter") this.typed(); };
+    by<HTMLSelectElement>("line-style").onchange = () => { if (this.chosen.size) this.change((one) => [{ ...one, style: value("line-style") as Style }]); };
+    by<HTMLSelectElement>("fill").onchange = () => { if (this.chosen.size) this.change((one) => [{ ...one, fill: value("fill") as Fill }]); };
     by("add-text").onclick = () => void this.text();
-    by("save-svg").onclick = () => void this.saveSvg();
+    by("save-svg").onclick = () => void this.saveSvg(this.shapes);
     by("save-seam").onclick = () => void this.saveSeam();
     by("save-dxf").onclick = () => void this.saveDxf();
     by("as-mandrel").onclick = () => this.asMandrel();
@@ -96,8 +101,8 @@ export class Draw {
     if (!event.shiftKey) this.chosen.clear();
     if (hit) {
       this.chosen.add(this.shapes[Number(hit.dataset.at)]!.group);
-      this.keep();
       this.dragged = at;
+      this.pulled = false;
       this.svg.setPointerCapture(event.pointerId);
     }
     this.draw();
@@ -108,6 +113,8 @@ export class Draw {
     this.pointer = at;
     if (this.dragged) {
       const by_: Point = [at[0] - this.dragged[0], at[1] - this.dragged[1]];
+      if (by_[0] === 0 && by_[1] === 0) return;
+      if (!this.pulled) { this.keep(); this.pulled = true; }
       this.dragged = at;
       this.shapes = this.shapes.map((one) => this.chosen.has(one.group) ? moved(one, by_) : one);
     }
@@ -138,7 +145,7 @@ export class Draw {
     if (this.tool !== "select" && points.length >= NEEDS[this.tool][0]) {
       this.keep();
       const group = this.last() + 1;
-      this.shapes.push({ kind: this.tool, points, style: value("line-style") as Style, filled: by<HTMLInputElement>("filled").checked, group });
+      this.shapes.push({ kind: this.tool, points, style: value("line-style") as Style, fill: value("fill") as Fill, label: this.tool === "leader" ? value("text") : "", group });
       this.chosen = new Set([group]);
     }
     this.draw();
@@ -147,14 +154,32 @@ export class Draw {
   // --- changes --------------------------------------------------------------------------------
 
   private keep(): void {
-    this.undone.push(JSON.stringify(this.shapes));
-    if (this.undone.length > MOST_UNDONE) this.undone.shift();
+    this.before.push(JSON.stringify(this.shapes));
+    this.after = [];
+    if (this.before.length > MOST_UNDONE) this.before.shift();
   }
 
   private undo(): void {
     if (this.pending.length) this.pending.pop();
-    else { const before = this.undone.pop(); if (before) this.shapes = JSON.parse(before) as Shape[]; }
+    else this.goBack(this.before, this.after);
     this.draw();
+  }
+
+  private redo(): void { this.goBack(this.after, this.before); this.draw(); }
+
+  private goBack(from: string[], to: string[]): void {
+    const found = from.pop();
+    if (found === undefined) return;
+    to.push(JSON.stringify(this.shapes));
+    this.shapes = JSON.parse(found) as Shape[];
+  }
+
+  /** Change what is chosen about its middle, by the number of a field. */
+  private aboutMiddle(field: string, into: (shape: Shape, about: Point, by_: number) => Shape): void {
+    const by_ = Number(value(field).replace(",", "."));
+    if (!Number.isFinite(by_) || by_ === 0) { say("rotate and scale by a number other than 0", true); return; }
+    const about = middle(this.chosenShapes());
+    this.change((one) => [into(one, about, by_)]);
   }
 
   /** Put others in the place of each chosen shape. */
@@ -181,6 +206,7 @@ export class Draw {
     if (by_) { event.preventDefault(); this.change((one) => [moved(one, by_)]); }
     else if (event.key === "Delete") this.change(() => []);
     else if (event.key === "z" && event.ctrlKey) this.undo();
+    else if (event.key === "y" && event.ctrlKey) this.redo();
     else if (event.key === "Enter") this.finish();
   }
 
@@ -205,7 +231,10 @@ export class Draw {
     const own = file.name.toLowerCase().endsWith(".svg") ? ownShapes(await file.text()) : null;
     if (own) { this.take(own); return; }
     const answer = await this.answered(`/api/drawing/shapes?name=${encodeURIComponent(file.name)}`, file);
-    if (answer) this.take(foreignShapes((await answer.json()) as Shape[], 0));
+    if (!answer) return;
+    const found = (await answer.json()) as { shapes: Shape[]; left_out: string[] };
+    for (const one of found.left_out) say(`left out: ${one}`, true);
+    this.take(foreignShapes(found.shapes, 0));
   }
 
   private async text(): Promise<void> {
@@ -218,16 +247,17 @@ export class Draw {
     this.draw();
   }
 
-  private async saveSvg(): Promise<boolean> { return this.program.load(`${value("drawing-name")}.svg`, new Blob([svgText(this.shapes)])); }
+  private async saveSvg(shapes: Shape[]): Promise<boolean> { return this.program.load(`${value("drawing-name")}.svg`, new Blob([svgText(shapes)])); }
 
   private async saveSeam(): Promise<void> {
-    if (this.shapes.length === 0 || !(await this.saveSvg())) return;
-    const name = value("drawing-name"), [low] = bounds(this.shapes);
+    const sewn = this.shapes.filter((one) => one.kind !== "leader"); // they tell, and are not sewn
+    if (sewn.length === 0 || !(await this.saveSvg(sewn))) return;
+    const name = value("drawing-name"), [low] = bounds(sewn);
     await this.program.load(`${name}.seam.toml`, new Blob([seamText(`${name}.svg`, Number(value("stitch")), Number(value("needle")), low)]));
   }
 
   private async saveDxf(): Promise<void> {
-    const answer = await this.answered("/api/drawing/dxf", JSON.stringify(this.shapes.map(({ kind, points, style }) => ({ kind, points, style }))));
+    const answer = await this.answered("/api/drawing/dxf", JSON.stringify(this.shapes.map(({ kind, points, style, fill, label }) => ({ kind, points, style, fill, label }))));
     if (!answer) return;
     const to = made("a");
     to.href = URL.createObjectURL(await answer.blob());
@@ -259,14 +289,17 @@ export class Draw {
     const box = this.svg.viewBox.baseVal, cell = 10, lines: Element[] = [];
     for (let x = Math.ceil(box.x / cell) * cell; x < box.x + box.width; x += cell) lines.push(part("line", { x1: `${x}`, x2: `${x}`, y1: `${box.y}`, y2: `${box.y + box.height}`, class: x === 0 ? "zero" : "" }));
     for (let y = Math.ceil(box.y / cell) * cell; y < box.y + box.height; y += cell) lines.push(part("line", { y1: `${y}`, y2: `${y}`, x1: `${box.x}`, x2: `${box.x + box.width}`, class: y === 0 ? "zero" : "" }));
-    const shapes = this.shapes.map((one, k) => part("path", { d: pathData(one), "data-at": String(k), class: this.chosen.has(one.group) ? "chosen" : "", fill: one.filled ? "#ccc" : "none", "stroke-dasharray": DASH[one.style] }));
+    const shapes = this.shapes.map((one, k) => part("path", { d: pathData(one), "data-at": String(k), class: this.chosen.has(one.group) ? "chosen" : "", fill: one.kind === "leader" ? "none" : FILLS[one.fill], "stroke-dasharray": DASH[one.style] }));
     const points = [...this.pending, ...(this.pending.length && this.pointer ? [this.pointer] : [])];
     if (points.length > 1) {
       const kind = this.tool === "arc" && points.length < 3 ? "line" : this.tool as Kind;
-      shapes.push(part("path", { d: pathData({ kind, points, style: "dashed", filled: false, group: 0 }), class: "pending", fill: "none" }));
+      shapes.push(part("path", { d: pathData({ kind, points, style: "dashed", fill: "none", label: "", group: 0 }), class: "pending", fill: "none" }));
     }
     const handles = this.chosenShapes().flatMap((one) => one.points.length > 40 ? [] : one.points).concat(this.pending).map(([x, y]) => part("circle", { cx: `${x}`, cy: `${-y}`, r: `${box.width / 250}` }));
-    this.svg.replaceChildren(...lines, ...shapes, ...handles);
+    const labels = this.shapes.filter((one) => one.label).map((one) => { const [x, y] = one.points[one.points.length - 1]!, found = part("text", { x: `${x + 1}`, y: `${-y}`, "font-size": String(LABEL_MM) }); found.textContent = one.label; return found; });
+    const fills = part("g", {});
+    fills.innerHTML = patterns(0.4);
+    this.svg.replaceChildren(fills, ...lines, ...shapes, ...labels, ...handles);
     by("drawn").textContent = `${this.shapes.length} shapes${this.pending.length ? `, ${this.pending.length} points of the next` : ""}${this.pointer ? `, ${this.pointer.map((v) => v.toFixed(1)).join(", ")} mm` : ""}`;
   }
 }

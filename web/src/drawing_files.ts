@@ -1,32 +1,37 @@
 /** Drawings as files: SVG of our own, DXF and foreign SVG by the server, seams and mandrels made of a drawing. */
 
-import { bounds, pathData } from "./shapes";
-import type { Kind, Point, Shape, Style } from "./shapes";
+import { LABEL_MM, bounds, pathData } from "./shapes";
+import type { Fill, Kind, Point, Shape, Style } from "./shapes";
 
-const DASHES: Record<Style, string> = { solid: "", dashed: "4 2", dotted: "0.5 1.5" };
+const DASHES: Record<Style, string> = { solid: "", dashed: "4 2", dotted: "0.5 1.5", dashdot: "6 2 0.5 2" };
+export const FILLS: Record<Fill, string> = { none: "none", solid: "#cccccc", hatched: "url(#hatched)", crossed: "url(#crossed)" };
+/** The patterns of fills, for a picture whose lines are so wide, mm. */
+export const patterns = (wide: number): string => `<defs><pattern id="hatched" width="3" height="3" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><path d="M 0 0 V 3" stroke="#777777" stroke-width="${wide}"/></pattern><pattern id="crossed" width="3" height="3" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><path d="M 0 0 V 3 M 0 0 H 3" stroke="#777777" stroke-width="${wide}"/></pattern></defs>`;
+const escaped = (text: string): string => text.replace(/[&<>"]/g, (one) => `&#${one.charCodeAt(0)};`);
 const MARGIN = 5;
 
 /** Text of an SVG in mm, from which this page reads the same shapes again. */
 export function svgText(shapes: Shape[]): string {
   const [low, high] = shapes.length ? bounds(shapes) : [[0, 0], [100, 100]] as [Point, Point];
   const x = low[0] - MARGIN, y = -high[1] - MARGIN, width = high[0] - low[0] + 2 * MARGIN, height = high[1] - low[1] + 2 * MARGIN;
-  const paths = shapes.map((shape) => `  <path d="${pathData(shape)}" fill="${shape.filled ? "#cccccc" : "none"}" stroke="#000000" stroke-width="0.3"${DASHES[shape.style] ? ` stroke-dasharray="${DASHES[shape.style]}"` : ""} data-kind="${shape.kind}" data-style="${shape.style}" data-group="${shape.group}" data-points="${shape.points.map((p) => p.map((v) => Number(v.toFixed(6))).join(",")).join(" ")}"/>`);
-  return [`<svg xmlns="http://www.w3.org/2000/svg" width="${width}mm" height="${height}mm" viewBox="${x} ${y} ${width} ${height}">`, ...paths, "</svg>", ""].join("\n");
+  const paths = shapes.map((shape) => `  <path d="${pathData(shape)}" fill="${shape.kind === "leader" ? "none" : FILLS[shape.fill]}" stroke="#000000" stroke-width="0.3"${DASHES[shape.style] ? ` stroke-dasharray="${DASHES[shape.style]}"` : ""} data-kind="${shape.kind}" data-style="${shape.style}" data-fill="${shape.fill}" data-label="${escaped(shape.label)}" data-group="${shape.group}" data-points="${shape.points.map((p) => p.map((v) => Number(v.toFixed(6))).join(",")).join(" ")}"/>`);
+  const labels = shapes.filter((shape) => shape.label).map((shape) => { const [x, y] = shape.points[shape.points.length - 1]!; return `  <text x="${x + 1}" y="${-y}" font-family="sans-serif" font-size="${LABEL_MM}">${escaped(shape.label)}</text>`; });
+  return [`<svg xmlns="http://www.w3.org/2000/svg" width="${width}mm" height="${height}mm" viewBox="${x} ${y} ${width} ${height}">`, patterns(0.3), ...paths, ...labels, "</svg>", ""].join("\n");
 }
 
 /** Shapes of an SVG that this page wrote; null where another program did. */
 export function ownShapes(text: string): Shape[] | null {
-  const paths = [...new DOMParser().parseFromString(text, "image/svg+xml").querySelectorAll("path")];
+  const paths = [...new DOMParser().parseFromString(text, "image/svg+xml").querySelectorAll("svg > path")] as SVGPathElement[];
   if (paths.length === 0 || paths.some((path) => !path.dataset.points)) return null;
   return paths.map((path) => ({
-    kind: path.dataset.kind as Kind, style: (path.dataset.style ?? "solid") as Style, filled: path.getAttribute("fill") !== "none", group: Number(path.dataset.group ?? 0),
+    kind: path.dataset.kind as Kind, style: (path.dataset.style ?? "solid") as Style, fill: (path.dataset.fill ?? (path.getAttribute("fill") === "none" ? "none" : "solid")) as Fill, label: path.dataset.label ?? "", group: Number(path.dataset.group ?? 0),
     points: path.dataset.points!.split(" ").map((one) => one.split(",").map(Number) as Point),
   }));
 }
 
 /** Shapes that the server has read or made. */
 export function foreignShapes(found: { kind: Kind; points: Point[]; group: number }[], after: number): Shape[] {
-  return found.map((one) => ({ ...one, style: "solid", filled: false, group: one.group + after }));
+  return found.map((one) => ({ ...one, style: "solid", fill: "none", label: "", group: one.group + after }));
 }
 
 /** A seam that sews what was drawn where it was drawn: its SVG begins a margin beside the lowest point. */

@@ -1,14 +1,18 @@
 /** Shapes of a drawing, in mm with y upwards: each is what its points say, so that moving and turning act on points alone. */
 
 export type Point = [number, number];
-export type Kind = "line" | "polygon" | "arc" | "circle" | "spline";
-export type Style = "solid" | "dashed" | "dotted";
+export type Kind = "line" | "polygon" | "arc" | "circle" | "spline" | "leader";
+export type Style = "solid" | "dashed" | "dotted" | "dashdot";
+export type Fill = "none" | "solid" | "hatched" | "crossed";
 
-/** A line has two points or more; an arc its begin, a point on it and its end; a circle its centre and a point on it. */
-export interface Shape { kind: Kind; points: Point[]; style: Style; filled: boolean; /** Shapes of one number are chosen together. */ group: number }
+/** A line has two points or more; an arc its begin, a point on it and its end; a circle its centre and a point on it; a leader points with its first point, and has its label at the last. */
+export interface Shape { kind: Kind; points: Point[]; style: Style; fill: Fill; label: string; /** Shapes of one number are chosen together. */ group: number }
+
+const HEAD = [4, 1.2]; // mm, length and half the width of a leader's head
+export const LABEL_MM = 4;
 
 /** Points that a shape needs; it may have more where there is no exact number. */
-export const NEEDS: Record<Kind, [number, boolean]> = { line: [2, false], polygon: [3, false], arc: [3, true], circle: [2, true], spline: [3, false] };
+export const NEEDS: Record<Kind, [number, boolean]> = { line: [2, false], polygon: [3, false], arc: [3, true], circle: [2, true], spline: [3, false], leader: [2, false] };
 
 const distance = (a: Point, b: Point): number => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
@@ -18,6 +22,8 @@ export function turned(shape: Shape, about: Point, degrees: number): Shape {
   const c = Math.cos((degrees * Math.PI) / 180), s = Math.sin((degrees * Math.PI) / 180);
   return { ...shape, points: shape.points.map(([x, y]) => [about[0] + c * (x - about[0]) - s * (y - about[1]), about[1] + s * (x - about[0]) + c * (y - about[1])]) };
 }
+
+export function scaled(shape: Shape, about: Point, factor: number): Shape { return { ...shape, points: shape.points.map(([x, y]) => [about[0] + factor * (x - about[0]), about[1] + factor * (y - about[1])]) }; }
 
 export function middle(shapes: Shape[]): Point {
   const [low, high] = bounds(shapes);
@@ -72,6 +78,11 @@ export function pathData(shape: Shape): string {
   if (shape.kind === "spline") {
     const by = controls(shape.points), pieces = by.flatMap((_, k) => k % 3 === 0 ? [`C ${told(by[k]!)} ${told(by[k + 1]!)} ${told(by[k + 2]!)}`] : []);
     return `M ${told(a)} ${pieces.join(" ")}`;
+  }
+  if (shape.kind === "leader") {
+    const long = distance(a, b) || 1, along: Point = [(b[0] - a[0]) / long, (b[1] - a[1]) / long], [length, half] = HEAD as [number, number];
+    const barb = (side: number): Point => [a[0] + length * along[0] - side * half * along[1], a[1] + length * along[1] + side * half * along[0]];
+    return `M ${shape.points.map(told).join(" L ")} M ${told(barb(1))} L ${told(a)} L ${told(barb(-1))}`;
   }
   return `M ${shape.points.map(told).join(" L ")}${shape.kind === "polygon" ? " Z" : ""}`;
 }

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from threadline.arrays import FloatArray
 
-ShapeKind = Literal["line", "polygon", "arc", "circle", "spline"]
-_LINETYPES = {"solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOTTED"}
+ShapeKind = Literal["line", "polygon", "arc", "circle", "spline", "leader"]
+Fill = Literal["none", "solid", "hatched", "crossed"]
+_LINETYPES = {
+    "solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOTTED", "dashdot": "DASHDOT",
+}  # fmt: skip
+_PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
+FILL_LAYER, LEADER_LAYER = "FILL", "LEADER"
+"""Layers of what is not sewn."""
+_LABEL_MM = 4.0
+_CHORDS = 32  # of a piece of a curve, where it bounds a fill
+_GREY = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,16 +34,22 @@ class DrawnShape:
     kind
         ``line`` and ``polygon`` join their points; an ``arc`` has its begin, a point on it and its
         end; a ``circle`` its centre and a point on it; a ``spline`` passes through its points, as
-        Catmull and Rom have it.
+        Catmull and Rom have it. A ``leader`` points with its first point.
     points
         (n, 2) m.
     style
-        ``solid``, ``dashed`` or ``dotted``.
+        ``solid``, ``dashed``, ``dotted`` or ``dashdot``.
+    fill
+        Fill of what it bounds; an open one is closed by a straight line for that.
+    label
+        Text at the last point of a leader.
     """
 
     kind: ShapeKind
     points: FloatArray
     style: str = "solid"
+    fill: Fill = "none"
+    label: str = ""
 
 
 def centre_of(points: FloatArray) -> FloatArray | None:
@@ -59,13 +75,21 @@ def spline_controls(points: FloatArray) -> FloatArray:
 
 
 def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
-    """Return a DXF (R2010) with an entity for each shape: LWPOLYLINE, ARC, CIRCLE or SPLINE."""
+    """Return a DXF (R2010) with an entity for each shape: LWPOLYLINE, ARC, CIRCLE or SPLINE.
+
+    Fills (HATCH) and leaders (LEADER, MTEXT) are on layers of their own, ``FILL`` and ``LEADER``.
+    """
     from ezdxf import units
     from ezdxf.filemanagement import new
 
     document = new(setup=["linetypes"], units=units.MM)
     space = document.modelspace()
     for shape in shapes:
+        if shape.kind == "leader":
+            _add_leader(space, shape)
+            continue
+        if shape.fill != "none":
+            _add_fill(space, shape)
         points, look = 1e3 * shape.points, {"linetype": _LINETYPES[shape.style]}
         if shape.kind == "circle":
             radius = float(np.hypot(*(points[1] - points[0])))
@@ -89,3 +113,49 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
     text = io.StringIO()
     document.write(text)
     return text.getvalue().encode("utf-8")
+
+
+def _add_leader(space: Any, shape: DrawnShape) -> None:
+    """Add a leader, and its label behind its last point."""
+    points = (1e3 * shape.points).tolist()
+    space.add_leader(points, dxfattribs={"layer": LEADER_LAYER})
+    if shape.label:
+        x, y = points[-1]
+        where = {"layer": LEADER_LAYER, "char_height": _LABEL_MM, "insert": (x + 1.0, y)}
+        plain = re.sub(r"[\\{}]", r"\\\g<0>", shape.label)  # those begin a format
+        space.add_mtext(plain, dxfattribs=where)
+
+
+def _add_fill(space: Any, shape: DrawnShape) -> None:
+    """Add what fills a shape."""
+    hatch = space.add_hatch(color=_GREY, dxfattribs={"layer": FILL_LAYER})
+    if shape.fill in _PATTERNS:
+        hatch.set_pattern_fill(_PATTERNS[shape.fill], color=_GREY)
+    hatch.paths.add_polyline_path(ring_of(shape).tolist(), is_closed=True)
+
+
+def ring_of(shape: DrawnShape) -> FloatArray:
+    """Return (n, 2) points in mm around what a shape bounds; curves by chords."""
+    points = 1e3 * shape.points
+    if shape.kind == "circle":
+        angle = np.linspace(0.0, 2.0 * np.pi, 4 * _CHORDS, endpoint=False)
+        radius = np.hypot(*(points[1] - points[0]))
+        return np.asarray(points[0] + radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+    if shape.kind == "arc" and (centre := centre_of(points)) is not None:
+        begin, via, end = np.arctan2(*(points - centre).T[::-1])
+        sweep = (end - begin) % (2.0 * np.pi)
+        if (via - begin) % (2.0 * np.pi) > sweep:  # it was drawn clockwise
+            sweep -= 2.0 * np.pi
+        angle = begin + np.linspace(0.0, sweep, 2 * _CHORDS)
+        radius = np.hypot(*(points[0] - centre))
+        return np.asarray(centre + radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+    if shape.kind == "spline":
+        a, b, c, d = (spline_controls(points)[k : len(points) * 3 - 2 : 3] for k in range(4))
+        n = len(points) - 1
+        u = np.linspace(0.0, 1.0, _CHORDS, endpoint=False)[:, None, None]
+        at = (
+            (1 - u) ** 3 * a[:n] + 3 * u * (1 - u) ** 2 * b[:n]
+            + 3 * u**2 * (1 - u) * c[:n] + u**3 * d[:n]
+        )  # fmt: skip
+        return np.vstack([at.transpose(1, 0, 2).reshape(-1, 2), points[-1:]])
+    return np.asarray(points)

@@ -10,7 +10,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from pydantic import ValidationError
 
 from threadline.errors import InputError
-from threadline.panel.drawn import SHAPES, Lettering, dxf, outlines, shapes_of
+from threadline.panel.drawn import SHAPES, Lettering, dxf, opened, outlines
 from threadline.panel.project_programs import MOST_UPLOAD
 
 _TELLS: dict[int | str, dict[str, Any]] = {
@@ -28,7 +28,7 @@ def add_drawing(app: FastAPI) -> None:
 
     @app.post("/api/drawing/shapes", responses=_TELLS)
     async def shapes(request: Request, name: str) -> Response:
-        return await _answered(request, lambda sent: JSONResponse(shapes_of(name, sent)))
+        return await _answered(request, lambda sent: JSONResponse(opened(name, sent)))
 
     @app.post("/api/drawing/dxf", responses=_TELLS)
     async def as_dxf(request: Request) -> Response:

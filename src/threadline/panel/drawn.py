@@ -16,13 +16,14 @@ from threadline.drawing.curves import Pieces
 from threadline.drawing.read_dxf import read_dxf
 from threadline.drawing.strokes import Drawing
 from threadline.drawing.svg.read_svg import read_svg
-from threadline.drawing.write_dxf import DrawnShape, ShapeKind, dxf_of
+from threadline.drawing.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of
 from threadline.errors import JobError, Place
 
 MOST_SHAPES = 5000
+_MOST_TOLD = 20
 _CHORDS = 64  # of a piece that is neither a line nor an arc
 _CLOSED_M = 1e-6
-_LEAST = {"line": 2, "polygon": 3, "arc": 3, "circle": 2, "spline": 3}
+_LEAST = {"line": 2, "polygon": 3, "arc": 3, "circle": 2, "spline": 3, "leader": 2}
 _READERS = {".dxf": read_dxf, ".svg": read_svg}
 
 Millimetre = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
@@ -35,7 +36,9 @@ class Shape(BaseModel):
 
     kind: ShapeKind
     points: Annotated[list[tuple[Millimetre, Millimetre]], Field(min_length=2, max_length=20000)]
-    style: Literal["solid", "dashed", "dotted"] = "solid"
+    style: Literal["solid", "dashed", "dotted", "dashdot"] = "solid"
+    fill: Fill = "none"
+    label: Annotated[str, Field(max_length=100)] = ""
 
 
 class Lettering(BaseModel):
@@ -70,15 +73,29 @@ def dxf(shapes: Sequence[Shape]) -> bytes:
                 remedy="Draw the missing points.",
             )
     return dxf_of(
-        DrawnShape(kind=one.kind, points=1e-3 * np.array(one.points), style=one.style)
+        DrawnShape(
+            kind=one.kind,
+            points=1e-3 * np.array(one.points),
+            style=one.style,
+            fill=one.fill,
+            label=one.label,
+        )
         for one in shapes
     )
 
 
 def shapes_of(name: str, content: bytes) -> list[dict[str, Any]]:
-    """Return the shapes of a DXF or SVG, points in mm; those of one entity have one group.
+    """Return the shapes of a DXF or SVG; see ``opened``."""
+    found: list[dict[str, Any]] = opened(name, content)["shapes"]
+    return found
 
-    Lines, circles and their arcs stay what they are; other curves become 64 chords a piece.
+
+def opened(name: str, content: bytes) -> dict[str, list[Any]]:
+    """Return the shapes of a DXF or SVG, and what was left out of it, line by line.
+
+    Points are in mm; shapes of one entity have one group. Lines, circles and their arcs stay what
+    they are; other curves become 64 chords a piece. Texts, fills and what else is no line are left
+    out.
 
     Raises
     ------
@@ -98,7 +115,8 @@ def shapes_of(name: str, content: bytes) -> list[dict[str, Any]]:
             place=Place(name),
             remedy="Sew it as it is: a seam file reads it.",
         )
-    return found
+    left = [f"{name}:{refusal.line}: {refusal.message}" for refusal in drawing.refusals]
+    return {"shapes": found, "left_out": left[:_MOST_TOLD]}
 
 
 def _read(name: str, content: bytes) -> Drawing:

@@ -1,0 +1,129 @@
+"""Looks, fills, leaders, changes, and files of a drawing, in a browser."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import ezdxf
+
+from tests.panel.browsing import Browser, Page, expect, opened, part, press, shot
+from tests.panel.test_page_views import typed
+from tests.panel.test_panel_killed import Plant
+from threadline.drawing.svg.read_svg import read_svg
+
+
+def data(page: Page, shape: int) -> str:
+    return page.locator(f"#paper path[data-at='{shape}']").get_attribute("d") or ""
+
+
+def width(page: Page, shape: int) -> float:
+    found: float = page.locator(f"#paper path[data-at='{shape}']").evaluate(
+        "path => path.getBBox().width"
+    )
+    return found
+
+
+def test_looks_fills_leaders_and_what_changes_them(
+    browser: Browser, plant: Plant, tmp_path: Path
+) -> None:
+    page = opened(browser, plant)
+    press(page, "Take control")
+    part(page, "Draw")
+    page.locator("#line-style").select_option("dashdot")
+    page.locator("#fill").select_option("hatched")
+    press(page, "Polygon")
+    typed(page, (10, 10), (60, 10), (60, 50), (10, 50))
+    page.locator("#typed-point").press("Enter")
+    page.locator("#line-style").select_option("solid")
+    page.locator("#fill").select_option("crossed")
+    first = page.locator("#paper path[data-at='0']")
+    expect(first).to_have_attribute("fill", "url(#crossed)")  # it was chosen
+    press(page, "Undo")
+    press(page, "Undo")
+    expect(first).to_have_attribute("stroke-dasharray", re.compile("8 3"))
+    press(page, "Redo")
+    expect(first).to_have_attribute("stroke-dasharray", "")
+    page.locator("#factor").fill("0.5")
+    press(page, "Scale")
+    assert abs(width(page, 0) - 25.0) < 1e-3
+    page.locator("#angle").fill("90")
+    press(page, "Rotate")
+    assert abs(width(page, 0) - 20.0) < 1e-3  # its height
+    press(page, "Duplicate")
+    expect(page.locator("#drawn")).to_contain_text("2 shapes")
+    press(page, "To back")
+    page.locator("#fill").select_option("solid")
+    press(page, "Circle")
+    typed(page, (100, 40), (120, 40))
+    press(page, "Leader")
+    page.locator("#text").fill("cone <30°>")
+    typed(page, (115, 55), (135, 75), (145, 75))
+    press(page, "Finish")
+    expect(page.locator("#paper text")).to_have_text("cone <30°>")
+    press(page, "Spline")
+    typed(page, (20, 90), (50, 110), (80, 80), (110, 100))
+    press(page, "Finish")
+    page.get_by_label("Font").select_option("DejaVu Serif")
+    page.locator("#text").fill("Rio")
+    press(page, "Add text")
+    expect(page.locator("#drawn")).to_contain_text("11 shapes")
+    shot(page, "19-looks")
+
+    drawn = [data(page, k) for k in range(11)]
+    press(page, "Save SVG")
+    expect(page.locator("#log")).to_contain_text("drawing.svg is in the project folder")
+    written = tmp_path / "drawing.svg"
+    strokes = read_svg(written.read_bytes(), "drawing.svg").strokes
+    assert len(strokes) >= 11  # another reader finds the lines, and no line of a pattern
+    assert len(strokes) <= 13
+    with page.expect_download() as download:
+        press(page, "DXF")
+    space = ezdxf.readfile(download.value.path()).modelspace()
+    assert {one.dxftype() for one in space} == {
+        "LWPOLYLINE", "CIRCLE", "SPLINE", "HATCH", "LEADER", "MTEXT",
+    }  # fmt: skip
+    dxf = tmp_path / "again.dxf"
+    download.value.save_as(dxf)
+    press(page, "Clear")
+    page.locator("#open-drawing").set_input_files(written)
+    expect(page.locator("#drawn")).to_contain_text("11 shapes")
+    assert [data(page, k) for k in range(11)] == drawn
+    expect(page.locator("#paper text")).to_have_text("cone <30°>")
+    page.locator("#open-drawing").set_input_files(dxf)
+    expect(page.locator("#log")).to_contain_text("left out: again.dxf")
+    expect(page.locator("#drawn")).to_contain_text("10 shapes")
+    page.close()
+
+
+def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -> None:
+    """Choosing is not undone; what is pulled lands on the grid."""
+    page = opened(browser, plant)
+    part(page, "Draw")
+    press(page, "Line")
+    typed(page, (20, 20), (60, 20))
+    press(page, "Finish")
+    before = data(page, 0)
+    press(page, "Select")
+    paper = page.locator("#paper svg")
+    page.locator("#save-seam").scroll_into_view_if_needed()
+    where = page.locator("#paper path[data-at='0']").bounding_box()
+    assert where is not None
+    at = (where["x"] + where["width"] / 2, where["y"] + where["height"] / 2)
+    for _ in range(3):
+        page.mouse.click(*at)
+    page.mouse.move(*at)
+    page.mouse.down()
+    box = paper.bounding_box()
+    assert box is not None
+    page.mouse.move(at[0] + box["width"] * 0.113, at[1], steps=5)
+    page.mouse.up()
+    moved = data(page, 0)
+    assert moved != before
+    numbers = [float(one) for one in re.findall(r"-?\d+\.?\d*", moved)]
+    assert all(number % 10 == 0 for number in numbers)
+    press(page, "Undo")
+    assert data(page, 0) == before
+    press(page, "Undo")
+    expect(page.locator("#drawn")).to_contain_text("0 shapes")
+    page.close()
