@@ -28,7 +28,7 @@ from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
 from threadline.verdict.measure import MeasureKind, OfPlan, RunReading
 from threadline.verdict.registry import MEASURES
-from threadline.verdict.samples import Setting
+from threadline.verdict.samples import Setting, lanes, together
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WITHIN = 1e-12
@@ -150,6 +150,32 @@ def test_blocks_of_any_length_give_the_same_bits(monkeypatch) -> None:
     cut = RunsJudge(plan, spec).judged(numbers, phases)
     for mine, theirs in zip(whole.rows, cut.rows, strict=True):
         np.testing.assert_array_equal(mine.values, theirs.values)
+
+
+def test_samples_of_many_runs_are_judged_where_the_twin_put_them() -> None:
+    """What is read of all axes fills one array: copying it cost as much as judging it.
+
+    Fewer runs than fill whole vectors leave room between the axes, and are copied: the same.
+    """
+    plan, _ = winder()
+    for count, copied in ((64, False), (19, True)):
+        numbers, phases = drawn(plan, count)
+        recording = simulate_runs(
+            tick_table(plan.commands), Values.of(plan.machine, numbers), encoder_phase=phases
+        )
+        block = next(iter(recording))
+        loads = [block.samples[f"{axis}.load"] for axis in plan.machine.axes]
+        there = together(loads)
+        if copied:
+            assert there is None
+            continue
+        assert there is not None and there.shape == (*loads[0].shape, len(loads))
+        assert all(np.shares_memory(there, load) for load in loads)
+        np.testing.assert_array_equal(there, np.stack(loads, axis=-1))
+        assert np.shares_memory(lanes(there), there)
+        assert together(loads[::-1]) is None
+        assert together([loads[0], None, loads[2]]) is None
+        assert together([loads[0], loads[2]]) is None
 
 
 def test_a_run_without_an_answer_fails_alone(monkeypatch) -> None:

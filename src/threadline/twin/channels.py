@@ -99,7 +99,8 @@ def samples_of(
             at = names.index(channel.axis)
             scale, start = machine.axes[channel.axis].counts.si, float(start_counts[at])
             if channel.kind is ChannelKind.LOAD:
-                samples[name] = np.add(start / scale, counts, dtype=np.float64)
+                # What was read is in nobody else's hands, and stays beside the other axes.
+                samples[name] = np.add(start / scale, counts, out=counts)
             else:
                 # Counts below 2^53 are exact as floats: one new array, divided in place.
                 whole = (counts + start).astype(np.float64, copy=False)

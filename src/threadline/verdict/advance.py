@@ -79,10 +79,14 @@ def _advance(
                 carry[r] = carried
                 value[k, r] = error
                 least[r] = error if error < least[r] else least[r]
-        grown = False
-        for r in range(runs):
-            grown |= least[r] > worst[r]
-        if grown:
+            farther = 0
+            for r in range(runs):
+                farther += least[r] > worst[r]
+            if not farther:
+                # Here every run has been good enough: nothing is better on a later place.
+                value[k + 1 : last + 1] = np.inf
+                break
+        if farther:
             for r in range(runs):
                 if least[r] > worst[r]:
                     worst[r], at[r] = least[r], number + i

@@ -14,7 +14,7 @@ from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.follower import MOST_WAITING, Follower, sample_interval_s
 from threadline.verdict.progress import chords_under_way
-from threadline.verdict.samples import Block, Setting, samples_of_lag
+from threadline.verdict.samples import Block, Setting, samples_of_lag, together
 from threadline.verdict.window import PathWindow
 
 _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)
@@ -31,7 +31,8 @@ _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: a sample beyond it is no measurement
 _CHORDS = ("low", "high", "safe")
-_FEW = 1024  # samples: fewer wait for more, as every block costs each measure its calls
+_FEW = 1024  # samples: fewer wait for more, as every block costs each measure its calls,
+_OF_RUNS = 1 << 17  # unless there are so many of all runs: more would leave the cache again
 _COPIED = 60_000  # values of a column
 
 
@@ -106,13 +107,6 @@ class _Held:
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-    def part(self, begin: int, end: int) -> _Held:
-        return _Held(
-            self.time_s[begin:end],
-            {k: v[begin:end] for k, v in self.columns.items()},
-            {k: v[begin:end] for k, v in self.whole.items()},
-        )
 
     def short_with(self, after: _Held) -> bool:
         """Say whether copying both into one costs less than measuring one block more."""
@@ -243,6 +237,9 @@ def _columns(channels: Sequence[FloatArray | None], recording: Recording) -> Flo
 
     The runs of one axis at one instant lie side by side.
     """
+    there = together(channels)
+    if there is not None:
+        return there
     count = next(len(values) for values in channels if values is not None)
     shape = count, 1 if all(v is None or v.ndim == 1 for v in channels) else recording.runs
     rows = np.empty((count, len(channels), shape[1]))
@@ -282,7 +279,7 @@ def judged_blocks(
 ) -> Iterator[Block]:
     """Yield every sample once, in order, with the chords within the lag before and after it.
 
-    Memory holds one block of the recording, twice the lag, and the programmed path about them.
+    Memory holds two blocks of the recording, twice the lag, and the programmed path about them.
     Blocks of few samples are joined.
 
     Parameters
@@ -299,27 +296,25 @@ def judged_blocks(
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
     past: dict[str, IntArray] = {}  # chords of the samples before them, as far as the lag reaches
     last: FloatArray | None = None  # the command before the next samples
-    first = 0
+    first, few = 0, min(_FEW, _OF_RUNS // recording.runs)
     for fresh in _samples(recording, axes):
         if path is not None and "operation" in fresh.whole:
             fresh.whole |= _chords(fresh, path, last)
             commanded = fresh.columns.get("commanded")
             last = None if commanded is None else commanded[-1] * path.radius_m
-        if waiting and waiting[-1].short_with(fresh):
+        if waiting and len(waiting[-1]) < few and waiting[-1].short_with(fresh):
             fresh = waiting.pop().joined(fresh)  # noqa: PLW2901
         waiting.append(fresh)
         ready = sum(map(len, waiting)) - lag_samples
-        if ready < _FEW:
+        if ready < few:
             continue
         chords = _joined([past, *(one.whole for one in waiting)])
         at = len(past.get("low", ()))
-        while waiting and ready > 0:
-            part = waiting[0].part(0, ready)
+        # A block that is cut in two would cost each measure its calls twice.
+        while waiting and ready >= len(waiting[0]):
+            part = waiting.pop(0)
             yield _block(part, chords, at, first, lag_samples, path)
             first, at, ready = first + len(part), at + len(part), ready - len(part)
-            waiting[0] = waiting[0].part(len(part), len(waiting[0]))
-            if not len(waiting[0]):
-                del waiting[0]
         past = {k: v[max(at - lag_samples - 1, 0) : at] for k, v in chords.items()}
     chords = _joined([past, *(one.whole for one in waiting)])
     at = len(past.get("low", ()))

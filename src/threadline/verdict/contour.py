@@ -9,6 +9,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.verdict.finding import Found, Worst
+from threadline.verdict.largest import raise_to_largest
 from threadline.verdict.measure import Measure
 from threadline.verdict.nearest import between, vertices_to_path
 from threadline.verdict.samples import Block, Setting
@@ -50,6 +51,7 @@ class Contour:
     def __init__(self, radius_m: FloatArray, runs: int = 1) -> None:
         self._radius_m, self._runs = radius_m, runs
         self._worst = Worst(runs, len(radius_m), note=_EMPTY)
+        self._squared: FloatArray = np.full(runs, -np.inf)  # m^2, from samples to chords
         self._path: PathWindow | None = None
         # Vertices whose nearest approach is still open, as the last block's window had them.
         self._first = 0
@@ -75,10 +77,10 @@ class Contour:
         begins = np.concatenate([[max(last.begin - path.first, 1)], begin])
         ends = np.concatenate([[max(last.end - path.first, int(begins[0]))], end])
         times_s = np.concatenate([[last.time_s], block.time_s])
-        at = np.argmax(squared, axis=0)
-        runs = np.arange(self._runs)
-        worst, part = squared[at, runs], np.ones(self._runs)
-        nearest = chord[at, runs]
+        # What is no larger than before is of no interest, wherever blocks begin.
+        worst, at = self._squared, np.zeros(self._runs, dtype=np.int64)
+        raise_to_largest(squared, worst, at)
+        part, nearest = np.ones(self._runs), chord[at, np.arange(self._runs)]
         between(
             points,
             last.point,

@@ -14,11 +14,29 @@ def _largest(values: FloatArray, reference: FloatArray, best: FloatArray, at: In
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):
+            larger = 0
             for r in range(runs):
-                size = abs(values[i, a, r] - reference[i, a])
-                larger = size > best[a, r]
-                best[a, r] = size if larger else best[a, r]
-                at[a, r] = i if larger else at[a, r]
+                larger += abs(values[i, a, r] - reference[i, a]) > best[a, r]
+            if larger:  # seldom, once the first few are behind
+                for r in range(runs):
+                    size = abs(values[i, a, r] - reference[i, a])
+                    larger = size > best[a, r]
+                    best[a, r] = size if larger else best[a, r]
+                    at[a, r] = i if larger else at[a, r]
+
+
+def _raise(values: FloatArray, best: FloatArray, at: IntArray) -> None:
+    """Raise (runs,) ``best`` to the largest of (n, runs) values, ``at`` the first of those."""
+    samples, runs = values.shape
+    for i in range(samples):
+        larger = 0
+        for r in range(runs):
+            larger += values[i, r] > best[r]
+        if larger:
+            for r in range(runs):
+                larger = values[i, r] > best[r]
+                best[r] = values[i, r] if larger else best[r]
+                at[r] = i if larger else at[r]
 
 
 def _add_squares(values: FloatArray, total: FloatArray) -> None:
@@ -37,14 +55,19 @@ def _count_beyond(
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):
+            some = 0
             for r in range(runs):
-                beyond = abs(values[i, a, r]) >= limit[a]
-                fresh = beyond and count[a, r] == 0
-                first[a, r] = begin + i if fresh else first[a, r]
-                count[a, r] += 1 if beyond else 0
+                some += abs(values[i, a, r]) >= limit[a]
+            if some:
+                for r in range(runs):
+                    beyond = abs(values[i, a, r]) >= limit[a]
+                    fresh = beyond and count[a, r] == 0
+                    first[a, r] = begin + i if fresh else first[a, r]
+                    count[a, r] += 1 if beyond else 0
 
 
 _largest_fast = njit(nogil=True)(_largest)
+raise_to_largest = njit(nogil=True)(_raise)
 _add_squares_fast = njit(nogil=True)(_add_squares)
 _count_beyond_fast = njit(nogil=True)(_count_beyond)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import BudgetError
@@ -202,6 +204,28 @@ def enough_of(over_s: float, interval_s: float) -> int:
     between the speeds at its ends.
     """
     return max(int(over_s / interval_s / PARTS_OF_MEAN), 1)
+
+
+def together(channels: Sequence[FloatArray | None]) -> FloatArray | None:
+    """Return (n, runs, axes) of (n, runs) samples of every axis where they lie so in memory.
+
+    The twin puts what many runs give of all axes into one array, (n, axes, runs), of which each
+    channel is a part. None where they do not fill such an array: then they have to be copied.
+    """
+    first = channels[0]
+    if first is None or first.ndim == 1 or first.base is None:
+        return None
+    samples, runs = first.shape
+    size = first.itemsize
+    for number, values in enumerate(channels):
+        if values is None or values.base is not first.base or values.shape != first.shape:
+            return None
+        if values.strides != (len(channels) * runs * size, size):
+            return None
+        if values.ctypes.data - first.ctypes.data != number * runs * size:
+            return None
+    shape, strides = (samples, len(channels), runs), (first.strides[0], runs * size, size)
+    return as_strided(first, shape, strides).transpose(0, 2, 1)
 
 
 def lanes(values: FloatArray) -> FloatArray:

@@ -221,22 +221,38 @@ class Run:
         """
         first = self.tick
         samples = -(-(first + len(travelled)) // every) - -(-first // every)
-        found: dict[Reading, FloatArray] = {}
+        found = self._room(wanted, samples)
         for state, wiring in self._wired:
-            shape, blocks = state.shape, len(state.clock)
-            columns = {r: at for r, at in wiring.columns.items() if r in wanted}
-            references = np.zeros((len(travelled), len(shape.controllers)))
+            references = np.zeros((len(travelled), len(state.shape.controllers)))
             for axis, controller in wiring.references:
                 references[:, controller] = travelled[:, axis]
-            # The code fills every column of every sample.
-            records = np.empty((blocks, samples if columns else 0, wiring.width, shape.lanes))
-            self._run(state, (references, every if columns else 0, window, records))
-            for reading, at in columns.items():
-                lanes = records[0, :, at] if blocks == 1 else _side_by_side(records[:, :, at])
-                found[reading] = lanes[:, : self._engine.variants]
+            records = np.zeros((wiring.width, 2), dtype=np.int64)
+            for reading, at in wiring.columns.items():
+                if reading in found:
+                    lanes = found[reading]
+                    records[at] = lanes.ctypes.data, lanes.strides[0] // lanes.itemsize
+            self._run(state, (references, every if records.any() else 0, window, records))
+        return {reading: lanes[:, : self._engine.variants] for reading, lanes in found.items()}
+
+    def _room(self, wanted: Collection[Reading], samples: int) -> dict[Reading, FloatArray]:
+        """Return (samples, lanes) for each reading: those of one signal are rows of one array.
+
+        What is read of all axes then lies together, (samples, axes, lanes), axes as in the file,
+        and nobody has to copy it there.
+        """
+        machine = self._engine.machine
+        order = {name: at for at, name in enumerate((*machine.axis_names, *machine.inputs))}
+        lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
+        names: dict[Signal, list[str]] = {}
+        for signal, name in sorted(wanted, key=lambda reading: order[reading.name]):
+            names.setdefault(signal, []).append(name)
+        found: dict[Reading, FloatArray] = {}
+        for signal, own in names.items():
+            room = np.empty((samples, len(own), lanes))
+            found |= {Reading(signal, name): room[:, at] for at, name in enumerate(own)}
         return found
 
-    def _run(self, state: State, given: tuple[FloatArray, int, int, FloatArray]) -> None:
+    def _run(self, state: State, given: tuple[FloatArray, int, int, IntArray]) -> None:
         blocks = len(state.clock)
         if self._pool is None:
             state.run(0, blocks, *given)
@@ -251,14 +267,8 @@ class Run:
 
     def sample_bytes(self, wanted: Collection[Reading]) -> int:
         """Return how many bytes one sample of the readings ``wanted`` takes while it is made."""
-        return max(
-            (
-                8 * state.shape.sample.columns * len(state.clock) * state.shape.lanes
-                for state, wiring in self._wired
-                if any(reading in wanted for reading in wiring.columns)
-            ),
-            default=0,
-        )
+        lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
+        return 8 * lanes * len(wanted)
 
     def failure(self) -> tuple[tuple[str, ...], str] | None:
         """Return which axes have no answer and why; None where all have one.
@@ -363,11 +373,6 @@ class _Wiring:
             self.columns[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)
         for s, name in enumerate(group.inputs):
             self.columns[Reading(Signal.TRIPPED, name)] = at.tripped(s)
-
-
-def _side_by_side(records: FloatArray) -> FloatArray:
-    """Return (samples, blocks * lanes) of (blocks, samples, lanes)."""
-    return records.transpose(1, 0, 2).reshape(records.shape[1], -1)
 
 
 def _lanes(piece: Piece, variants: int, peak: bool, quantised: bool) -> tuple[int, int]:

@@ -117,10 +117,9 @@ class Slot(IntEnum):
     ROWS = 12
     EVERY = 13  # ticks from sample to sample, 0 for none
     WINDOW = 14  # first tick of which the least and the greatest load are kept
-    RECORDS = 15  # (blocks, samples, columns, lanes) filled
-    SAMPLES = 16
-    RING = 17  # (blocks, controllers, length, lanes) levels in the dead times
-    RING_LENGTH = 18
+    RECORDS = 15  # (columns, 2) where samples go: address, or 0; numbers from sample to sample
+    RING = 16  # (blocks, controllers, length, lanes) levels in the dead times
+    RING_LENGTH = 17
 
 
 class ClockEntry(IntEnum):

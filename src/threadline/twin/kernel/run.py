@@ -116,10 +116,11 @@ class _Run:
         with code.when_seldom(self.every > 0):
             until = code.variable(INTEGER, code.read(self.clock, ClockEntry.UNTIL_SAMPLE, INTEGER))
             with code.when(until.get().equals(0)):
-                size = shape.sample.columns * shape.lanes
-                index = self.b * self.context.integer(Slot.SAMPLES) + self.taken.get()
-                out = code.place(self.context.pointer(Slot.RECORDS), index * size)
-                self.over_lanes(lambda _, lane, rows: write_sample(rows, code.place(out, lane)))
+                records, taken = self.context.pointer(Slot.RECORDS), self.taken.get()
+                first = self.b * shape.lanes
+                self.over_lanes(
+                    lambda _, lane, rows: write_sample(rows, records, taken, first + lane)
+                )
                 self.taken.set(self.taken.get() + 1)
                 until.set(self.every)
             code.write(self.clock, ClockEntry.UNTIL_SAMPLE, until.get() - 1, INTEGER)

@@ -102,7 +102,7 @@ class State:
 
     def run(
         self, begin: int, end: int, references: FloatArray, every: int, window: int,
-        records: FloatArray,
+        records: IntArray,
     ) -> None:  # fmt: skip
         """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references.
 
@@ -115,7 +115,8 @@ class State:
         window
             First tick of which the least and the greatest load are kept.
         records
-            (blocks, samples, columns, lanes), filled.
+            (columns, 2) address at which the samples of each column begin, 0 where it is not
+            wanted, and how many numbers there are from one sample to the next.
         """
         slots = self.slots.copy()
         slots[Slot.REFERENCES] = references.ctypes.data
@@ -123,7 +124,6 @@ class State:
         slots[Slot.EVERY] = every
         slots[Slot.WINDOW] = window
         slots[Slot.RECORDS] = records.ctypes.data
-        slots[Slot.SAMPLES] = records.shape[1]
         self.kernel(begin, end, slots.ctypes.data)
 
     def failure(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from threadline.twin.kernel.code import Value
+from threadline.twin.kernel.code import INTEGER, POINTER, Value
 from threadline.twin.kernel.controller_profile import profiled
 from threadline.twin.kernel.lanes import Lanes
 from threadline.twin.kernel.names import Action, Do, Field, Row
@@ -160,8 +160,16 @@ def write_loads(rows: Lanes, in_window: Value) -> None:
         rows[Field.HIGHEST, x] = code.choose(in_window, code.larger(load, highest), highest)
 
 
-def write_sample(rows: Lanes, out: Value) -> None:
-    """Fill a sample of some lanes, column by column of ``SampleLayout``."""
+def write_sample(rows: Lanes, records: Value, sample: Value, lane: Value) -> None:
+    """Fill a sample of some lanes, column by column of ``SampleLayout``.
+
+    Parameters
+    ----------
+    records
+        Address and numbers from sample to sample of each column; address 0: nobody wants it.
+    sample, lane
+        Number of the sample since the call, and of the first lane among all.
+    """
     code, shape = rows.code, rows.shape
     at = shape.sample
     values: dict[int, Value] = {}
@@ -183,4 +191,7 @@ def write_sample(rows: Lanes, out: Value) -> None:
     for s in range(shape.inputs):
         values[at.tripped(s)] = rows[Field.TRIPPED, s]
     for column, value in values.items():
-        code.write_lanes(out, column * shape.lanes, value)
+        place = code.read(records, 2 * column, INTEGER)
+        with code.when(~place.equals(0)):
+            out, apart = code.read(records, 2 * column, POINTER), 2 * column + 1
+            code.write_lanes(out, sample * code.read(records, apart, INTEGER) + lane, value)
