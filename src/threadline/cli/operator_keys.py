@@ -6,7 +6,7 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType
 
@@ -21,10 +21,8 @@ _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 
 
 @contextmanager
-def at_the_keys(
-    desk: Desk, duration_s: float, progress: Progress | None
-) -> Iterator[Callable[[Running], None]]:
-    """Pass keys and signals to ``desk``; yield the function to call after each step of a run.
+def at_the_keys(desk: Desk, duration_s: float, progress: Progress | None) -> Iterator[AtTheKeys]:
+    """Pass keys and signals to ``desk``; yield what looks after each step of a run for keys.
 
     Parameters
     ----------
@@ -38,11 +36,10 @@ def at_the_keys(
     with ExitStack() as stack:
         stack.enter_context(_signals(desk))
         terminal = stack.enter_context(_terminal())
-        watched = _Watched(desk, duration_s, progress, terminal)
-        yield watched.step
+        yield AtTheKeys(desk, duration_s, progress, terminal)
 
 
-class _Watched:
+class AtTheKeys:
     """Looks after each step of a run for keys, a change of state, and the progress."""
 
     def __init__(
@@ -51,6 +48,12 @@ class _Watched:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
         self._state = State.RUNNING
+
+    def confirmed(self) -> bool | None:
+        """Return whether ``c`` was pressed, False for any other key; None for no key."""
+        if self._terminal is None or not select.select([self._terminal], [], [], 0.0)[0]:
+            return None
+        return os.read(self._terminal, 1) == b"c"
 
     def step(self, executor: Running) -> None:
         """Pass the keys to the desk; tell the progress of the run, and that it holds."""

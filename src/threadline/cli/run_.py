@@ -12,6 +12,13 @@ from typing import Annotated
 import typer
 
 from threadline.arrays import finite
+from threadline.cli.continued import (
+    AtOption,
+    ConfirmedOption,
+    ContinueOption,
+    check_continued,
+    continued_run,
+)
 from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
 from threadline.cli.operator_keys import at_the_keys
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -48,11 +55,11 @@ from threadline.cli.shared_options import (
 from threadline.cli.told import note
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
-from threadline.errors import LinkFaultError, OptionError
+from threadline.errors import LinkFaultError, OptionError, RecordingError
 from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
 from threadline.live.hold_deviation import hold_limit_m
-from threadline.live.links import link_of
+from threadline.live.links import Link, link_of
 from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.live.supervised import (
@@ -64,10 +71,10 @@ from threadline.live.ways import way_of
 from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.plan import Plan
 from threadline.proof_file import read_proof, write_proof
-from threadline.signals import Ended
+from threadline.signals import Ended, Recording
 from threadline.signals.files import read_recording, write_recording
-from threadline.store.run_store import RunStore
-from threadline.verdict import Verdict, closing, judge, load_spec, verdict_json, verdict_rows
+from threadline.store.run_store import OpenRun, RunStore
+from threadline.verdict import Spec, Verdict, closing, judge, load_spec, verdict_json, verdict_rows
 
 _MOST_SPEED = 1e6
 
@@ -125,6 +132,9 @@ def run(
             "switch-hit:x_high@1 s, lost-link@1 s, late-ticks@1 s, power-loss@1 s."
         ),
     ] = None,
+    continue_: ContinueOption = None,
+    at: AtOption = None,
+    confirmed: ConfirmedOption = False,
     pass_stops: Annotated[
         bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
     ] = False,
@@ -163,6 +173,7 @@ def run(
     chosen = machine_from(machine, par)
     fault = None if inject is None else parse_fault(inject, chosen)
     over = link_of(link, chosen, speed, fault)
+    check_continued(continue_, at, confirmed=confirmed, link_can=over.continues)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)
     check_outputs(file=recording)
     options = options_of(
@@ -206,18 +217,23 @@ def run(
             **({"label": over.label} if over.label else {}),
             **({"override": override} if override else {}),
         }
+        again, known_of = continued_run(
+            store, continue_, at, plan, at_rest=at_rest, asks=not confirmed
+        )
+        told |= known_of
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
         kept = RunStore(store).begin(plan, known, told, speed, inputs, over.sent)
         with (
             closed(Desk()) as desk,
-            at_the_keys(desk, plan.duration_s, progress) as watch,
+            at_the_keys(desk, plan.duration_s, progress) as keys,
             kept,
         ):
             ended, text = over.run(
-                plan, desk, kept, pass_stops=pass_stops, hold_at_rest=at_rest, watch=watch
-            )
+                plan, desk, kept, pass_stops=pass_stops, hold_at_rest=at_rest, watch=keys.step,
+                again=again, confirmed=(lambda: True) if confirmed else keys.confirmed,
+            )  # fmt: skip
     happened = read_recording(kept.trace)
-    verdict = judge([happened], plan, asked)
+    verdict = _verdict(happened, plan, asked, kept, (ended, text), over, whole=again is None)
     content = {
         **verdict_json(verdict, plan),
         **told,
@@ -229,20 +245,48 @@ def run(
     kept.judged(content, ended.value, text)
     if recording is not None:
         write_recording(happened, recording, plot_every=plot_every(chosen))
+    if ended is Ended.FAULT or not json:
+        _show(verdict, plan, link, over.label, quiet=json)
     if ended is Ended.FAULT:
-        if not json:
-            _show(verdict, plan, link, over.label)
-        raise LinkFaultError(
-            text,
-            remedy=f"What was recorded is in {kept.path}. {over.after_fault} Look at the machine, "
-            "then home it.",
-        )
+        raise _fault(kept, text, over)
     if json:
         print_json(content)
     else:
-        _show(verdict, plan, link, over.label)
         say(f"Run: {kept.path}")
     raise typer.Exit(0 if verdict.passed else 1)
+
+
+def _verdict(
+    happened: Recording,
+    plan: Plan,
+    spec: Spec,
+    kept: OpenRun,
+    outcome: tuple[Ended, str],
+    over: Link,
+    *,
+    whole: bool,
+) -> Verdict:
+    """Return the verdict; end the program where a run ended before there was anything to judge."""
+    try:
+        return judge([happened], plan, spec)
+    except RecordingError as error:
+        ended, text = outcome
+        if ended is Ended.COMPLETED and whole:
+            raise
+        text = text or f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
+    kept.unjudged(ended.value, text)
+    if ended is Ended.FAULT:
+        raise _fault(kept, text, over)
+    note(text if ended is Ended.COMPLETED else f"{text}: nothing was recorded to be judged")
+    raise typer.Exit(1)
+
+
+def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
+    return LinkFaultError(
+        text,
+        remedy=f"What was recorded is in {kept.path}. {over.after_fault} Look at the machine, "
+        "then home it.",
+    )
 
 
 def _hold_at_rest(leaves_m: float, limit_m: float) -> bool:
@@ -254,7 +298,9 @@ def _hold_at_rest(leaves_m: float, limit_m: float) -> bool:
     return at_rest
 
 
-def _show(verdict: Verdict, plan: Plan, link: str, label: str) -> None:
+def _show(verdict: Verdict, plan: Plan, link: str, label: str, *, quiet: bool) -> None:
+    if quiet:
+        return
     header, rows = verdict_rows(verdict)
     print_table(f"{plan.job.name} run on {plan.machine.name}, link {link}", header, rows)
     say(closing(verdict) + (f"; {label}" if label else ""))

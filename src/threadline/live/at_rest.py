@@ -36,6 +36,8 @@ class AtRest:
     ----------
     latest
         Last sample of each channel that the machine has reported.
+    stops
+        Number of stops that were heard, in any state.
     """
 
     def __init__(self, link: Connection, machine: Machine, desk: Desk, sink: Sink) -> None:
@@ -50,7 +52,13 @@ class AtRest:
         self._homed = False
         self._stands = np.zeros(len(machine.axes), dtype=np.int64)
         self._began = self._stands  # where the run began
+        self.stops = 0
         self._number = 0  # of runs and jogs since the machine greeted
+
+    @property
+    def machine(self) -> Machine:
+        """The machine that the link must lead to."""
+        return self._machine
 
     @property
     def stands(self) -> IntArray:
@@ -173,6 +181,7 @@ class AtRest:
 
     def _go(self, cause: Cause, text: str = "") -> None:
         self.state = next_state(self.state, cause)
+        self.stops += cause is Cause.STOP
         self._sink.state(self.tick, self.state, cause, text)
 
     def _fault(self, text: str) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 
 from threadline.arrays import IntArray
+from threadline.live.continuing import Continued
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Sink
@@ -26,6 +27,8 @@ class ExecutedLink(ABC):
     speed
         Seconds of the machine's time in a second.
     """
+
+    continues = True
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
@@ -51,6 +54,8 @@ class ExecutedLink(ABC):
         pass_stops: bool,
         hold_at_rest: bool,
         watch: Callable[[Executor], None],
+        again: Continued | None = None,
+        confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[Ended, str]:
         """Run it; return how it ended, and why."""
         way = way_of(plan.machine)
@@ -65,5 +70,7 @@ class ExecutedLink(ABC):
             hold_at_rest=hold_at_rest,
             loads_follow=way.loads_follow(plan),
             watch=watch,
+            again=again,
+            confirmed=confirmed,
         )
         return ended, text

@@ -81,6 +81,7 @@ class Executor(AtRest):
         pass_stops: bool = False,
         hold_at_rest: bool = False,
         loads_follow: bool = False,
+        from_rest: bool = False,
     ) -> None:
         """Begin a run. The caller has checked the proof; the limits of each row are checked here.
 
@@ -94,6 +95,8 @@ class Executor(AtRest):
             Whether a hold waits for the next rest of the program, so as not to leave the path.
         loads_follow
             Whether the commands tell the motors what the loads need (``Way.loads_follow``).
+        from_rest
+            Whether their first rows are at speed, so that it has to start as after a hold.
 
         Raises
         ------
@@ -108,6 +111,8 @@ class Executor(AtRest):
         )
         ahead.refuse_elsewhere(self._stands)
         self._hold_at_rest = hold_at_rest
+        if from_rest:
+            ahead.start_again()
         self._set_out(Cause.START, ahead, ahead.start)
 
     def jog(self, axis: str, velocity: float) -> None:

@@ -9,6 +9,7 @@ from typing import Protocol
 from threadline.arrays import IntArray
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
+from threadline.live.continuing import Continued
 from threadline.live.desk import Desk
 from threadline.live.executed_link import ExecutedLink
 from threadline.live.grbl_controller import Controller
@@ -45,6 +46,8 @@ class Link(Protocol):
 
     label: str
     """What is at its far end, where that is neither a machine nor its twin; else empty."""
+    continues: bool
+    """Whether a run that was broken off can be continued over it."""
 
     @property
     def after_fault(self) -> str:
@@ -72,8 +75,13 @@ class Link(Protocol):
         pass_stops: bool,
         hold_at_rest: bool,
         watch: Callable[[Running], None],
+        again: Continued | None = None,
+        confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[Ended, str]:
-        """Run it; return how it ended, and why."""
+        """Run it, or the rest of it; return how it ended, and why.
+
+        ``again`` and ``confirmed`` are as for ``run_commands``.
+        """
 
 
 class SimLink(ExecutedLink):
@@ -129,6 +137,7 @@ class GrblLink:
     """
 
     label = ""
+    continues = False
 
     def __init__(self, address: str, machine: Machine) -> None:
         if "grbl" not in kind_of(machine).targets:
@@ -160,8 +169,11 @@ class GrblLink:
         pass_stops: bool,  # noqa: ARG002  # a stop of the program is the controller's
         hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
         watch: Callable[[Running], None],
+        again: Continued | None = None,
+        confirmed: Callable[[], bool | None] = lambda: True,  # noqa: ARG002
     ) -> tuple[Ended, str]:
         """Home, send the program, and record what the controller reports."""
+        assert again is None  # ``continues``
         assert self._program is not None
         assert self._controller is not None
         starts = way_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit

@@ -34,7 +34,7 @@ class PathWindow:
     def __init__(self, table: TickTable, *, pass_stops: bool = False) -> None:
         self._halting = HALTS - {"stop"} if pass_stops else HALTS
         self._blocks: Iterator[TickBlock] = iter(table)
-        self._rest_rows = ceil(REST_S / float(table.clock.period_s) - 1e-9)
+        self._rest_rows = rest_rows(table)
         axes = len(table.axes)
         self._first = 0  # row of the first kept place
         self._travelled = np.zeros((1, axes), dtype=np.int64)  # counts at the places kept
@@ -129,6 +129,11 @@ class PathWindow:
     def put_back(self, events: Sequence[Event]) -> None:
         """Add events that ``take_events`` had removed."""
         self._events = sorted([*events, *self._events], key=_tick)
+
+
+def rest_rows(table: TickTable) -> int:
+    """Return the number of rows without a count that make a rest."""
+    return ceil(REST_S / float(table.clock.period_s) - 1e-9)
 
 
 def _tick(event: Event) -> int:

@@ -7,6 +7,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from threadline.errors import OptionError, Place, PlanError, ProofError
+from threadline.live.continued_sink import ContinuedSink
+from threadline.live.continuing import Continued
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Sink
@@ -18,6 +20,9 @@ from threadline.plan import Plan
 from threadline.proof_file import ProofFile, check_proof, read_proof
 from threadline.signals import Commands, Ended
 from threadline.verdict import Spec
+
+_ASK_S = 0.05
+"""Time in s from one look for an answer of the operator to the next."""
 
 
 def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | None) -> ProofFile:
@@ -118,6 +123,8 @@ def run_commands(
     hold_at_rest: bool = False,
     loads_follow: bool = False,
     watch: Callable[[Executor], None] | None = None,
+    again: Continued | None = None,
+    confirmed: Callable[[], bool | None] = lambda: True,
 ) -> tuple[Ended, str, int]:
     """Run checked commands from enabling the drives to the end of settling.
 
@@ -133,12 +140,20 @@ def run_commands(
         See ``Executor.start``.
     watch
         Called after each step, for progress.
+    again
+        The rest of a run that was broken off, which is run in place of the commands.
+    confirmed
+        Called while the machine stands at home before such a run: whether the operator has
+        confirmed it; None while nobody has answered.
 
     Returns
     -------
     tuple
         How the run ended, the reason, and the number of late ticks.
     """
+    if again is not None:
+        rest, commands = again.rest, again.rest.commands
+        sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
     with link as connection:
         executor = Executor(connection, machine, desk, sink, speed=speed)
         executor.connect()
@@ -147,11 +162,15 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return Ended.STOPPED, "stopped by the operator while it homed", 0
+        if again is not None and (why := _approach(executor, again, confirmed)) is not None:
+            executor.close()
+            return (*why, executor.late_ticks)
         executor.start(
             commands,
             pass_stops=pass_stops,
             hold_at_rest=hold_at_rest,
             loads_follow=loads_follow,
+            from_rest=again is not None,
         )
         while not executor.over:
             executor.step()
@@ -161,6 +180,32 @@ def run_commands(
     assert executor.ended is not None
     ended, text = executor.ended
     return ended, text, executor.late_ticks
+
+
+def _approach(
+    executor: Executor, again: Continued, confirmed: Callable[[], bool | None]
+) -> tuple[Ended, str] | None:
+    """Wait for the operator, and move to where the work begins; return why that came to an end."""
+    answer = None
+    while executor.state is State.IDLE and not executor.stops and answer is None:
+        answer = confirmed()
+        executor.stand(0.0 if answer else _ASK_S)
+    if not answer or executor.stops:
+        return Ended.STOPPED, "nobody has confirmed that it may go on"
+    names = list(executor.machine.axes)
+    for axis, to in again.approach:
+        if executor.stands[names.index(axis)] == to:
+            continue
+        executor.move(axis, to)
+        while not executor.over:
+            if executor.state is State.JOGGING:
+                executor.renew()
+            executor.step()
+        assert executor.ended is not None
+        if executor.ended[0] is not Ended.COMPLETED or executor.stops:
+            ended, why = executor.ended
+            return ended, why or "stopped by the operator on the approach"
+    return None
 
 
 def _failed(proof: ProofFile) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.kinds import kind_of
 from threadline.live.ahead import Ahead, halts_of_rows
+from threadline.live.derived import Rest, rest_of_rows, rest_of_scans, rest_of_turns
 from threadline.live.guards import Guards
 from threadline.live.hold_deviation import hold_deviation_m
 from threadline.live.scan_guards import ScanGuards
@@ -121,6 +122,15 @@ class MakeAhead(Protocol):
         """Return it for the beginning of a run."""
 
 
+class MakeRest(Protocol):
+    """Makes the commands that do the rest of a job, from an operation on; see ``derived``."""
+
+    def __call__(
+        self, commands: Commands, machine: Machine, operation: int, *, at_rest: bool
+    ) -> Rest:
+        """Return them."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
     """How one kind of work is run.
@@ -140,6 +150,8 @@ class Way:
     hold_deviation_m
         Returns how far beside its path a hold would stand, in m; infinite where work is held at
         its rests alone.
+    rest
+        Makes the commands that do the rest of a job.
     loads_follow
         Whether the commands of a plan tell the motors what the loads need.
     by_hand
@@ -152,6 +164,7 @@ class Way:
     guards: Callable[[Machine], Watch]
     halts: Callable[[Commands], Iterable[Event]]
     hold_deviation_m: Callable[[Plan], float]
+    rest: MakeRest
     loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
 
@@ -164,6 +177,7 @@ _WAYS: dict[type[Commands], Way] = {
         guards=Guards,
         halts=halts_of_rows,
         hold_deviation_m=hold_deviation_m,
+        rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,
     ),
@@ -174,6 +188,7 @@ _WAYS: dict[type[Commands], Way] = {
         guards=ScanGuards,
         halts=waits_of_schedule,
         hold_deviation_m=lambda _: float("inf"),
+        rest=rest_of_scans,
     ),
     StepPlay: Way(
         start=lambda commands: played(commands).start_steps,
@@ -182,6 +197,7 @@ _WAYS: dict[type[Commands], Way] = {
         guards=lambda _: TurnGuards(),
         halts=lambda _: (),
         hold_deviation_m=lambda _: 0.0,
+        rest=rest_of_turns,
     ),
 }
 

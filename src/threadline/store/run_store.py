@@ -233,9 +233,15 @@ class OpenRun:
         elif isinstance(error, OSError):
             text = f"the trace could not be written: {error.strerror or error}"
         if isinstance(error, InputError):  # by the executor, at the start: nothing has moved
-            ended, plan = REFUSED, self._plan
-            told = {"job": plan.job.name, "machine": plan.machine.name, **self._told}
-            self._write({**told, "passed": False, "criteria": [], "ended": ended, "text": text})
+            self.unjudged(REFUSED, text)
+        else:
+            self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
+
+    def unjudged(self, ended: str, text: str) -> None:
+        """Write that a run ended before there was anything to judge."""
+        plan = self._plan
+        told = {"job": plan.job.name, "machine": plan.machine.name, **self._told}
+        self._write({**told, "passed": False, "criteria": [], "ended": ended, "text": text})
         self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
 
     def _write(self, content: Mapping[str, Any]) -> None:

@@ -1,0 +1,118 @@
+"""Continuing a run that was broken off: which one, from where, and that somebody confirms it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.cli.told import note
+from threadline.errors import OptionError, StoreError
+from threadline.live.continuing import Continued, continued, last_executed, operation_at
+from threadline.plan import Plan
+from threadline.signals import Ended
+from threadline.store.index import REFUSED
+from threadline.store.run_store import TRACE, opened
+
+ContinueOption = Annotated[
+    str | None,
+    typer.Option(
+        "--continue",
+        metavar="RUN",
+        help="Do the rest of a run that was broken off (its name, or last): after homing and your "
+        "confirmation the axes are moved to where the work begins again.",
+    ),
+]
+AtOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Of --continue: where the work begins again: block (the one under way at the end), "
+        'circuit, "circuit 12", "line 40".'
+    ),
+]
+ConfirmedOption = Annotated[
+    bool,
+    typer.Option("--confirmed", help="Of --continue: go on without waiting for the key c."),
+]
+
+
+def check_continued(run: str | None, at: str | None, *, confirmed: bool, link_can: bool) -> None:
+    """Refuse options of a continued run without one, and one that nobody could confirm.
+
+    Raises
+    ------
+    OptionError
+        With what is missing.
+    """
+    if run is None:
+        if at is not None or confirmed:
+            raise OptionError(
+                f"{'--at' if at is not None else '--confirmed'} is of --continue",
+                remedy="Name the run to be continued, too.",
+            )
+        return
+    if not link_can:
+        raise OptionError(
+            "--continue: a controller with grbl runs whole programs",
+            remedy="Write the rest of the job as a program of its own.",
+        )
+    if not confirmed and not sys.stdin.isatty():
+        raise OptionError(
+            "--continue: nobody is at the keys to confirm that it may go on",
+            remedy="Run it from a terminal, or with --confirmed.",
+        )
+
+
+def continued_run(
+    store: Path, run: str | None, at: str | None, plan: Plan, *, at_rest: bool, asks: bool
+) -> tuple[Continued | None, dict[str, str]]:
+    """Return what is run, said to the operator, and what its recording tells of that.
+
+    Both are empty where no run is continued.
+
+    Parameters
+    ----------
+    store
+        Folder of runs.
+    run, at
+        The run, and where the work begins again, as typed.
+    plan
+        The plan, which must be that of the run to the row.
+    at_rest
+        As for ``continued``.
+    asks
+        Whether the operator will be asked.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, it came to its end, or it was of other commands.
+    """
+    if run is None:
+        return None, {}
+    kept = opened(store)
+    if kept is None:
+        raise StoreError(
+            f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
+        )
+    folder = kept.find(run)
+    record = kept.index.record(folder.name)
+    kept.index.close()
+    if record.ended in {Ended.COMPLETED, REFUSED}:
+        raise StoreError(
+            f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
+        )
+    if plan.commands.rows_sha256() != record.commands_sha256:
+        raise StoreError(
+            f"run {folder.name} was of other rows than these: another job, machine or options",
+            remedy="Give the files and options of that run; its proof.json names them.",
+        )
+    operation = operation_at(plan, last_executed(folder / TRACE), at or "block")
+    again = continued(plan, operation, at_rest=at_rest)
+    for line in again.told:
+        note(line)
+    if asks:
+        note("when it is home: c lets it go on, any other key ends it")
+    return again, {"continues": folder.name, "from_operation": str(again.rest.operation)}

@@ -1,0 +1,190 @@
+"""Where a run that was broken off can be continued: from what its recording says was executed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import CommandError, LimitError, OptionError
+from threadline.live.braking import CountLimits
+from threadline.live.derived import Rest
+from threadline.live.jogging import manual_feed
+from threadline.live.ways import way_of
+from threadline.machine import Machine
+from threadline.plan import Plan
+from threadline.signals import ChannelKind
+from threadline.signals.files import read_recording
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Continued:
+    """A run that does the rest of a job.
+
+    Parameters
+    ----------
+    rest
+        What it sends.
+    line
+        Line of the job at which the work begins again, 0 for none.
+    approach
+        Moves one after the other to where it begins: the axis, and the position in counts.
+    told
+        What will happen, for the operator, who has to confirm it.
+    """
+
+    rest: Rest
+    line: int
+    approach: Sequence[tuple[str, int]]
+    told: Sequence[str]
+
+
+def last_executed(trace: Path) -> int:
+    """Return the operation that was under way at the end of a recording.
+
+    Raises
+    ------
+    CommandError
+        If nothing was executed.
+    """
+    recording = read_recording(trace)
+    channel = recording.find(ChannelKind.OPERATION)
+    last = -1
+    if channel is not None:
+        for block in recording:
+            values = block.samples[channel.name]
+            last = max(last, int(np.nanmax(values, initial=-1.0)))
+    if last < 0:
+        raise CommandError("nothing of that run was executed", remedy="Run the job anew.")
+    return last
+
+
+def operation_at(plan: Plan, executed: int, at: str) -> int:
+    """Return the operation at whose beginning work is to begin again.
+
+    Parameters
+    ----------
+    executed
+        The last operation that was executed.
+    at
+        ``block``: that operation. ``circuit``: the beginning of its circuit. ``circuit N`` or
+        ``line N``: the last time that this circuit, or this line of the job, was begun.
+
+    Raises
+    ------
+    OptionError
+        If it is none of these, or was not executed.
+    """
+    word, _, number = at.strip().partition(" ")
+    if at.strip() == "block":
+        return executed
+    wrong = OptionError(
+        f"--at {at[:40]!r} is no place of a job",
+        remedy='Give "block", "circuit", "circuit 12" or "line 40".',
+    )
+    if word not in {"circuit", "line"} or (number and not number.isdecimal()):
+        raise wrong
+    if word == "line" and not number:
+        raise wrong
+    begins: int | None = None
+    before: object = None
+    for index, operation in enumerate(plan.job):
+        if index > executed:
+            break
+        source = operation.source
+        here = source.line if word == "line" else _circuit(operation)
+        wanted = here is not None and (not number or here == int(number))
+        if wanted and here != before:
+            begins = index
+        before = here
+    if begins is None:
+        raise OptionError(
+            f"--at {at[:40]!r}: the run has executed none such",
+            remedy='Give "block" for the place that it had come to.',
+        )
+    return begins
+
+
+def _circuit(operation: object) -> int | None:
+    """Return the circuit of an operation: its tag, or the pass of the outermost call."""
+    told = getattr(operation, "tags", {}).get("circuit")
+    if told is not None:
+        return int(told)
+    passes: tuple[int, ...] = getattr(operation, "source").passes  # noqa: B009
+    return passes[0] if passes else None
+
+
+def continued(plan: Plan, operation: int, *, at_rest: bool) -> Continued:
+    """Return the run from an operation on, its approach checked before anything moves.
+
+    Parameters
+    ----------
+    at_rest
+        Whether it may begin at a rest alone: where commands are beside the path, a start from rest
+        anywhere else would leave it.
+
+    Raises
+    ------
+    LimitError
+        If the approach leaves the travel of an axis.
+    """
+    machine, way = plan.machine, way_of(plan.machine)
+    rest = way.rest(plan.commands, machine, operation, at_rest=at_rest)
+    begins = way.start(plan.commands)
+    approach = [] if rest.dry else _approach(machine, begins, rest.begins)
+    line = plan.intent.lines_of(plan.job, [rest.operation]).get(rest.operation, 0)
+    return Continued(
+        rest=rest, line=line, approach=approach, told=_told(machine, rest, line, approach)
+    )
+
+
+def _approach(machine: Machine, begins: IntArray, ends: IntArray) -> list[tuple[str, int]]:
+    """Return the moves from the home to a position, axis by axis in the order of the machine."""
+    limits = CountLimits.of(machine)
+    for k, axis in enumerate(machine.axes):
+        beyond = ends[k] < limits.low[k], ends[k] > limits.high[k]
+        if any(beyond):
+            per_unit = machine.counts_per_unit[k]
+            end = float((limits.low if beyond[0] else limits.high)[k] / per_unit)
+            raise LimitError(
+                f"axis {axis}: the approach goes to {ends[k] / per_unit:.4g}, beyond its travel, "
+                f"which ends at {end:.4g}",
+                axis=axis,
+                quantity="position",
+                value_si=float(ends[k] / per_unit),
+                limit_si=end,
+                remedy="Begin elsewhere: --at.",
+            )
+    return [
+        (axis, int(to))
+        for axis, stands, to in zip(machine.axes, begins, ends, strict=True)
+        if stands != to
+    ]
+
+
+def _told(
+    machine: Machine, rest: Rest, line: int, approach: Sequence[tuple[str, int]]
+) -> list[str]:
+    where = f"line {line} of the job" if line else f"operation {rest.operation}"
+    if rest.dry:
+        how = (
+            "it comes there by the program itself, with needle and tools off"
+            if rest.operation
+            else "it begins at once"
+        )
+        return [f"the work begins again at {where}; {how}"]
+    names, scale = machine.axis_names, machine.counts_per_unit
+    feed = manual_feed(machine)
+    tick_s = float(machine.tick_clock.period_s)
+    ways = []
+    for axis, to in approach:
+        k = names.index(axis)
+        linear = machine.axes[axis].kind == "linear"
+        to_shown, unit = (1e3, "mm") if linear else (180.0 / np.pi, "deg")
+        speed = feed[k] / scale[k] / tick_s * to_shown
+        ways.append(f"{axis} to {to / scale[k] * to_shown:.2f} {unit} at {speed:.3g} {unit}/s")
+    moves = "; then ".join(ways) or "nothing has to move first"
+    return [f"the work begins again at {where}; from home: {moves}"]

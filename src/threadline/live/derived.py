@@ -1,0 +1,184 @@
+"""Commands that do the rest of a job: proven rows, from a place on that was executed before.
+
+Rows of axes are left out up to that place, and the axes are moved there first. A frame or cylinders
+cannot be put anywhere by hand: they come there by the program itself, with needle or tools off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import CommandError
+from threadline.live.path_window import rest_rows
+from threadline.machine import Machine
+from threadline.signals import (
+    Commands,
+    Event,
+    StepPlay,
+    StitchBlock,
+    Stream,
+    TickBlock,
+    TickTable,
+    played,
+    switch_schedule,
+    tick_table,
+)
+
+_WORK = frozenset(("tool", "vacuum"))
+"""Kinds of outputs that do the work; all others move cylinders, or give air."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rest:
+    """The rest of a job.
+
+    Parameters
+    ----------
+    commands
+        What is sent.
+    operation
+        Operation at whose beginning the work begins again.
+    begins
+        (axes,) position at which they begin, in their units; (0,) where nothing is counted.
+    left_out
+        Ticks of the whole commands before the first of these.
+    dry
+        Whether what comes before the operation is done again, with needle or tools off.
+    """
+
+    commands: Commands
+    operation: int
+    begins: IntArray
+    left_out: int
+    dry: bool
+
+
+def rest_of_rows(commands: Commands, machine: Machine, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG001
+    """Return the rows of a table from the beginning of an operation on.
+
+    Parameters
+    ----------
+    commands
+        A table of ticks; it is read once.
+    machine
+        Not asked.
+    operation
+        The operation.
+    at_rest
+        Whether they may begin at a rest of the program alone (``REST_S`` without a count): the last
+        one before it.
+    """
+    table = tick_table(commands)
+    first, of_first = _first_row(table, operation, rest_rows(table) if at_rest else 0)
+    begins = table.start_counts.astype(np.int64)
+    for block in table:
+        upto = min(max(first - block.first_tick, 0), len(block))
+        begins = begins + block.counts[:upto].sum(axis=0)
+    return Rest(
+        commands=replace(table, start_counts=begins, blocks=Stream(_rows_from, table, first)),
+        operation=of_first,
+        begins=begins,
+        left_out=first,
+        dry=False,
+    )
+
+
+def _first_row(table: TickTable, operation: int, rest: int) -> tuple[int, int]:
+    """Return the first row of an operation, or the last before it behind a rest; its operation."""
+    row = still = 0
+    found = (0, operation)
+    for block in table:
+        moves = (np.abs(block.counts).max(axis=1, initial=0) > 0).tolist()
+        for moving, of in zip(moves, block.operation.tolist(), strict=True):
+            if still >= rest or not row:
+                found = (row, of)
+            if of >= operation:
+                return found
+            still = 0 if moving else still + 1
+            row += 1
+    raise _unknown(operation)
+
+
+def _rows_from(table: TickTable, first: int) -> Iterator[TickBlock]:
+    """Yield the rows from a tick on, counted from 0; what was switched before it is switched."""
+    switched: dict[str, Event] = {}
+    for block in table:
+        end = block.first_tick + len(block)
+        if end <= first and not any(event.tick >= first for event in block.events):
+            switched |= {e.name: e for e in block.events if e.kind == "output"}
+            continue
+        skipped = max(first - block.first_tick, 0)
+        before = [e for e in block.events if e.tick < first and e.kind == "output"]
+        switched |= {e.name: e for e in before}
+        again = [replace(event, tick=0) for event in switched.values()]
+        switched = {}
+        due = [replace(e, tick=e.tick - first) for e in block.events if e.tick >= first]
+        yield TickBlock(
+            first_tick=max(block.first_tick - first, 0),
+            counts=block.counts[skipped:],
+            operation=block.operation[skipped:],
+            events=(*again, *due),
+        )
+
+
+def rest_of_turns(commands: Commands, machine: Machine, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG001
+    """Return the turns of a frame, with the needle held up before an operation."""
+    play = played(commands)
+    if not any((block.operation >= operation).any() for block in play):
+        raise _unknown(operation)
+    return Rest(
+        commands=replace(play, blocks=Stream(_held_up, play, operation)),
+        operation=operation,
+        begins=play.start_steps,
+        left_out=0,
+        dry=True,
+    )
+
+
+def _held_up(play: StepPlay, operation: int) -> Iterator[StitchBlock]:
+    for block in play:
+        needle = np.where(block.operation < operation, 0, block.needle)
+        yield replace(block, needle=needle)
+
+
+def rest_of_scans(commands: Commands, machine: Machine, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG001
+    """Return a schedule with its tools off before an operation.
+
+    Where a tool or a vacuum is on at the beginning of that operation, what it held is lost: the
+    work begins again at the last operation before it at which all are off.
+    """
+    schedule = switch_schedule(commands)
+    tools = [k for k, output in enumerate(machine.outputs.values()) if output.kind in _WORK]
+    works = schedule.levels[:, tools].max(axis=1, initial=0) > 0
+    first = np.flatnonzero(schedule.operation >= operation)
+    if not len(first):
+        raise _unknown(operation)
+    row = int(first[0])
+    while row > 0 and works[row - 1]:
+        row = int(np.flatnonzero(schedule.operation == schedule.operation[row - 1])[0])
+    levels = schedule.levels.copy()
+    levels[:row, tools] = 0
+    ends = {name for name, contact in machine.contacts.items() if contact.cylinder is not None}
+    place = int(schedule.ticks[row])
+    events = tuple(
+        event
+        for event in schedule.events
+        if not (event.kind == "wait" and event.tick <= place and event.name not in ends)
+    )
+    return Rest(
+        commands=replace(schedule, levels=levels, events=events),
+        operation=int(schedule.operation[row]),
+        begins=np.zeros(0, dtype=np.int64),
+        left_out=0,
+        dry=True,
+    )
+
+
+def _unknown(operation: int) -> CommandError:
+    return CommandError(
+        f"operation {operation} is none of this job", remedy="Continue the run of this job."
+    )
