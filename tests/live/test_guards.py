@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
-from threadline.errors import LinkFaultError, OptionError
+from threadline.errors import CommandError, LinkFaultError, OptionError
+from threadline.live.executor import Executor
 from threadline.live.guards import Guards
 from threadline.live.links import link_of
 from threadline.live.sim_faults import SimFault, parse_fault
@@ -58,6 +59,66 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_tic
     # It is recorded until it has settled, as any other end.
     assert len(counts) - tripped > 100
     assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
+
+
+def report_of(told: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
+    """Return a report of an X that is told and reads such positions, m, at ticks of 5 ms."""
+    return {"X.commanded": told, "X.measured": read, "X.voltage": np.zeros(len(told))}
+
+
+def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> None:
+    """At 36 mm/s the lag is 29.4 ms: 1.06 mm behind is sound, and 3.1 mm is the limit."""
+    told = 0.036 * 0.005 * np.arange(400)
+    for behind, trips in ((1.06e-3, False), (3.0e-3, False), (3.3e-3, True)):
+        guards = Guards(winder())
+        read = np.maximum(told - behind, 0.0)
+        found = [
+            guards.trip(at, report_of(told[at : at + 5], read[at : at + 5]), False, 0.0)
+            for at in range(0, 400, 5)
+        ]
+        assert any(found) is trips, behind
+        assert not trips or next(filter(None, found)).startswith("axis X follows 3.")
+
+
+def test_a_reading_beyond_the_travel_is_a_fault() -> None:
+    """The travel of X ends at 0.5 m; 2 mm are left to the loop."""
+    for reaches, trips in ((0.5019, False), (0.5021, True)):
+        places = np.linspace(reaches - 1e-4, reaches, 5)
+        found = Guards(winder()).trip(0, report_of(places, places), False, 0.0)
+        assert (found == "axis X is beyond its travel") is trips
+
+
+def test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either() -> None:
+    """Neither enabling nor a jog leads to a run: only homing and rest do."""
+    bench = Bench()
+    bench.executor.enable()
+    with pytest.raises(CommandError, match="'start' is not possible while the machine is enabled"):
+        bench.executor.start(TABLE)
+    bench.executor.home()
+    bench.executor.jog("X", 0.02)
+    with pytest.raises(CommandError, match="'start' is not possible while the machine is jogging"):
+        bench.executor.start(TABLE)
+    begun = [message for message in bench.wire.sent if message.kind == "begin"]
+    assert len(begun) == 1  # the jog
+
+
+def test_a_new_connection_moves_nothing() -> None:
+    """Whoever comes after an executor that died finds a machine at rest, and has to home it."""
+    bench = Bench().ready()
+    bench.executor.start(TABLE)
+    bench.go_on(AT)
+    bench.wire.machine.play(100)  # nobody is there: it has braked by its tail
+    stands = bench.wire.machine.position.copy()
+    bench.wire._answers.clear()
+    bench.wire.machine.greet()
+    again = Executor(bench.wire, winder(), bench.desk, bench.kept, speed=0.0)  # type: ignore[arg-type]
+    again.connect()
+    assert again.state is State.DISABLED
+    for ask in (lambda: again.start(TABLE), lambda: again.jog("X", 0.02)):
+        with pytest.raises(CommandError, match="not possible while the machine is disabled"):
+            ask()
+    bench.wire.machine.play(100)
+    assert (bench.wire.machine.position == stands).all()
 
 
 def test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is() -> None:

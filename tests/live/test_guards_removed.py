@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gc
+import tempfile
 import warnings
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,25 +19,50 @@ from tests.live import (
     test_jog,
     test_tail,
 )
+from tests.live.bench import winder
 from threadline.errors import LinkFaultError
-from threadline.live import executor, states
+from threadline.live import executor, guards, lateness, states, supervised
 from threadline.live.ahead import Ahead
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.far_end import FarEnd
 from threadline.live.guards import Guards
-from threadline.live.lateness import Lateness
 from threadline.live.sim_machine import SimMachine
 from threadline.live.states import Cause, State
+from threadline.options import Options
+from threadline.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.proof_file import ProofFile, write_proof
+from threadline.verdict import load_spec
 
 Take = Callable[[pytest.MonkeyPatch], None]
 BY_LATENESS = ("late-ticks", "", "3 ticks in a row came late", 15)
-BY_ENCODER = ("unheeded-reversal", "Y", "the output of Y changed its sign", 5)
+BY_ONE_TICK = ("one-late-tick", "", "a tick came 6 periods late", 5)
+BY_REVERSAL = ("unheeded-reversal", "Y", "the output of Y changed its sign", 5)
+BY_JUMP = ("encoder-jump", "A", "the encoder of A jumps by 2", 5)
+BY_STUCK = ("stuck-encoder", "X", "the encoder of X stands still while the axis is told", 22)
+BY_SWITCH = ("switch-hit", "x_high", "the limit switch x_high is hit", 5)
 
 
 def attribute(owner: object, name: str, value: object) -> Take:
     """Return what puts something else in the place of a guard."""
     return lambda monkeypatch: monkeypatch.setattr(owner, name, value)
+
+
+def transition(state: State, cause: Cause, after: State) -> Take:
+    """Return what allows a transition that there is not."""
+    return attribute(states, "TRANSITIONS", {**states.TRANSITIONS, (state, cause): after})
+
+
+def with_proof(test: Callable[[Proof, Path], None]) -> None:
+    """Call a test with a proof of a job, and the file that it was written to."""
+    options = Options(interpolation="linear")
+    job = open_job(test_checked.EXAMPLES / "x-180.prg", winder(), options)
+    plan = plan_job(job, winder(), options)
+    proof = prove_plan(plan, load_spec(None, winder()))
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "a.proof.json"
+        write_proof(proof, written)
+        test(proof, written)
 
 
 def in_turn(desk: Desk) -> Cause | None:
@@ -65,21 +92,68 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         attribute(Desk, "take", in_turn),
         lambda: test_tail.test_a_stop_is_ahead_of_what_is_held_and_what_was_asked(100),
     ),
-    "late ticks": (
-        attribute(Lateness, "trip", nothing),
+    "late ticks in a row": (
+        attribute(lateness, "LATE_IN_A_ROW", 10**9),
         lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_LATENESS),
     ),
-    "the guards of a report": (
-        attribute(Guards, "_trip_of", nothing),
-        lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_ENCODER),
+    "one very late tick": (
+        attribute(lateness, "LATE_PERIODS", 1e9),
+        lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_ONE_TICK),
+    ),
+    "the reversal rule": (
+        attribute(Guards, "_reversed", nothing),
+        lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_REVERSAL),
+    ),
+    "the encoder that jumps": (
+        attribute(Guards, "_jumped", nothing),
+        lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_JUMP),
+    ),
+    "the encoder that stands still": (
+        attribute(Guards, "_following", nothing),
+        lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_STUCK),
+    ),
+    "the following error": (
+        attribute(guards, "FOLLOWING_M", 1.0),
+        test_guards.test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm,
+    ),
+    "the travel during motion": (
+        attribute(Guards, "_beyond", nothing),
+        test_guards.test_a_reading_beyond_the_travel_is_a_fault,
+    ),
+    "the limit switches": (
+        attribute(Guards, "_switch_hit", nothing),
+        lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_SWITCH),
+    ),
+    "homing before a run": (
+        transition(State.ENABLED, Cause.START, State.RUNNING),
+        test_guards.test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either,
+    ),
+    "no run out of a jog": (
+        transition(State.JOGGING, Cause.START, State.RUNNING),
+        test_guards.test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either,
+    ),
+    "no motion on a new connection": (
+        transition(State.DISABLED, Cause.JOG, State.JOGGING),
+        test_guards.test_a_new_connection_moves_nothing,
+    ),
+    "the hashes of the proof": (
+        attribute(supervised, "check_proof", lambda *_: ()),
+        lambda: with_proof(test_checked.test_one_changed_row_is_refused),
+    ),
+    "the reason to run out of specification": (
+        attribute(ProofFile, "passed", True),
+        lambda: with_proof(
+            lambda proof, written: test_checked.test_out_of_specification_takes_a_reason(
+                proof, written.parent
+            )
+        ),
     ),
     "the emergency stop at enabling": (
         attribute(SimMachine, "pressed", False),
         test_guards.test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is,
     ),
     "homing after a fault": (
-        attribute(states, "TRANSITIONS",
-                  {**states.TRANSITIONS, (State.FAULT, Cause.RESET): State.IDLE}),
+        transition(State.FAULT, Cause.RESET, State.IDLE),
         test_guards.test_after_a_fault_nothing_moves_before_reset_enable_and_home,
     ),
     "limits of every row": (

@@ -98,27 +98,46 @@ class Guards:
         """
         if why := self._lateness.trip(late, late_periods):
             return why
-        for name in self._switches:
-            if name in samples and samples[name].any():
-                return f"the limit switch {name} is hit"
+        if why := self._switch_hit(samples):
+            return why
         for axis in self._axes:
             if why := self._trip_of(axis, tick, samples):
                 return why
+        return ""
+
+    def _switch_hit(self, samples: Mapping[str, FloatArray]) -> str:
+        for name in self._switches:
+            if name in samples and samples[name].any():
+                return f"the limit switch {name} is hit"
         return ""
 
     def _trip_of(self, axis: _Axis, tick: int, samples: Mapping[str, FloatArray]) -> str:
         told, read = (self._with_last(axis, what, samples) for what in ("commanded", "measured"))
         if len(told) < 2 or len(read) < 2:
             return ""
+        volts = self._with_last(axis, "voltage", samples)
+        return (
+            self._jumped(axis, read)
+            or self._beyond(axis, read)
+            or self._reversed(axis, volts)
+            or self._following(axis, tick, told, read)
+        )
+
+    def _jumped(self, axis: _Axis, read: FloatArray) -> str:
         jump = float(np.abs(np.diff(read)).max())
         if jump > _JUMP * axis.fastest + _JUMP_COUNTS * axis.count:
             return f"the encoder of {axis.name} jumps by {jump / axis.count:.0f} counts in a tick"
+        return ""
+
+    def _beyond(self, axis: _Axis, read: FloatArray) -> str:
         if read.min() < axis.low or read.max() > axis.high:
             return f"axis {axis.name} is beyond its travel"
-        volts = self._with_last(axis, "voltage", samples)
+        return ""
+
+    def _reversed(self, axis: _Axis, volts: FloatArray) -> str:
         if axis.reverses_by_zero and (volts[1:] * volts[:-1] < 0.0).any():
             return f"the output of {axis.name} changed its sign without a tick of zero between"
-        return self._following(axis, tick, told, read)
+        return ""
 
     def _following(self, axis: _Axis, tick: int, told: FloatArray, read: FloatArray) -> str:
         axis.speeds.append((tick, float(np.abs(np.diff(told)).max()) / self._tick_s))
