@@ -209,10 +209,12 @@ def _approach(
 
 
 def _failed(proof: ProofFile) -> str:
-    """Return the criteria that are not passed, as the proof lists them."""
-    found = [
+    """Return the criteria that are not passed, each once: failed, then not measured."""
+    criteria = proof.content["verdict"]["criteria"]
+    found = dict.fromkeys(
         f"{criterion['name']} {criterion['axis'] or ''}".strip()
-        for criterion in proof.content["verdict"]["criteria"]
-        if criterion["status"] in {"failed", "not-measured"}
-    ]
-    return ", ".join(found[:4]) or "its verdict is not passed"
+        for status in ("failed", "not-measured")
+        for criterion in criteria
+        if criterion["status"] == status and (status == "failed" or criterion["required"])
+    )
+    return ", ".join([*found][:4]) or "its verdict is not passed"
