@@ -10,9 +10,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.trajectory.extremes import hull_of
 from threadline.trajectory.optimal.along_path import across, true_shares
-from threadline.trajectory.optimal.braking import asked
 from threadline.trajectory.optimal.path_elements import restricted
 from threadline.trajectory.optimal.solve import Limits
+from threadline.trajectory.optimal.two_sided import asked
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
 _PARTS = 4  # of a polynomial in time: the bounds of its parts are nearer to it

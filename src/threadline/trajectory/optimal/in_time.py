@@ -8,9 +8,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.trajectory.optimal.along_path import across, true_shares
-from threadline.trajectory.optimal.braking import asked as asked_of_sides
 from threadline.trajectory.optimal.path_elements import restricted
 from threadline.trajectory.optimal.solve import Limits, Solution
+from threadline.trajectory.optimal.two_sided import asked as asked_of_sides
 from threadline.trajectory.types import TrajectoryBlock
 
 _ORDER = 6

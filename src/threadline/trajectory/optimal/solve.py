@@ -9,10 +9,10 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
 from threadline.trajectory.optimal.along_path import AlongPath, across
-from threadline.trajectory.optimal.braking import braking_shares, with_braking
 from threadline.trajectory.optimal.first_guess import even, feasible, roundings, used
 from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.rows import assemble, demand_rows
+from threadline.trajectory.optimal.two_sided import braking_shares, with_braking
 from threadline.trajectory.optimal.usage import shares
 
 _COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are made finer
