@@ -226,9 +226,10 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ("hello\n", "these are no settings that are known"),
         ("", "these are no settings"),
         ("$100=250\n$100=200\n", "$100 is 200 here and 250 on line 1"),
-        ("$100=250\n$100=250\n$110=-5\n", "$110 is '-5'; it must be a number above 0"),
+        ("$100=250\n$100=250\n$110=-5\n", "$110 is '-5'; it must be a number from 10^-6"),
         ("$100=nan\n", "$100 is 'nan'"),
-        ("$100=250\n$11=-1\n", "$11 is '-1'; it must be a number from 0"),
+        ("$100=250\n$130=1e-9\n", "$130 is '1e-9'"),
+        ("$100=250\n$11=-1\n", "$11 is '-1'; it must be 0, or a number"),
         ("$100=250\n$11=0.01\n$11=0.02\n", "$11 is 0.02 here and 0.01 on line 2"),
         ("$100=1e99\n", "$100 is '1e99'"),
         ("$100=\n", "$100 is ''"),
@@ -320,6 +321,22 @@ def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text((MARLIN if off.startswith("echo") else REPRAPFIRMWARE) + off)
     assert not read_settings(file).unheeded
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FLUIDNC.replace("  x:\n", "  x: !include x.yaml\n  y:\n"), "x: !include x.yaml is not"),
+        ("include: other.yaml\n" + FLUIDNC, "include: other.yaml is not followed"),
+        ("axes: {x: {steps_per_mm: 80}}\n", "an axis has its settings on lines of their own"),
+    ],
+)
+def test_what_stands_elsewhere_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    """An axis in another file was left out without a word."""
+    file = tmp_path / "config.yaml"
+    file.write_text(text)
+    with pytest.raises(MachineError, match=re.escape(said)):
+        read_settings(file)
 
 
 def test_what_save_config_has_saved_is_in_force(tmp_path: Path) -> None:

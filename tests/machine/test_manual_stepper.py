@@ -81,3 +81,11 @@ def test_a_manual_stepper_that_is_two_axes_is_refused(
     file.write_text(X_ALONE + MANDREL + macro + "\n")
     with pytest.raises(MachineError, match=re.escape(said)):
         read_settings(file)
+
+
+def test_a_value_that_goes_on_in_the_next_line_is_no_number(tmp_path: Path) -> None:
+    """A key behind a tab is the rest of the value before it, to Klipper too."""
+    file = tmp_path / "printer.cfg"
+    file.write_text(X_ALONE + "\tmax_velocity: 20\n")
+    with pytest.raises(MachineError, match="max_accel is '3000 max_velocity: 20'"):
+        read_settings(file)

@@ -17,6 +17,7 @@ import pytest
 
 from tests.jobs.made_machines import made_machine
 from tests.trajectory.linuxcnc_headless import times_on_linuxcnc
+from threadline.doubts import arc_warnings
 from threadline.errors import MachineError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
@@ -162,6 +163,26 @@ def test_moves_in_parts_are_those_of_the_whole(
     again = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
     assert again.duration_s == pytest.approx(whole.duration_s, rel=1e-12)
     assert np.abs(again(times) - places).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "line"),
+    [
+        ("G1 F3000 X20 A100\nX10\nX30\nX40 A300\n", "G64 P0.1", 4),
+        ("G1 F3000 X20\nX30\nX40 A9\nX0 A20\n", "G64", None),  # straight on, then A turns
+        ("G1 F3000 X20\nG4 P1\nA10\nX0\n", "G64", None),
+        ("G1 F3000 X20 A100\nX10\nX30\n", "G61", None),
+    ],
+)
+def test_a_corner_that_linuxcnc_rounds_by_an_arc_is_told(
+    tmp_path: Path, machine: Machine, program: str, words: str, line: int | None
+) -> None:
+    """It passes such corners faster than its planner here does."""
+    path = tmp_path / "job.ngc"
+    path.write_text(f"G21 G90 G94\n{program}M2\n")
+    chosen = replace(machine, planner=planner(words))
+    told = arc_warnings(read_job(path, chosen), chosen)
+    assert [said.partition(": ")[0] for said in told] == ([f"job.ngc:{line}"] if line else [])
 
 
 def test_a_tolerance_and_stops_do_not_go_together(tmp_path: Path, machine: Machine) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from threadline.errors import MachineError, Place
 
-_MOST = 1e9
+_LEAST, _MOST = 1e-6, 1e9  # of any sense: less is a slip of the pen, and no travel
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Settings:
         Raises
         ------
         MachineError
-            If it is not a number above 0 and up to 1e9, or differs from one given before.
+            If it is not a number from 1e-6 to 1e9, or differs from one given before.
         """
         value = self._number(text, line, name, zero=False)
         settings = self.axes.setdefault(axis, AxisSettings())
@@ -88,7 +88,7 @@ class Settings:
         Raises
         ------
         MachineError
-            If it is not a number from 0 to 1e9, or differs from one given before.
+            If it is not 0 or a number from 1e-6 to 1e9, or differs from one given before.
         """
         value = self._number(text, line, name, zero=True)
         self._refuse_another(self.planner.get(key), value, line, name)
@@ -134,10 +134,10 @@ class Settings:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not 0.0 <= value <= _MOST or (value == 0.0 and not zero):
+        if not (_LEAST <= value <= _MOST or (value == 0.0 and zero)):
             raise MachineError(
-                f"{name} is {text.strip()[:40]!r}; it must be a number "
-                f"{'from 0' if zero else 'above 0 and'} up to 10^9",
+                f"{name} is {text.strip()[:40]!r}; it must be "
+                f"{'0, or ' if zero else ''}a number from 10^-6 up to 10^9",
                 place=Place(self.file, line),
                 remedy="Dump the settings anew, or correct that line.",
             )

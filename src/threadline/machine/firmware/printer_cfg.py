@@ -94,8 +94,10 @@ def _sections(lines: list[str], file: str) -> _File:
         if section is None:
             raise unknown(line, file, number, "[stepper_x]")
         _note_axis(read, code, number)
-        if code[0] in " \t":
-            continue  # the value of the key before it goes on
+        if code[0] in " \t":  # the value of the key before it goes on, as Klipper reads it
+            if (last := next(reversed(section), None)) is not None:
+                section[last] = f"{section[last][0]} {code.strip()}".strip(), section[last][1]
+            continue
         match = _KEY.match(code)
         if match is None:
             raise unknown(line, file, number, "rotation_distance: 40")

@@ -134,6 +134,7 @@ def _fluidnc(lines: list[str], file: str) -> Settings:
         while path and path[-1][0] >= indent:
             path.pop()
         above = [name for _, name in path]
+        _refuse_elsewhere(key.strip(), value.strip(), above, Place(file, number))
         path.append((indent, key.strip()))
         if len(above) == 2 and above[0] == "axes" and key.strip() in _FLUIDNC:
             letter = above[1].upper()
@@ -147,10 +148,27 @@ def _fluidnc(lines: list[str], file: str) -> Settings:
     return settings
 
 
+def _refuse_elsewhere(key: str, value: str, above: list[str], place: Place) -> None:
+    """Refuse what stands in another file or form: an axis would be lost without a word."""
+    if key == "include" or value.startswith(("!", "&", "*")):
+        raise MachineError(
+            f"{key[:40]}: {value[:40]} is not followed",
+            place=place,
+            remedy="Put the text that it stands for in its place.",
+        )
+    table = key == "axes" if not above else above == ["axes"] and key.upper() in _LETTERS
+    if value and table:
+        raise MachineError(
+            f"{key[:40]}: {value[:40]!r}: an axis has its settings on lines of their own",
+            place=place,
+            remedy="Write them as FluidNC's documents do: steps_per_mm: 80.000 and so on.",
+        )
+
+
 _READERS: tuple[tuple[re.Pattern[str], Callable[[list[str], str], Settings]], ...] = (
     (re.compile(r"\s*\$1[0-3]\d\s*="), _grbl),
     (_OF_CONFIG_G, read_config_g),
     (re.compile(r"\s*(?:echo:)?\s*M92\s"), _marlin),
     (re.compile(r"\[(?:stepper_[a-z]|manual_stepper \w+|printer)\]"), read_printer_cfg),
-    (re.compile(r"axes:\s*$"), _fluidnc),
+    (re.compile(r"axes:"), _fluidnc),
 )
