@@ -64,3 +64,18 @@ def test_a_limit_that_takes_longer_than_the_budget_is_told_at_once(tmp_path: Pat
     told = r"more than 1e\+12 ticks of 5 ms at its feeds and velocity limits"
     with pytest.raises(BudgetError, match=told):
         plan_job(read_job(job, machine), machine, Options())
+    named = r"line 3 of the job alone takes 5e\+09 s by the velocity limit of axis X"
+    with pytest.raises(BudgetError, match=named):
+        plan_job(read_job(job, machine), machine, Options(interpolation="optimal"))
+
+
+@pytest.mark.parametrize("words", ["G01 X 5 F 0.000001", "G04 P 9000000"])
+def test_the_block_that_is_too_long_is_named(words: str, tmp_path: Path) -> None:
+    """A feed far below, and a dwell: each names its own line, with ``optimal`` as with ``auto``."""
+    machine = load_machine("lathe-winder")
+    job = tmp_path / "slow.prg"
+    job.write_text(f"%\nO 1;\nN 10 G91 G01 X 1 F 2160;\nN 20 {words};\nN 30 M30;\n%\n")
+    for interpolation in ("optimal", "auto"):
+        with pytest.raises(BudgetError, match="the job takes more than") as told:
+            plan_job(read_job(job, machine), machine, Options(interpolation=interpolation))
+        assert "slow.prg:4" in str(told.value)

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from threadline.arrays import FloatArray
 from threadline.errors import BudgetError, OptionError
 from threadline.laws import Law
 from threadline.machine import Machine
@@ -128,6 +129,22 @@ def _short(path: PlannedPath) -> bool:
     return True
 
 
+def _longest(
+    block: PieceBlock, moved_s: FloatArray, axes: tuple[str, ...], fastest: FloatArray
+) -> str:
+    """Say which of the pieces takes longest, and what makes it so long."""
+    lasts_s = moved_s + block.dwell_s
+    k = int(np.argmax(lasts_s))
+    ways = np.abs(block.coefficients[k, 1:].sum(axis=0)) / fastest
+    if block.dwell_s[k] >= moved_s[k]:
+        why = "its dwell"
+    elif block.nominal_s[k] >= ways.max():
+        why = "its feed"
+    else:
+        why = f"the velocity limit of axis {axes[int(np.argmax(ways))]}"
+    return f"line {block.line[k]} of the job alone takes {lasts_s[k]:.3g} s by {why}"
+
+
 def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield the pieces of ``path`` as long as the least time they take is within the budget."""
     period_s = float(machine.tick_clock.period_s)
@@ -149,7 +166,8 @@ def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
         if least_s / period_s > budget:
             raise BudgetError(
                 f"the job needs more than {least_s / period_s:.3g} ticks of {period_s * 1e3:g} ms "
-                f"at its feeds and velocity limits, the machine file allows {budget:.3g}",
+                f"at its feeds and velocity limits, the machine file allows {budget:.3g}; "
+                f"{_longest(block, moved_s, path.axes, fastest)}",
                 remedy="Raise the feed or the limits, shorten the job, or raise tick_budget in the "
                 "machine file.",
             )
