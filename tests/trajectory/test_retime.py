@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,37 @@ def test_a_long_way_at_the_limit_of_velocity_loses_nothing_at_its_ends():
     motion = retime([[0.0], [-1.3], [-3.1]], 0.0365, 2.66)
     least_s = 3.1 / 0.0365 + 0.0365 / 2.66
     assert least_s <= motion.duration_s <= least_s * 1.00005  # it was 1.00023
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_axis_that_moves_by_less_than_the_least_number_is_no_limit():
+    """Its limit over its way is above the largest number."""
+    motion = retime([[0.0, 0.0], [1.0, 5e-324]], 1.0, 5.0, 50.0)
+    assert motion.duration_s == pytest.approx(1.3, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["points", "reversed", "divided"])
+def test_units_and_the_parameter_change_nothing(name):
+    """Other units of length and time, the way back, and chords cut into parts: the same time.
+
+    The way back has the same time by symmetry, and points on the chords change no straight line.
+    They differ by 1e-14 and 7e-8.
+    """
+    points = np.random.default_rng(4).normal(size=(9, 2))
+    here_s = retime(points, [1.0, 2.0], [8.0, 5.0], 200.0, 1e-2).duration_s
+    if name == "points":
+        tiny = retime(1e6 * points, [1e6, 2e6], [8e6, 5e6], 2e8, 1e4).duration_s
+        slow = retime(points, [1e-3, 2e-3], [8e-6, 5e-6], 2e-7, 1e-2).duration_s
+        assert tiny == pytest.approx(here_s, rel=1e-6)
+        assert slow == pytest.approx(1e3 * here_s, rel=1e-6)
+    elif name == "reversed":
+        back_s = retime(points[::-1], [1.0, 2.0], [8.0, 5.0], 200.0, 1e-2).duration_s
+        assert back_s == pytest.approx(here_s, rel=1e-9)
+    else:
+        parts = np.linspace(0.0, 1.0, 4)[:-1, None]
+        more = np.concatenate([a + parts * (b - a) for a, b in pairwise(points)])
+        cut_s = retime([*more, points[-1]], [1.0, 2.0], [8.0, 5.0], 200.0, 1e-2).duration_s
+        assert cut_s == pytest.approx(here_s, rel=1e-6)
 
 
 def test_every_limit_holds_and_one_is_used():

@@ -28,7 +28,7 @@ def line_alone(
         Least time of the piece at an even speed, 0 for none.
     """
     way = np.abs(c[1])
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         velocity = float((limits.velocity / way).min())
         acceleration = float((limits.acceleration / way).min())
         jerk = float((limits.jerk / way).min())

@@ -1,0 +1,88 @@
+"""Time per point and memory of ``optimal`` along paths of more and more points.
+
+``python -m tools.points_growth 3 6`` measures 10^3, 10^4 ... 10^6 points, 0.1 mm apart and each up
+to 2 um beside a curve, streamed through smoothing and timing. Each number of points has a process
+of its own: seconds of the processor for each point, its largest memory, and the motion's time.
+What is compiled was compiled, and every kernel was used, before the clock begins.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from time import process_time
+
+import numpy as np
+
+from threadline.path.auto import auto_pieces
+from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
+from threadline.signals import Stream
+from threadline.trajectory.optimal import Limits
+from threadline.trajectory.optimal.fastest_motion import limited_blocks
+
+CHUNK = 5000
+STEP_M = 1e-4
+TOLERANCE_M = 1e-4
+BESIDE_M = 2e-6
+LIMITS = Limits(velocity=np.full(3, 1.0), acceleration=np.full(3, 10.0), jerk=np.full(3, 1000.0))
+
+
+def vertices(count: int) -> Iterator[VertexBlock]:
+    """Yield the points in blocks."""
+    for first in range(0, count, CHUNK):
+        own = np.arange(first, min(first + CHUNK, count))
+        t = 2.0 * STEP_M * own
+        curve = np.stack([0.3 * np.sin(t), 0.3 * np.cos(1.3 * t), 0.1 * np.sin(2.1 * t)], axis=1)
+        beside = np.random.default_rng([5, first]).uniform(-BESIDE_M, BESIDE_M, curve.shape)
+        rest = (own == count - 1).astype(np.int64)
+        zero = np.zeros(len(own))
+        yield VertexBlock(
+            positions=curve + beside, operation=own, nominal_s=zero, rest=rest, dwell_s=zero,
+            line=own,
+        )  # fmt: skip
+
+
+def planned(count: int) -> tuple[float, float]:
+    """Return the seconds of the processor, and of the motion."""
+    programmed = ProgrammedPath(
+        axes=("X", "Y", "Z"), radius_m=np.ones(3), blocks=Stream(vertices, count)
+    )
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="optimal",
+        timing=Timing.FASTEST,
+        historical=False,
+        blocks=Stream(auto_pieces, programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M),
+    )
+    begun, end_s = process_time(), 0.0
+    for block in limited_blocks(path, LIMITS):
+        end_s = block.end_s
+    return process_time() - begun, end_s
+
+
+def main() -> None:
+    """Measure one number of points, or every power of ten from one to another."""
+    parser = argparse.ArgumentParser(prog="python -m tools.points_growth", description=__doc__)
+    parser.add_argument("first", type=int)
+    parser.add_argument("last", type=int, nargs="?")
+    asked = parser.parse_args()
+    if asked.last is None:
+        planned(500)
+        seconds, motion_s = planned(10**asked.first)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        print(
+            f"10^{asked.first} points: {1e6 * seconds / 10**asked.first:.1f} us each, "
+            f"{memory:.0f} MB, motion {motion_s:.3f} s",
+            flush=True,
+        )
+        return
+    for power in range(asked.first, asked.last + 1):
+        subprocess.run([sys.executable, "-m", "tools.points_growth", str(power)], check=True)
+
+
+if __name__ == "__main__":
+    main()
