@@ -30,6 +30,7 @@ from threadline.pipeline import Proof, open_job, plan_job, prove_plan
 from threadline.proof_file import ProofFile, read_proof, verify_proof, write_proof
 from threadline.signals import Ended
 from threadline.signals.files import read_recording
+from threadline.store import run_store
 from threadline.store.index import REFUSED, RUNNING, RunRecord
 from threadline.store.run_store import OpenRun, RunStore
 from threadline.verdict import load_spec
@@ -158,6 +159,29 @@ def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_pat
     assert {record.text for record in records} == {"", "the machine did not answer"}
     with pytest.raises(StoreError, match="there is no run 'nothing'"):
         store.find("nothing")
+    store.index.close()
+
+
+def test_the_disk_is_ordered_to_take_it_up_as_it_goes(
+    proof: Proof, known: ProofFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loss of the computer's power leaves the trace up to the last order."""
+    assert run_store.SYNC_S < 1.0
+    monkeypatch.setattr(run_store, "SYNC_S", 0.0)
+    ordered: list[int] = []
+    monkeypatch.setattr(run_store.os, "fsync", lambda _: ordered.append(run.trace.stat().st_size))
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim"}, 0.0)
+    ours, theirs = socket.socketpair()
+    pid = machine(theirs, ours, 0.0)
+    theirs.close()
+    with run:
+        execute(run, ours, 0.0)
+    ours.close()
+    os.waitpid(pid, 0)
+    assert len(ordered) > 3
+    assert ordered == sorted(ordered)
+    assert ordered[0] < ordered[-1] <= run.trace.stat().st_size
     store.index.close()
 
 

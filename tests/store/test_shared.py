@@ -7,11 +7,13 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+from sqlalchemy.dialects import postgresql
+from sqlalchemy.schema import CreateTable
 
 from threadline.cli.main import main
 from threadline.errors import StoreError
-from threadline.store.index import RunIndex, RunRecord
-from threadline.store.run_store import INDEX, RunStore
+from threadline.store.index import _RUNS, RunIndex, RunRecord
+from threadline.store.run_store import INDEX, INDEX_URL, RunStore, opened
 
 PROGRAMS = 8
 
@@ -50,6 +52,35 @@ def test_programs_that_begin_at_once_all_get_their_rows(tmp_path: Path) -> None:
     rows = RunStore(tmp_path / "runs").index.runs()
     assert len(rows) == 5 * PROGRAMS
     assert all(row.ended == "completed" and row.passed for row in rows)
+
+
+def test_a_store_names_the_database_of_its_index(tmp_path: Path) -> None:
+    """Every command finds it there; the folder has no index of its own then."""
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    (folder / INDEX_URL).write_text(f"sqlite:///{tmp_path / 'elsewhere.sqlite'}\n", "utf-8")
+    store = RunStore(folder)
+    store.index.add(record("first"))
+    store.index.close()
+    assert (tmp_path / "elsewhere.sqlite").is_file()
+    assert not (folder / INDEX).exists()
+    again = opened(folder)
+    assert again is not None
+    assert [one.run for one in again.index.runs()] == ["first"]
+    again.index.close()
+    for wrong in ("", "no url", "a://b c://d", "nothing://x"):
+        (folder / INDEX_URL).write_text(wrong, "utf-8")
+        with pytest.raises(StoreError, match=r"index\.url|cannot be used"):
+            RunStore(folder)
+
+
+def test_the_table_is_one_of_postgresql() -> None:
+    """As its dialect writes it; ``docs/running.md`` says with which server it was tried."""
+    told = str(CreateTable(_RUNS, if_not_exists=True).compile(dialect=postgresql.dialect()))
+    assert "CREATE TABLE IF NOT EXISTS runs" in told
+    assert "PRIMARY KEY (run)" in told
+    for column, kind in (("run", "VARCHAR"), ("passed", "BOOLEAN"), ("late_ticks", "INTEGER")):
+        assert f"{column} {kind}" in told
 
 
 def test_a_locked_index_is_one_line_before_anything_moves(tmp_path: Path) -> None:

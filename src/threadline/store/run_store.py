@@ -8,9 +8,12 @@ program is killed keeps all up to then.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import time
 from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -29,6 +32,10 @@ from threadline.store.index import REFUSED, RunIndex, RunRecord
 INDEX, PROOF, INPUTS, SENT, TRACE, EVENTS, VERDICT = (
     "index.sqlite", "proof.json", "inputs", "sent", "trace.mcap", "events.jsonl", "verdict.json",
 )  # fmt: skip
+SYNC_S = 0.5
+"""Time in s from one order to the disk to take up the trace to the next."""
+INDEX_URL = "index.url"
+"""File of a store whose index is a database elsewhere: its URL, as SQLAlchemy writes it."""
 _NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -40,7 +47,8 @@ class RunStore:
     folder
         It is made where it does not exist.
     url
-        Database URL of the index; the file ``index.sqlite`` in the folder when None.
+        Database URL of the index; None is the one in the folder's file ``index.url``, and without
+        that the file ``index.sqlite`` in the folder.
 
     Raises
     ------
@@ -57,7 +65,7 @@ class RunStore:
                 f"cannot keep runs in {str(folder)!r}: {error.strerror or error}",
                 remedy="Give another folder with --store.",
             ) from error
-        self.index = RunIndex(url or folder / INDEX)
+        self.index = RunIndex(url or _told_url(folder) or folder / INDEX)
 
     def begin(
         self,
@@ -135,6 +143,32 @@ class RunStore:
         return self.folder / run
 
 
+def _told_url(folder: Path) -> str | None:
+    """Return the URL of the index that the folder names; None where it names none.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be read, or holds no URL.
+    """
+    file = folder / INDEX_URL
+    if not file.exists():
+        return None
+    try:
+        url = file.read_text("utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise StoreError(
+            f"{str(file)!r} cannot be read",
+            remedy="It holds the URL of the index, or is not there.",
+        ) from error
+    if "://" not in url or len(url.split()) != 1:
+        raise StoreError(
+            f"{str(file)!r} holds no URL of a database",
+            remedy='Write one line, like "postgresql+psycopg://user@host/runs".',
+        )
+    return url
+
+
 def _free(folder: Path, name: str) -> Path:
     """Return a path in ``folder`` that nothing has: ``name``, or with a number before it."""
     folder.mkdir(exist_ok=True)
@@ -156,7 +190,8 @@ def opened(folder: Path) -> RunStore | None:
         raise StoreError(
             f"{str(folder)!r} is no folder of runs", remedy="Give the folder with --store."
         )
-    return RunStore(folder) if (folder / INDEX).exists() else None
+    kept = any((folder / name).exists() for name in (INDEX, INDEX_URL))
+    return RunStore(folder) if kept else None
 
 
 class OpenRun:
@@ -173,6 +208,8 @@ class OpenRun:
         self._events: IO[str] = (path / EVENTS).open("w", encoding="utf-8")
         self._trace: IO[bytes] = (path / TRACE).open("wb")
         self._writer: TraceWriter | None = None
+        self._disk, self._synced_s = ThreadPoolExecutor(1), 0.0
+        self._syncing: Future[None] | None = None
 
     @property
     def trace(self) -> Path:
@@ -198,6 +235,15 @@ class OpenRun:
         assert self._writer is not None
         with naming(self.path, self.path):
             self._writer.write(block)
+        self._order_to_disk()
+
+    def _order_to_disk(self) -> None:
+        """Order the disk to take up the trace, beside the run: a loss of power leaves it then."""
+        now_s = time.monotonic()
+        waits = self._syncing is not None and not self._syncing.done()
+        if not waits and now_s >= self._synced_s + SYNC_S:
+            self._synced_s = now_s
+            self._syncing = self._disk.submit(os.fsync, self._trace.fileno())
 
     def state(self, tick: int, state: str, cause: str, text: str) -> None:
         """Write that the executor changed its state at a tick, with cause and text."""
@@ -213,6 +259,7 @@ class OpenRun:
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: object
     ) -> None:
         """Close the files; if an error ended the run, write that into the index."""
+        self._disk.shutdown(wait=True)
         with naming(self.path, self.path):
             if error is None and self._writer is not None:
                 self._writer.finish()
