@@ -168,6 +168,23 @@ def parse_margin(text: str) -> float:
     return value
 
 
+def parse_ends(text: str) -> float:
+    """Return a share of the tolerances at whose ends machines are judged, ``"100 %"``, as 1.0.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 200 %.
+    """
+    value = parse_number("ends", text, "", "100 %")
+    if not 0.0 < value <= 2.0:
+        raise OptionError(
+            f"ends {text!r} must be above 0 % and at most 200 % of the tolerances",
+            remedy='Machines at the ends of all tolerances are "100 %".',
+        )
+    return value
+
+
 def parse_robust(text: str) -> float:
     """Return the share of the tolerances that a plan holds over, such as ``"100 %"``, as a number.
 

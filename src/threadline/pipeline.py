@@ -23,6 +23,7 @@ from threadline.machine import Machine
 from threadline.machine.dynamics import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
+from threadline.machine.vary import ends_of
 from threadline.options import Options
 from threadline.plan import Plan
 from threadline.signals import Commands, Recording
@@ -30,6 +31,7 @@ from threadline.signals.files.common import Written
 from threadline.targets.write import Target
 from threadline.verdict import Judge, Spec, Status, Verdict
 from threadline.verdict.deviation import measure_motion_deviation
+from threadline.verdict.ends import worst_of
 from threadline.verdict.types import REPEATED_RUNS, Level, level_of
 from threadline.writing import together
 
@@ -76,11 +78,15 @@ class Trials:
     wished
         The share of the machines, all drawn at random, that must be in spec: a yield. None asks for
         every machine.
+    ends
+        Share of the tolerances of loads and springs: the machines at its ends are judged as well,
+        in one run each.
     """
 
     repeats: int = 1
     machines: int = 0
     wished: float | None = None
+    ends: float | None = None
 
     @property
     def level(self) -> Level:
@@ -237,8 +243,6 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
 
     Parameters
     ----------
-    plan
-        A plan of any kind of work.
     target
         ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
         array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
@@ -247,8 +251,6 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
         the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
         stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
-    out
-        The file.
 
     Returns
     -------
@@ -290,12 +292,7 @@ def prove(
 ) -> Proof:
     """Plan, simulate and judge a job.
 
-    Parameters
-    ----------
-    job_file, machine, spec, options
-        The job, the machine that it is planned for, what is asked, and how to plan.
-    progress, trials, actual
-        As ``prove_plan`` takes them.
+    ``progress``, ``trials`` and ``actual`` are as ``prove_plan`` takes them.
 
     Raises
     ------
@@ -331,6 +328,8 @@ def prove_plan(
     OptionError
         If other machines are asked for, and no number has a tolerance or one has no dynamics.
     """
+    if trials.ends is not None:
+        return _with_ends(plan, spec, progress, trials, actual)
     if actual is not None or trials.machines:
         check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
@@ -373,6 +372,19 @@ def prove_plan(
         runs=verdict.runs,
         actual=actual,
     )
+
+
+def _with_ends(
+    plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None
+) -> Proof:
+    """Prove a plan, and judge it on the machines at the ends of the tolerances as well."""
+    proof = prove_plan(plan, spec, progress, replace(trials, ends=None), actual)
+    machine = plan.machine if actual is None else actual
+    ends = [
+        (told, prove_plan(plan, spec, None, NOMINAL, other).verdict)
+        for told, other in ends_of(machine, trials.ends or 0.0)
+    ]
+    return replace(proof, verdict=worst_of(proof.verdict, ends))
 
 
 def try_plan(

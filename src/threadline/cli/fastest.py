@@ -79,6 +79,14 @@ def fastest(
             'this share of its frequency: "20 %".',
         ),
     ] = None,
+    robust: Annotated[
+        str | None,
+        typer.Option(
+            help="One plan for all machines with loads and springs at the ends of this share of "
+            'their tolerances, each judged in one run: "100 %"; and what that costs. With '
+            "--feed-forward it is planned for all of them.",
+        ),
+    ] = None,
     mismatch: Annotated[
         bool,
         typer.Option(
@@ -122,7 +130,8 @@ def fastest(
     For a seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
     limit is kept free. For an on/off machine the shortest cycle is searched: every move gets a
     shaper or switchings of its own, and every wait its length; with --band "20 %" the commands
-    hold wherever the modes are within 20 % of their frequency.
+    hold wherever the modes are within 20 % of their frequency. With --robust "100 %" one plan
+    is to hold on every machine at the ends of the tolerances.
     For an embroidery design the speed of the shaft is searched, a constant one and one that is
     different for each stitch. Every trial is proved by twenty runs, as by threadline prove, or with
     --nominal by one. With --interpolation optimal no feed is searched: a few plans are proved, and
@@ -135,7 +144,8 @@ def fastest(
     Of an on/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer
     -o best.toml
     """
-    trials = trials_of(nominal, None, tolerances, wished)
+    trials = trials_of(nominal, None, tolerances, wished, robust)
+    planned = robust if feed_forward and interpolation == DEFAULT_INTERPOLATION_TEXT else None
     chosen, kept_free = with_radii(machine_from(machine, par), radius), parse_margin(margin)
     options = options_of(
         interpolation,
@@ -147,6 +157,7 @@ def fastest(
         dialect=dialect,
         radius=radius,
         contour=contour,
+        robust=planned,
     )
     read = open_job(job, chosen, options)
     asked = Asked(
@@ -170,6 +181,7 @@ def fastest(
             "--feed-forward": "" if feed_forward else None,
             "--smoothing": smoothing,
             "--contour": contour,
+            "--robust": planned,
         },
         low=low,
         high=high,
@@ -182,7 +194,7 @@ def fastest(
         json=json,
     )
     answer = ANSWERS[read.paced_by]
-    given = {"--low": low, "--high": high, "--band": band, "--out": out}
+    given = {"--low": low, "--high": high, "--band": band, "--out": out, "--robust": robust}
     for name, value in given.items():
         if value is not None and name not in answer.takes:
             raise OptionError(
@@ -229,7 +241,7 @@ class _Answer:
     takes: frozenset[str]
 
 
-_SPAN = frozenset({"--low", "--high"})
+_SPAN = frozenset({"--low", "--high", "--robust"})
 ANSWERS: Mapping[Pace, _Answer] = {
     "feed": _Answer(_by_feed, "the feed is", _SPAN),
     "needle": _Answer(fastest_seam, "the speed of the needle is", _SPAN),
@@ -238,6 +250,7 @@ ANSWERS: Mapping[Pace, _Answer] = {
 }
 """By pace, as ``search.by_pace`` has the searches: how they are told."""
 _INSTEAD = {
+    "--robust": "; --band finds commands for every mode within a share of its frequency",
     "--band": "; prove --tolerances judges other machines",
     "--out": "; the command that proves the answer is printed",
 }

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.certainty import certainty_of
 from threadline.cli.controller_settings import settings_words
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
@@ -80,6 +81,26 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
             by=by,
         )
         best = result.best
+        sure = certainty_of(
+            asked,
+            best_of(result),
+            "m/s",
+            lambda chosen, trials: best_of(
+                fastest_job(
+                    read,
+                    machine,
+                    asked.spec,
+                    chosen,
+                    low=low,
+                    high=high,
+                    progress=progress,
+                    actual=asked.actual,
+                    trials=trials,
+                    until=asked.until,
+                    by=by,
+                )
+            ),
+        )
         cells: list[Mismatch] = []
         if asked.mismatch:
             cells = feed_over_tolerances(
@@ -104,11 +125,14 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
     again = _command(result, asked) if found else None
     if asked.json:
         said = {"margin": asked.margin, "command": again}
+        said |= {} if sure is None else sure.json()
         print_json(_content(result, read) | said | mismatch_json(cells, drawn))
     else:
         ahead = ", feed-forward" if options.following is Following.LOAD else ""
         how = f"{options.interpolation}{ahead}"
         _show(result, f"{asked.title}, {how}{free}", high)
+        if sure is not None:
+            say(sure.line())
         for line in settings_words(read, machine, result):
             say(line)
         if again is not None:
@@ -118,6 +142,11 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
         if drawn is not None:
             say(f"Report: {drawn}")
     raise typer.Exit(0 if found else 1)
+
+
+def best_of(found: FastestJob) -> tuple[float | None, float | None]:
+    """Return the best speed that was found, and how long the job takes at it."""
+    return found.best.found.best, found.best.duration_s
 
 
 def _command(result: FastestJob, asked: Asked) -> str:

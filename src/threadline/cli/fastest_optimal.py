@@ -9,8 +9,9 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
-from threadline.cli.fastest_by_feed import metres_per_second
+from threadline.cli.fastest_by_feed import best_of, metres_per_second
 from threadline.cli.found import command_line, limit_words, margin_words, typed, until_words
 from threadline.cli.level import level_option
 from threadline.cli.mismatch import report_of
@@ -62,6 +63,24 @@ def fastest_optimal(asked: Asked) -> NoReturn:
             trials=asked.trials,
             until=asked.until,
         )
+        sure = certainty_of(
+            asked,
+            best_of(found),
+            "m/s",
+            lambda chosen, trials: best_of(
+                fastest_job(
+                    read,
+                    machine,
+                    spec,
+                    chosen,
+                    high=highest_m_s,
+                    progress=progress,
+                    actual=asked.actual,
+                    trials=trials,
+                    until=asked.until,
+                )
+            ),
+        )
     best = found.best
     again = None
     if best.found.best is not None:
@@ -79,9 +98,12 @@ def fastest_optimal(asked: Asked) -> NoReturn:
     if asked.json:
         told = {"report": str(page)} if page is not None else {}
         said = {"margin": asked.margin, "command": again, "binds": binds}
+        said |= {} if sure is None else sure.json()
         print_json(_content(found) | said | told)
     else:
         _show(found, f"{asked.title}, optimal{margin_words(asked.margin)}")
+        if sure is not None:
+            say(sure.line())
         for line in [] if bound is None else binding_lines(bound):
             say(line)
         if again is not None:

@@ -6,6 +6,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
     alone_words,
@@ -62,6 +63,26 @@ def fastest_seam(asked: Asked) -> NoReturn:
             cells = needle_over_tolerances(
                 file, machine, asked.spec, options, low=low, high=end, progress=progress
             )
+        sure = certainty_of(
+            asked,
+            (found.best, None),
+            "stitch/s",
+            lambda chosen, trials: (
+                fastest_needle(
+                    file,
+                    machine,
+                    asked.spec,
+                    chosen,
+                    low=low,
+                    high=high,
+                    progress=progress,
+                    actual=asked.actual,
+                    trials=trials,
+                    until=asked.until,
+                ).best,
+                None,
+            ),
+        )
     title = f"{file.name} on {machine.name}{margin_words(asked.margin)}"
     drawn = drawn_of(cells, title, NEEDLE, asked)
     if found.best is not None:
@@ -71,11 +92,14 @@ def fastest_seam(asked: Asked) -> NoReturn:
         drawn = drawn or report_of(plan, asked)
     if asked.json:
         said = {"margin": asked.margin, "ended": asked.until.ended}
+        said |= {} if sure is None else sure.json()
         print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
         for line in until_words(asked.until.ended):
             say(line)
         _show(found, title)
+        if sure is not None:
+            say(sure.line())
         if found.best is not None:
             say(
                 f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {file.name}, then '

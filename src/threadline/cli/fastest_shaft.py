@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
     alone_words,
@@ -60,6 +61,26 @@ def fastest_design(asked: Asked) -> NoReturn:
             trials=asked.trials,
             until=asked.until,
         )
+        sure = certainty_of(
+            asked,
+            (found.constant.best, found.duration_s),
+            "stitch/s",
+            lambda chosen, trials: (
+                None,
+                fastest_shaft(
+                    read,
+                    machine,
+                    asked.spec,
+                    chosen,
+                    low=low,
+                    high=high,
+                    progress=progress,
+                    actual=asked.actual,
+                    trials=trials,
+                    until=asked.until,
+                ).duration_s,
+            ),
+        )
         cells = []
         if asked.mismatch:
             end = found.constant.best * ABOVE if high is None and found.constant.best else high
@@ -73,11 +94,14 @@ def fastest_design(asked: Asked) -> NoReturn:
     again = _command(found, asked)
     if asked.json:
         said = {"margin": asked.margin, "command": again, "ended": asked.until.ended}
+        said |= {} if sure is None else sure.json()
         print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
         for line in until_words(asked.until.ended):
             say(line)
         _show(found, title)
+        if sure is not None:
+            say(sure.line())
         if again is not None:
             say(f"To prove it: {again}")
         if cells:

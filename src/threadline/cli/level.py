@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
 from threadline.errors import OptionError
-from threadline.option_words import parse_number
+from threadline.option_words import parse_ends, parse_number
 from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, yielding
 
 NominalOption = Annotated[
@@ -43,8 +44,21 @@ YieldOption = Annotated[
 ]
 
 
+EndsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--ends",
+        help="Judge the machines with loads and springs at the ends of this share of their "
+        'tolerances, too, one run each: "100 %".',
+    ),
+]
+
+
 def level_option(trials: Trials) -> dict[str, str]:
-    """Return the option that gives the level ``trials``, with its value; none for the default."""
+    """Return the options that give the level ``trials``, with values; none for the default."""
+    if trials.ends is not None:
+        ends = {"--ends": f"{100.0 * trials.ends:.12g} %"}
+        return level_option(replace(trials, ends=None)) | ends
     if trials == REPEATED:
         return {}
     if trials.wished is not None:
@@ -68,7 +82,11 @@ def level_words(trials: Trials) -> str:
 
 
 def trials_of(
-    nominal: bool, repeats: int | None, tolerances: bool, wished: str | None = None
+    nominal: bool,
+    repeats: int | None,
+    tolerances: bool,
+    wished: str | None = None,
+    ends: str | None = None,
 ) -> Trials:
     """Return the level that the options ask for: its number of runs and of machines.
 
@@ -88,11 +106,12 @@ def trials_of(
         raise OptionError(
             f"{' and '.join(asked)} ask for different levels", remedy="Give one of them."
         )
+    level = NOMINAL if nominal else TOLERANCES if tolerances else REPEATED
     if wished is not None:
-        return yielding(parse_yield(wished))
-    if repeats is not None:
-        return Trials(repeats=repeats)
-    return NOMINAL if nominal else TOLERANCES if tolerances else REPEATED
+        level = yielding(parse_yield(wished))
+    elif repeats is not None:
+        level = Trials(repeats=repeats)
+    return level if ends is None else replace(level, ends=parse_ends(ends))
 
 
 def parse_yield(text: str) -> float:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.cli.level import (
+    EndsOption,
     NominalOption,
     RepeatsOption,
     TolerancesOption,
@@ -97,6 +98,7 @@ def prove(
     repeats: RepeatsOption = None,
     tolerances: TolerancesOption = False,
     wished: YieldOption = None,
+    ends: EndsOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
@@ -114,7 +116,7 @@ def prove(
     On an on/off machine: threadline prove examples/letter-cycle.toml
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
-    trials = trials_of(nominal, repeats, tolerances, wished)
+    trials = trials_of(nominal, repeats, tolerances, wished, ends)
     chosen = machine_from(machine, par)
     for output in (recording, proof_file):
         keep_inputs(output, job, chosen.file, par, spec)

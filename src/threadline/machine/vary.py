@@ -200,6 +200,26 @@ def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
     return found
 
 
+def ends_of(machine: Machine, share: float) -> list[tuple[str, Machine]]:
+    """Return the other machines of ``corners`` that differ, each with what sets it apart.
+
+    Raises
+    ------
+    OptionError
+        If no number of a load or a spring has a tolerance.
+    """
+    words = [
+        " and ".join(filter(None, (mass, spring)))
+        for mass in ("", "lighter loads", "heavier loads")
+        for spring in ("", "softer springs", "stiffer springs")
+    ]
+    found: list[tuple[str, Machine]] = []
+    for word, other in zip(words, corners(machine, share), strict=True):
+        if other != machine and all(other != known for _, known in found):
+            found.append((word, other))
+    return found
+
+
 def mode_off(machine: Machine, relative: float) -> Machine:
     """Return ``machine`` with its modes at (1 + ``relative``) times their frequencies.
 

@@ -45,6 +45,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "level": verdict.level.value,
         "runs": verdict.runs,
         "machines": verdict.machines,
+        **({"ends": verdict.ends} if verdict.ends else {}),
         "tightest": _tightest_json(verdict.tightest),
         "incomplete": verdict.incomplete,
         "late_ticks": verdict.late_ticks,
@@ -135,6 +136,8 @@ def _level(verdict: Verdict) -> str:
     told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
     if verdict.machines:
         told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
+    if verdict.ends:
+        told += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
     if verdict.wished is not None:
         told += f", {100.0 * verdict.wished:.6g} % of all to pass"
     return told

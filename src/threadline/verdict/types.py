@@ -207,6 +207,8 @@ class Verdict:
         How many other machines within its tolerances were, too.
     wished
         Share of these machines that has to be in specification; None where every one has to be.
+    ends
+        How many machines at the ends of the tolerances of loads and springs were, one run each.
     incomplete
         How a run ended before its last row; empty where none did.
     late_ticks
@@ -221,6 +223,7 @@ class Verdict:
     runs: int = 1
     machines: int = 0
     wished: float | None = None
+    ends: int = 0
     incomplete: str = ""
     late_ticks: int = 0
     limits_alone: bool = False

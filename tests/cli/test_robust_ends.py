@@ -1,0 +1,128 @@
+"""``fastest --robust`` and ``prove --ends``: one plan on machines at the ends of tolerances."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.machine.vary import ends_of, off_tolerance
+from threadline.option_words import parse_feed
+from threadline.options import Options
+from threadline.pipeline import NOMINAL, Trials, plan_job, prove_plan, try_plan
+from threadline.verdict import Result, Status, Verdict, load_spec
+from threadline.verdict.ends import worst_of
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+X180 = str(EXAMPLES / "x-180.prg")
+SPAN = ("--low", "36 mm/s", "--high", "40 mm/s", "--nominal")
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main([*words])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def test_one_plan_holds_on_every_machine_and_what_that_costs_is_said(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The inertia of X is +-5 %: the lag, and with it the error, grows with it.
+
+    That the plan holds is seen on each machine by itself, and that a faster one does not, too.
+    """
+    asked = ("fastest", X180, "-m", "lathe-winder", "--interpolation", "linear", *SPAN)
+    code, out, _ = run(capsys, *asked, "--robust", "100 %", "--json")
+    content = json.loads(out)
+    assert code == 0
+    told = content["certainty"]
+    assert told["machines"] == 3  # no springs: loads as typed, lighter and heavier
+    assert told["unit"] == "s"
+    assert told["alone"] < told["best"] == content["duration_s"]
+    assert told["slower"] == pytest.approx(told["best"] / told["alone"] - 1.0)
+    machine = load_machine("lathe-winder")
+    spec = load_spec(None, machine)
+
+    def passes(feed_m_s: float) -> list[bool]:
+        feed = parse_feed(f"{feed_m_s!r} m/s")
+        options = Options(interpolation="linear", feed=feed)
+        plan = plan_job(read_job(X180, machine), machine, options)
+        actual = [machine, *(off_tolerance(machine, mass=m) for m in (-1.0, 1.0))]
+        return [try_plan(plan, spec, NOMINAL, one).verdict.passed for one in actual]
+
+    assert passes(content["best"]) == [True] * 3
+    faster = passes(39.4e-3)
+    assert faster[0] and not all(faster)
+    # What it prints is typed back: in spec, by the same worst machine.
+    words = shlex.split(content["command"])
+    assert words[0] == "threadline"
+    code, out, _ = run(capsys, *words[1:])
+    assert code == 0
+    assert "2 at the ends of the tolerances of loads and springs, one run each" in out
+
+
+def test_a_proof_says_on_which_machine_it_was_worst(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("prove", X180, "-m", "lathe-winder", "--interpolation", "linear", "--nominal")
+    assert run(capsys, *words, "--feed", "39.4 mm/s")[0] == 0
+    code, out, _ = run(capsys, *words, "--feed", "39.4 mm/s", "--ends", "100 %", "--json")
+    assert code == 1
+    content = json.loads(out)
+    worst = next(c for c in content["criteria"] if c["name"] == "contour_error")
+    assert worst["status"] == "failed"
+    assert "loads" in worst["note"]
+
+
+def test_what_has_no_ends_is_refused_in_a_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    placer = ("fastest", str(EXAMPLES / "letter-cycle.toml"), "-m", "letter-placer")
+    code, _, err = run(capsys, *placer, "--robust", "100 %")
+    assert code == 2
+    assert "--robust '100 %' does not apply" in err and "--band" in err
+    code, _, err = run(capsys, "prove", X180, "-m", "lathe-winder", "--ends", "0 %")
+    assert code == 2 and "ends '0 %' must be above 0 %" in err
+    exact = tmp_path / "exact.toml"
+    exact.write_text(
+        'base = "lathe-winder"\n'
+        + "".join(f'[bodies.{n}]\ninertia = "3.6e-4 kg m^2 exact, assumed"\n' for n in "xya"),
+        encoding="utf-8",
+    )
+    code, _, err = run(capsys, "prove", X180, "-m", str(exact), "--ends", "100 %")
+    assert code == 2 and "have no tolerances" in err
+
+
+def test_every_kind_with_axes_or_a_shaft_is_judged_at_its_ends() -> None:
+    for name, file in (("schiffli-frame", "rosette.dst"), ("lathe-winder+springy", "x-180.prg")):
+        machine = load_machine(name)
+        job = read_job(EXAMPLES / file, machine)
+        plan = plan_job(job, machine, Options())
+        verdict = prove_plan(plan, load_spec(None, machine), None, Trials(ends=1.0)).verdict
+        assert verdict.ends == len(ends_of(machine, 1.0)) > 0, name
+
+
+def test_the_worst_of_each_criterion_counts() -> None:
+    def verdict(*measured: float | None) -> Verdict:
+        return Verdict(
+            results=tuple(
+                Result(
+                    name=f"c{k}", axis="", measured=value, limit=1.0, unit="m",
+                    status=Status.NOT_MEASURED if value is None
+                    else Status.PASSED if value <= 1.0 else Status.FAILED,
+                )
+                for k, value in enumerate(measured)
+            ),
+            simulated=True,
+        )  # fmt: skip
+
+    both = worst_of(
+        verdict(0.5, 0.9, 0.2), [("a", verdict(0.7, 0.8, None)), ("b", verdict(0.6, 1.2, 0.1))]
+    )
+    assert [r.measured for r in both.results] == [0.7, 1.2, 0.2]
+    assert [r.note for r in both.results] == ["a", "b", ""]
+    assert not both.passed and both.ends == 2
