@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import socket
 from collections import deque
 from collections.abc import Callable
@@ -20,6 +21,8 @@ from threadline.signals import Event, Stream, TickBlock, TickTable
 
 GROUP = 5
 NEVER_READY = socket.socketpair()
+for _end in NEVER_READY:
+    atexit.register(_end.close)
 
 
 class Wire:

@@ -17,10 +17,10 @@ export class Curves {
   private readonly deviation: uPlot;
 
   constructor(above: HTMLElement, below: HTMLElement) {
-    const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60 }];
+    const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, space: 22 }];
     const x = { time: false };
-    const size = () => ({ width: Math.max(above.clientWidth, 280), height: 170 });
-    this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [6, 4] }, { label: "commanded", stroke: BLUE }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
+    const size = () => ({ width: Math.max(Math.min(above.clientWidth, window.innerWidth - 60), 280), height: 170 });
+    this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [10, 5] }, { label: "commanded", stroke: BLUE, dash: [3, 2] }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
     this.deviation = new uPlot({ ...size(), height: 130, legend: { live: false }, scales: { x }, axes, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
     new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 130 }); }).observe(above);
   }

@@ -208,6 +208,16 @@ export class Draw {
     else if (event.key === "z" && event.ctrlKey) this.undo();
     else if (event.key === "y" && event.ctrlKey) this.redo();
     else if (event.key === "Enter") this.finish();
+    else if (event.key === "PageDown" || event.key === "PageUp") { event.preventDefault(); this.chooseNext(event.key === "PageDown" ? 1 : -1); }
+    else if (event.key === "a" && event.ctrlKey) { event.preventDefault(); this.chosen = new Set(this.shapes.map((one) => one.group)); this.draw(); }
+  }
+
+  /** Choose the next of what can be chosen, without a pointer. */
+  private chooseNext(by_: number): void {
+    const groups = [...new Set(this.shapes.map((one) => one.group))], now = groups.findIndex((group) => this.chosen.has(group));
+    if (groups.length === 0) return;
+    this.chosen = new Set([groups[((now < 0 && by_ < 0 ? 0 : now) + by_ + groups.length) % groups.length]!]);
+    this.draw();
   }
 
   // --- files ----------------------------------------------------------------------------------

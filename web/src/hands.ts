@@ -36,7 +36,7 @@ export class Hands {
   }
 
   private row(axis: Axis, pair: [string, string] | undefined): HTMLTableRowElement {
-    const row = this.bare(axis.name);
+    const row = this.bare(axis.name), { session } = this;
     const cell = (...inside: Node[]) => { const found = made("td"); found.append(...inside); return found; };
     const jog = (sign: number, key: string | undefined) => {
       if (key) this.keys.set(key, { axis: axis.name, sign });
@@ -45,6 +45,9 @@ export class Hands {
       found.setAttribute("aria-label", `Jog ${axis.name} ${sign > 0 ? "plus" : "minus"} while held`);
       found.onpointerdown = (event) => { found.setPointerCapture(event.pointerId); this.begin({ axis: axis.name, sign }); };
       found.onpointerup = found.onpointercancel = found.onlostpointercapture = () => this.end();
+      found.onkeydown = (event) => { if (event.key === "Enter" && !event.repeat) { event.preventDefault(); this.begin({ axis: axis.name, sign }); } };
+      found.onkeyup = (event) => { if (event.key === "Enter") this.end(); };
+      found.onblur = () => { if (session.moves) this.end(); };
       found.oncontextmenu = (event) => event.preventDefault();
       return found;
     };
@@ -80,6 +83,7 @@ export class Hands {
       session.link.stop();
       return;
     }
+    if (event.key === "Enter" && event.target instanceof HTMLInputElement && event.target.type === "checkbox" && !event.target.disabled) { event.target.click(); return; } // the space bar stops
     if (by("operate").hidden && by("teach-in").hidden) return; // keys are the drawing's, or the list's
     if (event.ctrlKey || event.altKey || event.metaKey || IGNORED.has(event.key) || typing()) return;
     const way = by<HTMLInputElement>("by-keys").checked && session.mine() ? this.keys.get(event.key) : undefined;

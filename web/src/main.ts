@@ -69,7 +69,7 @@ function offer(names: string[]): void {
   replan();
 }
 
-function replan(): void { curves.plan(session.figures, shown(), unitOf(session, shown())[0]); }
+function replan(): void { for (const one of document.querySelectorAll(".axis-unit")) one.textContent = `in ${unitOf(session, shown())[1]}`; curves.plan(session.figures, shown(), unitOf(session, shown())[0]); }
 
 /** The view in three dimensions, where the browser can draw it. */
 function shownIn3d(): View3d | null {
@@ -118,6 +118,7 @@ function show(state: State | null): void {
   hands.show(state);
   program.show(state);
   teach.show(state);
+  traces.show(state);
   view?.live(state);
   // A state that was on its way when they came does not know of them yet.
   if (!state.proven && session.figures && state.calculating === null && state.seq > session.figuresAt + 1) { session.figures = null; program.forget(); replan(); view?.show(null, bare); }

@@ -3,6 +3,7 @@
 import uPlot from "uplot";
 import { by, made, value } from "./dom";
 import { BLUE, INK, ORANGE } from "./curves";
+import type { State } from "./messages";
 import type { Session } from "./session";
 import { say, unitOf } from "./session";
 
@@ -12,18 +13,30 @@ interface Trace { times_s: number[]; axes: Record<string, { commanded: number[];
 export class Traces {
   private trace: Trace | null = null;
   private plots: uPlot[] = [];
+  private last = "";
 
   constructor(private readonly session: Session) {
     by<HTMLSelectElement>("kept").onchange = () => void this.load();
     by<HTMLSelectElement>("trace-axis").onchange = () => this.draw();
+    new ResizeObserver(() => { const width = this.wide(); for (const plot of this.plots) if (plot.width !== width) plot.setSize({ width, height: plot.height }); }).observe(by("runs"));
     by("export").onclick = () => void this.save();
   }
 
+  /** A run has ended or was judged: the list that is open knows it, too. */
+  show(state: State): void {
+    const last = JSON.stringify([state.progress?.run, state.progress?.ended, state.progress?.verdict]);
+    if (last === this.last) return;
+    this.last = last;
+    if (!by("runs").hidden) void this.list();
+  }
+
   async list(): Promise<void> {
+    const before = value("kept");
     const answer = await this.session.ask("/api/runs");
     if (!answer.ok) { say((await answer.text()).trim(), true); return; }
     const runs = (await answer.json()) as Kept[];
     by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${one.ended}${one.text ? `, ${one.text}` : ""}, ${one.passed === null ? "not judged" : one.passed ? "in spec" : "OUT OF SPEC"}`); found.value = one.run; return found; }));
+    if (runs.some((one) => one.run === before)) by<HTMLSelectElement>("kept").value = before;
     by<HTMLButtonElement>("export").disabled = runs.length === 0;
     if (runs.length) await this.load();
   }
@@ -40,6 +53,8 @@ export class Traces {
     this.draw();
   }
 
+  private wide(): number { return Math.max(Math.min(by("trace").clientWidth, window.innerWidth - 60), 280); }
+
   private draw(): void {
     for (const plot of this.plots) plot.destroy();
     const axis = this.trace?.axes[value("trace-axis")];
@@ -47,10 +62,10 @@ export class Traces {
     const [scale, unit] = unitOf(this.session, value("trace-axis")), times = this.trace.times_s;
     const commanded = axis.commanded.map((at) => at * scale), actual = axis.actual.map((at) => at * scale);
     const difference = actual.map((at, k) => at - commanded[k]!);
-    const width = Math.max(by("trace").clientWidth, 280), axes = (label: string) => [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, label }];
+    const width = this.wide(), axes = (label: string) => [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, label }];
     const x = { time: false };
     this.plots = [
-      new uPlot({ width, height: 260, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "commanded", stroke: BLUE }, { label: "actual", stroke: ORANGE }] }, [times, commanded, actual], by("trace")),
+      new uPlot({ width, height: 260, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "commanded", stroke: BLUE, dash: [4, 3] }, { label: "actual", stroke: ORANGE }] }, [times, commanded, actual], by("trace")),
       new uPlot({ width, height: 200, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "actual minus commanded", stroke: ORANGE }] }, [times, difference], by("trace")),
     ];
   }

@@ -7,7 +7,7 @@ import type { Figures, Mandrel, State } from "./messages";
 
 const FRAME_MS = 100;
 const SHOWN_S = 15; // a simulation lasts no longer by the clock
-const GREY = 0xbdbdbd, FAINT = 0x8f8f8f, BLUE = 0x0072b2, INK = 0x6a6a6a, DARK = 0x333333;
+const GREY = 0xbdbdbd, FAINT = 0x8f8f8f, BLUE = 0x003f72, INK = 0x949494, DARK = 0x333333;
 
 type At = Record<string, number>;
 

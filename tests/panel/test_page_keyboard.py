@@ -1,0 +1,84 @@
+"""The page by the keyboard alone: no pointer is used in this file."""
+
+from __future__ import annotations
+
+from tests.panel.browsing import Browser, Page, expect, opened, state, x_mm
+from tests.panel.test_panel_killed import Plant
+
+MOST_TABS = 60
+NAME = """() => { const at = document.activeElement;
+  return at.getAttribute("aria-label") || at.closest("label")?.innerText || at.innerText; }"""
+
+
+def tab_to(page: Page, name: str) -> None:
+    """Go to an element by Tab, from wherever the focus is."""
+    seen = []
+    for _ in range(MOST_TABS):
+        page.keyboard.press("Tab")
+        seen.append(str(page.evaluate(NAME)).strip())
+        if seen[-1] == name:
+            return
+    raise AssertionError(f"{name!r} is not among {seen}")
+
+
+def enter(page: Page, name: str) -> None:
+    expect(page.get_by_role("button", name=name, exact=True)).to_be_enabled(timeout=60_000)
+    tab_to(page, name)
+    page.keyboard.press("Enter")
+
+
+def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, plant: Plant) -> None:
+    page = opened(browser, plant)
+    for name in ("Take control", "Enable", "Home all"):
+        enter(page, name)
+    state(page, "idle")
+
+    tab_to(page, "Jog X plus while held")
+    page.keyboard.down("Enter")
+    state(page, "jogging")
+    page.wait_for_timeout(500)
+    page.keyboard.up("Enter")
+    state(page, "idle")
+    there = x_mm(page)
+    assert there > 1.0
+    tab_to(page, "Jog by keys")
+    page.keyboard.press("Enter")
+    expect(page.get_by_label("Jog by keys")).to_be_checked()
+    page.keyboard.down("ArrowLeft")
+    state(page, "jogging")
+    page.wait_for_timeout(300)
+    page.keyboard.up("ArrowLeft")
+    state(page, "idle")
+    assert x_mm(page) < there
+    enter(page, "Zero all")
+    expect(page.locator("#at-X")).to_have_text("0.00 mm", timeout=60_000)
+    state(page, "idle")
+
+    enter(page, "Calculate")
+    expect(page.locator("#figures")).to_contain_text("IN SPEC", timeout=60_000)
+    enter(page, "Start")
+    state(page, "running")
+    page.keyboard.press("h")
+    state(page, "holding")
+    page.keyboard.press("r")
+    state(page, "running")
+    page.keyboard.press(" ")
+    state(page, "idle")
+    expect(page.locator("#progress-text")).to_contain_text("stopped")
+
+    tab_to(page, "Draw")
+    page.keyboard.press("Enter")
+    for x, tool in ((10, "Line"), (60, "Circle")):
+        enter(page, tool)
+        tab_to(page, "Point x, y")
+        for point in (f"{x}, 10", f"{x + 20}, 10"):
+            page.keyboard.type(point)
+            page.keyboard.press("Enter")
+        page.keyboard.press("Enter")
+    expect(page.locator("#drawn")).to_contain_text("2 shapes")
+    tab_to(page, "Drawing; points can be typed below")
+    page.keyboard.press("PageUp")
+    page.keyboard.press("Delete")
+    expect(page.locator("#drawn")).to_contain_text("1 shapes")
+    assert "A 20.0000" in str(page.locator("#paper path[data-at='0']").get_attribute("d"))
+    page.close()

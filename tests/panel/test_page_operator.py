@@ -1,0 +1,168 @@
+"""An operator's day in one browser: the cone-dome-cylinder program, from its file to a profile."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.panel.browsing import (
+    SHOTS,
+    SIZE,
+    Browser,
+    Page,
+    expect,
+    part,
+    press,
+    ready,
+    shot,
+    state,
+    x_mm,
+)
+from tests.panel.test_page_views import typed
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "cone-dome-cylinder.prg"
+LONG_MS = 300_000.0
+"""For a calculation, on a computer that is busy with other tests."""
+
+
+@contextmanager
+def panel(folder: Path) -> Iterator[str]:
+    """Serve a project by the command itself, at half of real time; yield its address."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = ["panel", str(folder), "-m", "lathe-winder", "--port", str(port), "--speed", "0.5"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "threadline", *words, "--store", str(folder / "runs")],
+        stdout=subprocess.DEVNULL,
+    )
+    address = f"http://127.0.0.1:{port}/"
+    try:
+        end = time.monotonic() + 200.0
+        while time.monotonic() < end:
+            try:
+                urllib.request.urlopen(f"{address}api/state", timeout=10).close()
+                break
+            except (urllib.error.URLError, ConnectionError):
+                time.sleep(0.2)
+        yield address
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+
+
+def jogged(page: Page, label: str, hold_ms: float) -> None:
+    page.get_by_label(f"{label} while held").hover()
+    page.mouse.down()
+    page.wait_for_timeout(hold_ms)
+    page.mouse.up()
+    state(page, "idle")
+
+
+def seen_by_others(page: Page, name: str) -> None:
+    """Take pictures of the page as those see it who tell fewer colours apart."""
+    session = page.context.new_cdp_session(page)
+    for kind in ("deuteranopia", "protanopia", "tritanopia", "achromatopsia", "none"):
+        session.send("Emulation.setEmulatedVisionDeficiency", {"type": kind})
+        if kind != "none":
+            page.screenshot(path=SHOTS / f"{name}-{kind}.png")
+    session.detach()
+
+
+def calculated(page: Page, program: str) -> None:
+    expect(page.locator("#program")).to_have_value(program)
+    press(page, "Calculate")
+    expect(page.locator("#figures")).to_contain_text(program, timeout=LONG_MS)
+
+
+def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    with panel(folder) as address:
+        page = browser.new_page(viewport=SIZE)
+        page.set_default_timeout(60_000)
+        page.goto(address)
+        ready(page)
+
+        page.locator("#file").set_input_files(EXAMPLE)
+        there = f"{EXAMPLE.name} is in the project folder"
+        expect(page.locator("#log")).to_contain_text(there, timeout=60_000)
+        assert (folder / EXAMPLE.name).read_bytes() == EXAMPLE.read_bytes()
+        start = page.get_by_role("button", name="Start", exact=True)
+        expect(start).to_be_disabled()
+        calculated(page, EXAMPLE.name)
+        figures = page.locator("#figures")
+        for told in ("IN SPEC", "duration", "ticks", "circuits", "points", "contour error"):
+            expect(figures).to_contain_text(told)
+        press(page, "Simulate")
+        expect(page.locator("#seen")).to_contain_text("SIMULATED, not the machine")
+        page.wait_for_timeout(1500)
+        shot(page, "20-day-simulated")
+        press(page, "End simulation")
+
+        expect(start).to_be_enabled()
+        press(page, "Start")
+        state(page, "running")
+        expect(page.locator("#progress-text")).to_contain_text("s left")
+        expect(page.locator("#seen")).to_have_text("the machine, now")
+        page.wait_for_timeout(6000)
+        watched = x_mm(page)
+        page.wait_for_timeout(1000)
+        assert x_mm(page) != watched
+        shot(page, "21-day-running")
+        press(page, "Hold")
+        state(page, "holding")
+        page.wait_for_timeout(1500)
+        held = x_mm(page)
+        page.wait_for_timeout(1000)
+        assert abs(x_mm(page) - held) < 0.1  # the loop settles
+        shot(page, "22-day-held")
+        seen_by_others(page, "22-day-held")
+        press(page, "Resume")
+        state(page, "running")
+        page.wait_for_timeout(1500)
+        assert x_mm(page) != held
+        press(page, "STOP")
+        state(page, "idle")
+        expect(page.locator("#progress-text")).to_contain_text("stopped")
+
+        part(page, "Runs")
+        expect(page.locator("#kept")).to_contain_text("stopped", timeout=LONG_MS)
+        expect(page.locator("#trace .uplot")).to_have_count(2, timeout=LONG_MS)
+        shot(page, "23-day-trace")
+        part(page, "Operate")
+
+        for label, hold_ms in (("Jog X plus", 700), ("Jog A plus", 700), ("Jog X minus", 400)):
+            jogged(page, label, hold_ms)
+            page.keyboard.press("p")
+        part(page, "Teach")
+        expect(page.locator("#taught tr")).to_have_count(3)
+        page.locator("#teach-name").fill("three")
+        shot(page, "24-day-taught")
+        press(page, "Save program")
+        part(page, "Operate")
+        expect(start).to_be_disabled()
+        calculated(page, "three.prg")
+        expect(figures.locator("dt", has_text=re.compile("^points$")).locator("+ dd")).to_have_text(
+            "3"
+        )
+
+        part(page, "Draw")
+        press(page, "Line")
+        typed(page, (-300, 20), (0, 60), (100, 60), (300, 30))
+        page.locator("#typed-point").press("Enter")
+        shot(page, "25-day-profile")
+        press(page, "Use as mandrel")
+        part(page, "Operate")
+        expect(page.locator("#radius")).to_have_value(
+            "A=20 mm at X -300 mm; 60 mm at X 0 mm; 60 mm at X 100 mm; 30 mm at X 300 mm"
+        )
+        page.close()
