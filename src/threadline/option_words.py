@@ -152,6 +152,21 @@ def parse_share(text: str) -> float:
     return value
 
 
+def share_words(share: float) -> str:
+    """Return a share as a percentage of eight digits at most, else as the number that it is.
+
+    ``parse_share`` reads the very same from it.
+
+    >>> share_words(0.25), share_words(0.176777)
+    ('25 %', '0.176777')
+    """
+    for digits in range(1, 9):
+        text = f"{share * 100.0:.{digits}g} %"
+        if "e" not in text and parse_quantity(text, "") == share:
+            return text
+    return f"{share!r}"
+
+
 def parse_margin(text: str) -> float:
     """Return a margin such as ``"20 %"`` as a number.
 

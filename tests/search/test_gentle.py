@@ -6,16 +6,20 @@ from dataclasses import replace
 from math import degrees, log2
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
+from threadline.option_words import parse_share, share_words
 from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.search import fastest_job, gentle
-from threadline.search.fastest import Fastest, Interval
+from threadline.search.edges import Interval
+from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
+from threadline.search.rungs import Rung
 from threadline.verdict import Verdict, load_spec
 
 
@@ -42,6 +46,25 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     again = plan_job(job, machine, chosen)
     assert again.duration_s == result.best.duration_s
     assert prove_plan(again, spec).verdict.passed
+
+
+def test_shares_of_the_limits_are_read_as_they_are_printed() -> None:
+    """Steps of the fourth root of 2 have sixteen digits; those that are tried have six decimals."""
+
+    def tried(share: float, points: int, near: int = 0) -> Rung:
+        found = Fastest(
+            intervals=(), limited_by="", verdict=Verdict(results=(), simulated=True), tried=1
+        )
+        away = abs(share - 0.19)
+        return rungs.setdefault(share, Rung(share=share, found=found, duration_s=1.0 + away))
+
+    rungs: dict[float, Rung] = {}
+    gentle._climb(tried, rungs)
+    assert len(rungs) > 6
+    for share in (*rungs, *np.random.default_rng(5).uniform(0.01, 1.0, 300).round(6).tolist()):
+        assert parse_share(share_words(share)) == share
+        assert len(share_words(share)) <= len("18.1234 %")
+    assert parse_share(share_words(0.1 + 0.2)) == 0.1 + 0.2
 
 
 def test_the_range_of_feeds_is_a_count_a_tick_to_the_velocity_limit() -> None:

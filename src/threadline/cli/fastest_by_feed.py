@@ -40,7 +40,7 @@ from threadline.jobs import Job
 from threadline.jobs.gcode.f_words import as_f_words
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.option_words import feed_words, parse_feed
+from threadline.option_words import feed_words, parse_feed, share_words
 from threadline.options import Options
 from threadline.pipeline import plan_job
 from threadline.plan import Following
@@ -159,7 +159,7 @@ def _command(result: FastestJob, asked: Asked) -> str:
         {
             **asked.words,
             "--feed": feed_words(feed),
-            "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
+            "--limits": None if best.share == 1.0 else share_words(best.share),
             **level_option(asked.trials),
         },
     )

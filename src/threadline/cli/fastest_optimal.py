@@ -19,7 +19,7 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.option_words import NO_CONTOUR
+from threadline.option_words import NO_CONTOUR, share_words
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import plan_job, with_shaping
 from threadline.report.strips import binding_lines, binding_of
@@ -86,7 +86,7 @@ def fastest_optimal(asked: Asked) -> NoReturn:
     if best.found.best is not None:
         words: dict[str, str | Path | None] = {
             "--feed": f"{best.found.best!r} m/s",
-            "--limits": None if best.share == 1.0 else f"{best.share * 100.0!r} %",
+            "--limits": None if best.share == 1.0 else share_words(best.share),
             "--contour": None if best.contour_m is None else contour_text(best.contour_m),
             **level_option(asked.trials),
         }

@@ -1,7 +1,8 @@
 """Searches over the whole pipeline: the fastest motion in spec, and comparisons."""
 
 from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec
-from threadline.search.fastest import Fastest, Interval, find_fastest
+from threadline.search.edges import Interval
+from threadline.search.fastest import Fastest, find_fastest
 from threadline.search.feed import fastest_feed, feed_range_m_s
 from threadline.search.gentle import fastest_job
 from threadline.search.mismatch import Mismatch, feed_over_tolerances, needle_over_tolerances

@@ -22,7 +22,8 @@ from threadline.machine import Machine
 from threadline.option_words import LEAST_CONTOUR_M
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
-from threadline.search.fastest import Fastest, Interval, worst_criterion
+from threadline.search.edges import Interval
+from threadline.search.fastest import Fastest, worst_criterion
 from threadline.search.feed import feed_range_m_s
 from threadline.search.refused import beyond
 from threadline.search.rungs import Bound, FastestJob, Rung

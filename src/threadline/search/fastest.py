@@ -17,38 +17,24 @@ import numpy as np
 
 from threadline.errors import OptionError
 from threadline.pipeline import Progress
+from threadline.search.edges import (
+    INSIDE,
+    Interval,
+    Judged,
+    held_parts,
+    refined,
+    typeable,
+)
 from threadline.search.until import HaltError, Until
 from threadline.verdict import Status, Verdict
 
-Judged = Callable[[float], Verdict]
 SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
 NEAR_POINTS = 16
-_INSIDE = 16
-"""Feeds that are tried inside an interval before it is believed."""
 _UNDER_WAY = 0.98
 """Of a search that is not over, whatever was expected of it."""
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 RANGE = "range"
 """What limits a search that ended before anything failed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
-    """A range of feeds that pass; SI or counts per tick, as searched.
-
-    Both ends were tried, and, where the search looks near its edges, feeds all over it.
-
-    Parameters
-    ----------
-    alone
-        Whether it is one feed, whose neighbours on both sides, no farther than edges are refined,
-        are out of specification: a chance of how times round to whole ticks.
-    """
-
-    low: float
-    high: float
-    alone: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +151,7 @@ def find_fastest(
     check_range(low, high, unit)
     seen: dict[float, Verdict] = {}
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
-    inside = _INSIDE if near else 0
+    inside = INSIDE if near else 0
     expected = points + 6.0 * near + 2.0 * an_edge + inside  # as if there were one interval
     told = 0.0
 
@@ -264,18 +250,20 @@ def _searched(
     start: float | None = None
     for index, feed in enumerate(feeds):
         if passes[index] and start is None:
-            start = feed if index == 0 else _edge(verdict_at, feed, feeds[index - 1], edge_relative)
+            start = (
+                feed if index == 0 else refined(verdict_at, feed, feeds[index - 1], edge_relative)
+            )
         ends = index + 1 == len(feeds) or not passes[index + 1]
         if passes[index] and ends and start is not None:
             last = index + 1 == len(feeds)
-            stop = feed if last else _edge(verdict_at, feed, feeds[index + 1], edge_relative)
+            stop = feed if last else refined(verdict_at, feed, feeds[index + 1], edge_relative)
             intervals.append(Interval(low=start, high=stop))
             start = None
     if near:
         intervals = [
             part
             for interval in intervals
-            for part in _held(verdict_at, seen, interval, edge_relative)
+            for part in held_parts(verdict_at, seen, interval, edge_relative)
         ]
     return intervals
 
@@ -303,65 +291,8 @@ def _finer(feeds: list[float], passes: list[bool], near: int) -> list[float]:
 def _spaced(low: float, high: float, points: int) -> list[float]:
     """Return feeds evenly spaced on a logarithmic scale, those between the ends short to type."""
     share = (high / low) ** (1.0 / (points - 1)) - 1.0
-    inner = [_typed(float(f), share * float(f)) for f in np.geomspace(low, high, points)[1:-1]]
+    inner = [typeable(float(f), share * float(f)) for f in np.geomspace(low, high, points)[1:-1]]
     return [low, *inner, high]
-
-
-def _typed(feed: float, gap: float) -> float:
-    """Return ``feed`` with as few digits as move it by a hundredth of ``gap`` at the most.
-
-    The shortened feed is the one that is tried: typed on a command line it gives the same plan.
-    """
-    for digits in range(4, 16):
-        short = float(f"{feed:.{digits}g}")
-        if abs(short - feed) <= 0.01 * gap:
-            return short
-    return feed
-
-
-def _edge(verdict_at: Judged, passing: float, failing: float, edge_relative: float) -> float:
-    """Return the passing end of the bisected gap between a passing and a failing feed."""
-    while abs(failing - passing) > edge_relative * min(passing, failing):
-        middle = _typed(math.sqrt(passing * failing), abs(failing - passing))
-        if verdict_at(middle).passed:
-            passing = middle
-        else:
-            failing = middle
-    return passing
-
-
-def _held(
-    verdict_at: Judged, seen: Mapping[float, Verdict], interval: Interval, edge_relative: float
-) -> list[Interval]:
-    """Return the parts of an interval in which every feed that was looked at passes.
-
-    Between two feeds that pass, one may fail: where a margin is thin, the rounding of times to
-    whole ticks decides. So an interval is looked into at feeds spread evenly, by the golden ratio,
-    and cut about each that fails; of a part narrower than an edge, but at an end of the search, its
-    highest feed is left, alone.
-    """
-    parts, found = [interval], []
-    while parts:
-        part = parts.pop()
-        width = part.high - part.low
-        if width <= edge_relative * part.low:
-            at_an_end = part.low <= min(seen) or part.high >= max(seen)
-            found.append(part if at_an_end else Interval(low=part.high, high=part.high, alone=True))
-            continue
-        inside = [
-            _typed(part.low + (_GOLDEN * k % 1.0) * width, width / _INSIDE)
-            for k in range(1, _INSIDE + 1)
-        ]
-        failing = next((f for f in inside if not verdict_at(f).passed), None)
-        if failing is None:
-            found.append(part)
-            continue
-        known = [f for f in seen if part.low <= f <= part.high and seen[f].passed]
-        below = max(f for f in known if f < failing)
-        above = min(f for f in known if f > failing)
-        parts.append(Interval(low=part.low, high=_edge(verdict_at, below, failing, edge_relative)))
-        parts.append(Interval(low=_edge(verdict_at, above, failing, edge_relative), high=part.high))
-    return sorted(found, key=lambda part: part.low)
 
 
 def worst_criterion(verdict: Verdict) -> tuple[str, float]:

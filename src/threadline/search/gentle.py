@@ -12,15 +12,16 @@ from dataclasses import replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
+from threadline.option_words import LEAST_SHARE
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job, try_plan
 from threadline.search.allowance import fastest_allowed
 from threadline.search.distinct import distinct_parts
+from threadline.search.edges import Interval
 from threadline.search.fastest import (
     NEAR_POINTS,
     Fastest,
-    Interval,
     check_range,
     worst_criterion,
 )
@@ -164,7 +165,7 @@ def _climb(tried: Callable[..., Rung], rungs: Mapping[float, Rung]) -> None:
     if best.duration_s is not None:
         for factor in (_STEP, 1.0 / _STEP):
             share = round(best.share * factor, 6)
-            while share <= 1.0 and _order(tried(share, _SCAN_POINTS)) < _order(best):
+            while LEAST_SHARE <= share <= 1.0 and _order(tried(share, _SCAN_POINTS)) < _order(best):
                 best = tried(share, _SCAN_POINTS)
                 share = round(share * factor, 6)
     finer: set[float] = set()

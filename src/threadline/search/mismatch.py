@@ -14,7 +14,8 @@ from threadline.machine.vary import off_tolerance
 from threadline.options import Options
 from threadline.pipeline import Progress
 from threadline.search.cycle import fastest_cycle
-from threadline.search.fastest import Fastest, Interval
+from threadline.search.edges import Interval
+from threadline.search.fastest import Fastest
 from threadline.search.feed import fastest_feed
 from threadline.search.needle import fastest_needle
 from threadline.search.shaft import constant_speeds, speed_range_hz
