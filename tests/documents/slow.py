@@ -32,6 +32,9 @@ SLOW: dict[str, dict[str, str]] = {
             "253 s"
         ),
         "python tools/memory_bounds.py": "half an hour",
+        "python -m tools.points_growth 3 4": "times and memory of one computer",
+        "python -m tools.smoother_corners": "5 s; what a path could gain, not what it does",
+        "python -m tools.random_paths 1000 200000": "a minute",
     },
     "results-stitcher.md": {
         "python -m tools.robust_corners examples/stitcher-robust.seam.toml "
