@@ -30,9 +30,10 @@ from threadline.live.executor import Executor
 from threadline.live.hal_fifo import STREAMER_KEY, in_use
 from threadline.live.hal_rows import HalRows
 from threadline.live.hal_session import HalSession, check_hal
+from threadline.live.kept import Kept
 from threadline.live.links import link_of
 from threadline.live.states import Cause, State
-from threadline.live.wire import Message
+from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
 from threadline.signals import Ended
 
@@ -169,6 +170,35 @@ def test_a_stop_brakes_along_the_path(tmp_path: Path) -> None:
     on_path(tmp_path / "box")
     commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
     assert np.abs(np.diff(commanded[at[0] :])).sum() <= 2e-3
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None:
+    """72 mm/s on X: within 26 mm of its last renewal, and of the last word of an executor."""
+    box, desk, renewed_at = tmp_path / "box", Desk(), 0
+    with bridge(winder(), ZERO, box, plant=False) as far:
+        link = Connection(far.end)
+        executor = Executor(link, winder(), desk, Kept(), speed=1.0)
+        executor.connect()
+        executor.enable()
+        executor.home()
+        executor.jog("X", 0.072)
+        while not executor.over and executor.tick < 100:
+            executor.step()
+            executor.renew()
+            renewed_at = int(executor.stands[1])
+        if gone:
+            link.close()  # without a word
+        else:
+            while not executor.over:
+                executor.step()
+            assert "nobody has renewed its lease" in executor.ended[1]  # type: ignore[index]
+            executor.close()
+    desk.close()
+    told = told_in(box, 3)[:, 2]
+    assert renewed_at > 0.02 * X_M, "it was on its way"
+    assert (told[-5:] == told[-1]).all()
+    assert told[-1] - renewed_at <= (0.010 if gone else 0.026) * X_M
 
 
 @pytest.mark.parametrize("tick", np.random.default_rng(15).integers(5, 300, 10).tolist())
