@@ -232,7 +232,10 @@ def _outliers(
 
 
 def _pass_matrix(x: FloatArray) -> FloatArray:
-    """Return the (n, n) matrix of one pass of the rebound, clamped with slope 0."""
+    """Return the (n, n) matrix by which one pass of ``rebound`` fairs n values.
+
+    Its slope is held at 0 at both ends.
+    """
     one = np.eye(len(x))
     # Infinite noise: nothing but the number of passes ends the rebound.
     columns = [rebound(x, column, np.inf, most_passes=1).values for column in one]

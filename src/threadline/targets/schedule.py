@@ -119,7 +119,7 @@ class Scheduled:
 
     @property
     def duration_s(self) -> float:
-        """Of the schedule, s; inputs that come late make a cycle longer."""
+        """Duration of the schedule, s; a cycle takes longer where inputs come late."""
         return self.commands.duration_ticks * float(self.commands.clock.period_s)
 
     @property

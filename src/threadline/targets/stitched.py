@@ -110,7 +110,7 @@ class Stitched:
 
     @property
     def historical(self) -> bool:
-        """Never: its limits are kept or judged."""
+        """False: moves of a design keep the limits of the machine, or are judged by them."""
         return False
 
     @property

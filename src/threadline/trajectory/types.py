@@ -51,7 +51,7 @@ class TrajectoryBlock(Locked):
 
     @property
     def end_s(self) -> float:
-        """When the last piece ends."""
+        """Time at which the last piece ends, s."""
         return float(self.start_s[-1] + self.duration_s[-1])
 
     def evaluate(self, time_s: FloatArray, derivative: int = 0) -> FloatArray:

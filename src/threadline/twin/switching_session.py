@@ -109,7 +109,7 @@ class SwitchingSession:
 
     @property
     def sample(self) -> int:
-        """Samples so far."""
+        """Number of samples taken so far."""
         return int(self._progress.plc[SAMPLE])
 
     @property

@@ -165,7 +165,15 @@ class _Reach:
                 self._take(block, found, "")
 
     def _take(self, block: TrajectoryBlock, found: tuple[float, int, float], of: str) -> None:
-        """Keep a distance beyond, its piece and the place in it, if none was greater."""
+        """Keep how far a limit is exceeded, and where, if it is more than was found before.
+
+        Parameters
+        ----------
+        found
+            Distance beyond the limit, negative within it; index of the piece; place in the piece.
+        of
+            Words that the note of the finding ends with.
+        """
         value, piece, where = found
         if value <= self._value:
             return

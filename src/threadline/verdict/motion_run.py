@@ -164,7 +164,10 @@ class MotionRun(Setting):
         return found
 
     def unseen(self, reading: RunReading) -> str:
-        """Say, once the recording was read, what a measure of many runs did not see of it."""
+        """Say which of its channels a measure of many runs lacks, or where; empty if none.
+
+        To be asked once the recording has been read to its end.
+        """
         lack = self.coverage.lack(self._channels(reading), *self.plan.motion.trajectory.moves_s)
         return "" if lack is None else lack.why
 

@@ -233,7 +233,10 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
 
 
 def _worst(results: Sequence[Result]) -> list[Result]:
-    """Return the worst of the results of one criterion, and what hides behind it."""
+    """Return the worst result of one criterion, and the first that it asks for but lacks.
+
+    Results that are not measured and not required are counted in the note of the worst.
+    """
     absent = [r for r in results if r.status is Status.NOT_MEASURED]
     measured = [r for r in results if r.status is not Status.NOT_MEASURED]
     if not measured or not absent:
