@@ -29,7 +29,7 @@ from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import chord_path, interpolation_names
-from threadline.pipeline import plan_job, prove_plan
+from threadline.pipeline import open_job, plan_job, prove_plan
 from threadline.shaping import parse_shaper, shape_trajectory
 from threadline.signals.files import (
     read_recording,
@@ -158,6 +158,8 @@ PLANS = {
     "shaped": ("x-180.prg", "lathe-winder", {"shaper": "zv:12Hz:0.02"}),
     "loads that follow": ("stitcher-test-path.seam.toml", "stitcher", {"feed_forward_s": 0.04}),
     "switches": ("letter-cycle.toml", "letter-placer+whole-scans+own-damping", {"shaper": "zv"}),
+    "step tables": ("rosette.dst", "table-embroiderer", {}),
+    "steppers": ("helix.gcode", "stepper-winder", {}),
 }
 
 
@@ -166,7 +168,8 @@ def test_a_whole_plan_travels(elsewhere: ProcessPoolExecutor, name: str) -> None
     """Its rows, samples and verdict are the same there, to the bit."""
     example, machine_name, options = PLANS[name]
     machine = load_machine(machine_name)
-    plan = plan_job(read_job(EXAMPLES / example, machine), machine, Options(**options))
+    chosen = Options(**options)
+    plan = plan_job(open_job(EXAMPLES / example, machine, chosen), machine, chosen)
     there = elsewhere.submit(type(plan.commands).rows_sha256, plan.commands).result(timeout=120)
     assert there == plan.commands.rows_sha256()
     copy = pickle.loads(pickle.dumps(plan))
