@@ -1,8 +1,8 @@
-"""The page by the keyboard alone: no pointer is used in this file."""
+"""The page by the keyboard: what moves, stops and draws without a pointer."""
 
 from __future__ import annotations
 
-from tests.panel.browsing import Browser, Page, expect, opened, state, x_mm
+from tests.panel.browsing import Browser, Page, expect, opened, part, state, x_mm
 from tests.panel.test_panel_killed import Plant
 
 MOST_TABS = 60
@@ -25,6 +25,19 @@ def enter(page: Page, name: str) -> None:
     expect(page.get_by_role("button", name=name, exact=True)).to_be_enabled(timeout=60_000)
     tab_to(page, name)
     page.keyboard.press("Enter")
+
+
+def test_keys_stop_in_every_view(browser: Browser, plant: Plant) -> None:
+    """Whoever looks, with control or without."""
+    page = opened(browser, plant)
+    said = page.locator("#log li", has_text="stop, by")
+    for count, name in enumerate(("Operate", "Teach", "Draw", "Runs", "Guide")):
+        part(page, name)
+        expect(page.get_by_role("button", name="STOP")).to_be_visible()
+        before = said.count()
+        page.keyboard.press("Escape" if count % 2 else " ")
+        expect(said.nth(before)).to_have_count(1, timeout=20_000)
+    page.close()
 
 
 def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, plant: Plant) -> None:

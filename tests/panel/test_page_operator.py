@@ -35,11 +35,11 @@ LONG_MS = 300_000.0
 
 
 @contextmanager
-def panel(folder: Path) -> Iterator[str]:
-    """Serve a project by the command itself, at half of real time; yield its address."""
+def panel(folder: Path, *chosen: str) -> Iterator[str]:
+    """Serve a project by the command itself; yield its address."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    words = ["panel", str(folder), "-m", "lathe-winder", "--port", str(port), "--speed", "0.5"]
+    words = ["panel", str(folder), "--port", str(port), *chosen]
     process = subprocess.Popen(
         [sys.executable, "-m", "threadline", *words, "--store", str(folder / "runs")],
         stdout=subprocess.DEVNULL,
@@ -86,7 +86,7 @@ def calculated(page: Page, program: str) -> None:
 def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
     folder = tmp_path / "project"
     folder.mkdir()
-    with panel(folder) as address:
+    with panel(folder, "-m", "lathe-winder", "--speed", "0.5") as address:
         page = browser.new_page(viewport=SIZE)
         page.set_default_timeout(60_000)
         page.goto(address)
