@@ -41,6 +41,9 @@ _WEAK, _STRONG = 0.9, 0.43  # of it, for the axis with the largest error and for
 _DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # how long before its step a start may begin, in two turns
 _WITHIN = (1.0, 0.8)  # the same, in its run-up
 _ENOUGH = 0.04  # of the speed: an error with which a load may stand in the corners
+_SOONER = 0.96
+"""Of the time in which machines other than that of the file have to have the speed: the motion that
+is planned departs from that of the programs by some per cent of it."""
 _STANDS_S = 1.5 * MEAN_S  # before and after a corner, so that it is seen to stand
 _CLOSE = 2e-3  # of the speed: an error that is nearer to the least possible is good enough
 _STRAIGHT = 1e-9
@@ -122,11 +125,12 @@ def robust_averages(
         )
     program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
     leads, wanted = leads_of(planned), _shares(job)
+    of = _SOONER if len(machines) > 1 else 1.0
     own = {
         stop: program.least(
             [
                 [
-                    [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted)]
+                    [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted, of=of)]
                     for early_s in alike
                 ]
                 for alike in _departures_s(change_s, leads_s[0])
@@ -248,15 +252,19 @@ def _change(
     stop: bool,
     leads_s: tuple[float, float] = (0.0, 0.0),
     share: tuple[float, float] = (1.0, 1.0),
+    of: float = 1.0,
 ) -> ChangeOfSpeed:
-    """Return what is asked where a load may depart ``early_s`` before the step."""
-    within_s = 0.5 * change_s
+    """Return what is asked where a load may depart ``early_s`` before the step.
+
+    The speed is there in a share ``of`` half of the time for a change, and even after all of it.
+    """
+    half_s = 0.5 * change_s
     return ChangeOfSpeed(
         stop=stop,
         early_s=early_s,
         still_s=max(early_s, leads_s[1]) + _STANDS_S,
-        within_s=within_s,
-        even_s=within_s - leads_s[1],
+        within_s=of * half_s,
+        even_s=half_s - leads_s[1],
         aside_s=leads_s[0],
         share=share,
     )
