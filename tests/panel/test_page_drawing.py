@@ -126,4 +126,10 @@ def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -
     assert data(page, 0) == before
     press(page, "Undo")
     expect(page.locator("#drawn")).to_contain_text("0 shapes")
+    press(page, "Line")
+    typed(page, (-300, 20), (300, 30))
+    press(page, "Finish")
+    press(page, "Fit")
+    x, _, wide, _ = map(float, (paper.get_attribute("viewBox") or "").split())
+    assert x < -300.0 < 300.0 < x + wide
     page.close()

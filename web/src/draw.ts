@@ -38,7 +38,7 @@ export class Draw {
       ["Finish", () => this.finish()], ["Duplicate", () => this.change((one) => [one, { ...moved(one, [10, 10]), group: one.group + this.last() }])],
       ["Rotate", () => this.aboutMiddle("angle", (one, about, degrees) => turned(one, about, degrees))], ["Scale", () => this.aboutMiddle("factor", (one, about, factor) => scaled(one, about, factor))],
       ["Delete", () => this.change(() => [])], ["To front", () => this.order(true)], ["To back", () => this.order(false)],
-      ["Undo", () => this.undo()], ["Redo", () => this.redo()], ["Clear", () => { this.keep(); this.shapes = []; this.draw(); }],
+      ["Undo", () => this.undo()], ["Redo", () => this.redo()], ["Fit", () => this.fit()], ["Clear", () => { this.keep(); this.shapes = []; this.draw(); }],
     ];
     for (const [name, act] of edits) this.action(name, act);
     this.choose("select");
