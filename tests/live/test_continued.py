@@ -315,9 +315,28 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
         ask(plan)
     store.index.close()
+
+
+def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_path: Path) -> None:
+    """The run is looked for first: where it is not there, no key would help."""
+    plan = planned("lathe-winder")
+    write_proof(prove_plan(plan, load_spec(None, plan.machine)), tmp_path / "a.proof.json")
+    folder = tmp_path / "runs"
     with pytest.raises(OptionError, match="--at is of --continue"):
-        check_continued(None, "block", confirmed=False, link_can=True)
-    with pytest.raises(OptionError, match="nobody is at the keys"):
-        check_continued("last", None, confirmed=False, link_can=True)
+        check_continued(folder, None, "block", confirmed=False, link_can=True)
     with pytest.raises(OptionError, match="a controller with grbl runs whole programs"):
-        check_continued("last", None, confirmed=True, link_can=False)
+        check_continued(folder, "last", None, confirmed=True, link_can=False)
+    with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
+        check_continued(folder, "nosuch", None, confirmed=False, link_can=True)
+    assert not folder.exists()
+    store = RunStore(folder)
+    with store.begin(plan, read_proof(tmp_path / "a.proof.json"), {"link": "sim"}, 0.0) as kept:
+        pass
+    with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
+        check_continued(folder, "nosuch", None, confirmed=False, link_can=True)
+    with pytest.raises(OptionError, match="nobody is at the keys"):
+        check_continued(folder, "last", None, confirmed=False, link_can=True)
+    store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
+    store.index.close()
+    with pytest.raises(StoreError, match="was completed: there is no rest of it"):
+        check_continued(folder, "last", None, confirmed=False, link_can=True)

@@ -20,7 +20,7 @@ from threadline.panel.admission import Admission
 from threadline.panel.project_programs import program_names, program_path, take_program
 from threadline.panel.protocol import MOST_TEXT
 
-TOKEN = "correct horse battery"
+TOKEN = "correct-horse-battery"
 ROOT = Path(__file__).parents[2]
 
 

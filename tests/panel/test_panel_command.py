@@ -14,6 +14,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+import uvicorn
 
 from threadline.cli.main import main
 
@@ -28,6 +29,18 @@ from threadline.cli.main import main
         (["--token", "short"], "--token has 5 characters, the least is 16"),
         (["nowhere"], "'nowhere' is no folder"),
         (["--host", "203.0.113.7", "--token", "x" * 16], "cannot listen at 203.0.113.7:"),
+        (
+            ["--host", "nosuch.invalid", "--token", "x" * 16],
+            "--host nosuch.invalid has to be an address of this computer.\n",
+        ),
+        (["--host", ""], "--host '' is no address"),
+        (["--host", "", "--token", "x" * 16], "--host '' is no address"),
+        (["--host", "a..b", "--token", "x" * 16], "--host 'a..b' is no address"),
+        (["--token", " " * 16], "--token holds ' ', which cannot stand in a word of an HTTP"),
+        (["--token", "x" * 16 + "\n\xe4"], r"--token holds '\n', '\xe4', which cannot stand"),
+        (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
+        (["--store", "a-file"], "'a-file' is no folder of runs. Give the folder with --store"),
+        (["--store", "a-file/runs"], "'a-file/runs' is no folder of runs: 'a-file' is a file"),
     ],
 )
 def test_what_is_wrong_is_one_line(
@@ -35,12 +48,36 @@ def test_what_is_wrong_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    Path("a-file").touch()
     with pytest.raises(SystemExit) as ended:
         main(["panel", "-m", "lathe-winder", *words])
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert says in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
+        (["--link", "hal:mill"], "there is no link hal:mill"),
+        (["--store", "a-file"], "'a-file' is no folder of runs"),
+    ],
+)
+def test_a_run_is_refused_before_its_job_is_read(
+    words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """The job is no program: were it read first, that would be told."""
+    monkeypatch.chdir(tmp_path)
+    Path("a-file").touch()
+    Path("job.prg").write_text("none", "utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "job.prg", "-m", "lathe-winder", *words])
+    assert ended.value.code == 2
+    assert says in capsys.readouterr().err
+    assert {file.name for file in tmp_path.iterdir()} == {"a-file", "job.prg"}
 
 
 def test_a_port_that_another_has_is_one_line(
@@ -53,6 +90,27 @@ def test_a_port_that_another_has_is_one_line(
             main(["panel", "-m", "lathe-winder", "--port", str(port)])
     assert ended.value.code == 2
     assert f"cannot listen at 127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("host", ["::1", "[::1]"])
+def test_an_address_of_ipv6_stands_in_brackets(
+    host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it listens is kept, and nothing is served: a computer may have no IPv6."""
+    asked = []
+
+    def listen(address: tuple[str, int], *, family: int, **_: object) -> socket.socket:
+        asked.append((address, family))
+        return socket.socket()
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(socket, "create_server", listen)
+    monkeypatch.setattr(uvicorn.Server, "run", lambda _, sockets: sockets[0].close())
+    with pytest.raises(SystemExit) as ended:
+        main(["panel", "-m", "lathe-winder", "--host", host, "--port", "8799"])
+    assert not ended.value.code
+    assert asked == [(("::1", 8799), socket.AF_INET6)]
+    assert "is at http://[::1]:8799/ (Ctrl-C" in capsys.readouterr().out
 
 
 def _state(port: int) -> str:

@@ -13,7 +13,7 @@ from threadline.errors import OptionError, StoreError
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.plan import Plan
 from threadline.signals import Ended
-from threadline.store.index import REFUSED
+from threadline.store.index import REFUSED, RunRecord
 from threadline.store.run_store import TRACE, opened
 
 ContinueOption = Annotated[
@@ -38,13 +38,17 @@ ConfirmedOption = Annotated[
 ]
 
 
-def check_continued(run: str | None, at: str | None, *, confirmed: bool, link_can: bool) -> None:
-    """Refuse options of a continued run without one, and one that nobody could confirm.
+def check_continued(
+    store: Path, run: str | None, at: str | None, *, confirmed: bool, link_can: bool
+) -> None:
+    """Refuse options of a continued run without one, no such run, and one that nobody confirms.
 
     Raises
     ------
     OptionError
         With what is missing.
+    StoreError
+        If there is no such run, or it came to its end.
     """
     if run is None:
         if at is not None or confirmed:
@@ -58,11 +62,37 @@ def check_continued(run: str | None, at: str | None, *, confirmed: bool, link_ca
             "--continue: a controller with grbl runs whole programs",
             remedy="Write the rest of the job as a program of its own.",
         )
+    found_run(store, run)
     if not confirmed and not sys.stdin.isatty():
         raise OptionError(
             "--continue: nobody is at the keys to confirm that it may go on",
             remedy="Run it from a terminal, or with --confirmed.",
         )
+
+
+def found_run(store: Path, run: str) -> tuple[Path, RunRecord]:
+    """Return the folder and the record of a run that can be continued; nothing is made.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, or it came to its end.
+    """
+    kept = opened(store)
+    if kept is None:
+        raise StoreError(
+            f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
+        )
+    try:
+        folder = kept.find(run)
+        record = kept.index.record(folder.name)
+    finally:
+        kept.index.close()
+    if record.ended in {Ended.COMPLETED, REFUSED}:
+        raise StoreError(
+            f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
+        )
+    return folder, record
 
 
 def continued_run(
@@ -92,18 +122,7 @@ def continued_run(
     """
     if run is None:
         return None, {}
-    kept = opened(store)
-    if kept is None:
-        raise StoreError(
-            f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
-        )
-    folder = kept.find(run)
-    record = kept.index.record(folder.name)
-    kept.index.close()
-    if record.ended in {Ended.COMPLETED, REFUSED}:
-        raise StoreError(
-            f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
-        )
+    folder, record = found_run(store, run)
     if plan.commands.rows_sha256() != record.commands_sha256:
         raise StoreError(
             f"run {folder.name} was of other rows than these: another job, machine or options",

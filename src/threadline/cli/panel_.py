@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import tempfile
 from pathlib import Path
@@ -14,9 +15,11 @@ from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import MachineOption, ParOption, SpecOption, machine_from
 from threadline.cli.told import at_work
 from threadline.errors import OptionError
+from threadline.live.host_names import bare, in_url, is_host
 from threadline.live.link_operated import at_link
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.pipeline import check_machine
+from threadline.store.run_store import check_folder
 from threadline.verdict import load_spec
 
 _MOST_SPEED = 100.0
@@ -67,6 +70,8 @@ def panel(
     chosen = machine_from(machine, par)
     check_machine(chosen)
     load_spec(spec, chosen)
+    check_folder(store)
+    host = _checked_host(host)
     far_end = at_link(link, chosen, speed)
     # Imported here, so that no other command waits for a web server.
     import uvicorn
@@ -89,7 +94,8 @@ def panel(
         guide = MachineGuide(chosen, Path(kept))
         app = make_app(served, guide, folder, store, admission)
         listening = _listen(host, port)
-        say(f"The panel of {chosen.name} is at http://{host}:{port}/ (Ctrl-C stops and ends)")
+        url = f"http://{in_url(host)}:{port}/"
+        say(f"The panel of {chosen.name} is at {url} (Ctrl-C stops and ends)")
         at_work("serving", shown=True)  # what it does is seen in the browser
         config = uvicorn.Config(
             app,
@@ -100,6 +106,21 @@ def panel(
             access_log=False,
         )
         uvicorn.Server(config).run(sockets=[listening])
+
+
+def _checked_host(host: str) -> str:
+    """Return an address to listen at, without brackets.
+
+    Raises
+    ------
+    OptionError
+        If it is neither an address nor written as a name.
+    """
+    if not is_host(host := bare(host)):
+        raise OptionError(
+            f"--host {host[:60]!r} is no address", remedy="Give one of this computer: 127.0.0.1."
+        )
+    return host
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -113,9 +134,13 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=_family(host), reuse_port=False)
     except OSError as error:
+        why = str(error.strerror or error).partition(" (while")[0]  # it names the address again
+        of_port = error.errno in (errno.EADDRINUSE, errno.EACCES)
         raise OptionError(
-            f"cannot listen at {host}:{port}: {error.strerror or error}",
-            remedy="Give another --port, or end the program that has this one.",
+            f"cannot listen at {in_url(host)}:{port}: {why}",
+            remedy="Give another --port, or end the program that has this one."
+            if of_port
+            else f"--host {host} has to be an address of this computer.",
         ) from error
 
 

@@ -73,7 +73,7 @@ from threadline.plan import Plan
 from threadline.proof_file import read_proof, write_proof
 from threadline.signals import Ended, Recording
 from threadline.signals.files import read_recording, write_recording
-from threadline.store.run_store import OpenRun, RunStore
+from threadline.store.run_store import OpenRun, RunStore, check_folder
 from threadline.verdict import Spec, Verdict, closing, judge, load_spec, verdict_json, verdict_rows
 
 _MOST_SPEED = 1e6
@@ -173,7 +173,8 @@ def run(
     chosen = machine_from(machine, par)
     fault = None if inject is None else parse_fault(inject, chosen)
     over = link_of(link, chosen, speed, fault)
-    check_continued(continue_, at, confirmed=confirmed, link_can=over.continues)
+    check_folder(store)
+    check_continued(store, continue_, at, confirmed=confirmed, link_can=over.continues)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)
     check_outputs(file=recording)
     options = options_of(

@@ -9,10 +9,49 @@ import time
 from collections import deque
 
 from threadline.errors import LinkFaultError, OptionError
+from threadline.live.host_names import MOST_PORT, bare, is_host
 
 _CONNECT_S = 5.0
 _AT_ONCE = 4096
+_DIGITS = 5  # of a port
 _LONGEST_LINE = 1 << 14
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """Return the host and the port of a ``HOST:PORT``; nothing is looked up or connected.
+
+    Raises
+    ------
+    OptionError
+        If there is no such host or port.
+    """
+    host, _, port = address.rpartition(":")
+    host = bare(host)
+    wrong = ""
+    if not is_host(host):
+        wrong = f"{host[:60]!r} is no host"
+    elif not (port.isascii() and port.isdecimal() and len(port) <= _DIGITS):
+        wrong = f"{port[:20]!r} is no port"
+    elif not 1 <= int(port) <= MOST_PORT:
+        wrong = f"port {port} is not between 1 and {MOST_PORT}"
+    if wrong:
+        raise OptionError(
+            f"{address[:60]!r} is no address of a controller: {wrong}",
+            remedy='Write it like "grbl:192.168.0.10:23" or "grbl:/dev/ttyUSB0".',
+        )
+    return host, int(port)
+
+
+def check_address(address: str) -> None:
+    """Refuse what is neither ``HOST:PORT`` nor the path of a device; nothing is connected.
+
+    Raises
+    ------
+    OptionError
+        If it is no address.
+    """
+    if not address.startswith("/"):
+        host_and_port(address)
 
 
 class Port:
@@ -45,13 +84,7 @@ class Port:
             if address.startswith("/"):
                 self._number = _serial(address)
             else:
-                host, _, port = address.rpartition(":")
-                if not host or not port.isdigit() or int(port) > 65535:
-                    raise OptionError(
-                        f"{address[:60]!r} is no address of a controller",
-                        remedy='Write it like "grbl:192.168.0.10:23" or "grbl:/dev/ttyUSB0".',
-                    )
-                self._socket = socket.create_connection((host, int(port)), _CONNECT_S)
+                self._socket = socket.create_connection(host_and_port(address), _CONNECT_S)
                 self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._socket.setblocking(False)
                 self._number = self._socket.fileno()

@@ -13,7 +13,7 @@ from threadline.live.continuing import Continued
 from threadline.live.desk import Desk
 from threadline.live.executed_link import ExecutedLink
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_port import Port
+from threadline.live.grbl_port import Port, check_address
 from threadline.live.grbl_program import notes_on, written_program
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import Program
@@ -133,13 +133,14 @@ class GrblLink:
     Raises
     ------
     OptionError
-        If no program for grbl can be written for the machine.
+        If it is no address, or no program for grbl can be written for the machine.
     """
 
     label = ""
     continues = False
 
     def __init__(self, address: str, machine: Machine) -> None:
+        check_address(address)
         if "grbl" not in kind_of(machine).targets:
             raise OptionError(
                 f"{machine.name} is not driven by part programs", remedy="Use --link sim."

@@ -15,11 +15,14 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from threadline.errors import OptionError
+from threadline.live.host_names import in_url
 
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 """Names of this computer, to which no token is needed."""
 _READS = frozenset({"GET", "HEAD"})
 _LEAST_TOKEN = 16
+_FIRST, _LAST = "!", "~"  # of the characters that are visible in ASCII
+_MOST_NAMED = 5
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
@@ -47,19 +50,28 @@ class Admission:
     Raises
     ------
     OptionError
-        If the address is not this computer's own and there is no token, or a short one.
+        If the address is not this computer's own and there is no token; if the token is short, or
+        holds what a word in an HTTP header cannot: a blank, or anything but visible ASCII.
     """
 
     host: str
     token: str
 
     def __post_init__(self) -> None:
+        wrong = sorted({one for one in self.token if not _FIRST <= one <= _LAST})
+        if wrong:
+            named = ", ".join(map(ascii, wrong[:_MOST_NAMED]))
+            more = " and others" if len(wrong) > _MOST_NAMED else ""
+            raise OptionError(
+                f"--token holds {named}{more}, which cannot stand in a word of an HTTP header",
+                remedy="Give 16 or more of the characters ! to ~: letters, digits, signs.",
+            )
         if self.token and len(self.token) < _LEAST_TOKEN:
             raise OptionError(
                 f"--token has {len(self.token)} characters, the least is {_LEAST_TOKEN}",
                 remedy="Give a longer one.",
             )
-        if self.host not in LOCAL and not self.token:
+        if in_url(self.host) not in LOCAL and not self.token:
             raise OptionError(
                 f"--host {self.host}: who may reach this computer could move the machine",
                 remedy="Give a --token of 16 characters or more, or leave --host out.",

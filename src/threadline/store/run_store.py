@@ -178,6 +178,22 @@ def _free(folder: Path, name: str) -> Path:
     return path
 
 
+def check_folder(folder: Path) -> None:
+    """Refuse what is no folder, and could not become one; nothing is made.
+
+    Raises
+    ------
+    StoreError
+        If a file stands there, or where a folder above it would be.
+    """
+    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
+    if there.exists() and not there.is_dir():
+        wrong = "" if there == folder else f": {str(there)!r} is a file"
+        raise StoreError(
+            f"{str(folder)!r} is no folder of runs{wrong}", remedy="Give the folder with --store."
+        )
+
+
 def opened(folder: Path) -> RunStore | None:
     """Return the store in ``folder``, or None where there are no runs; nothing is made.
 
@@ -186,10 +202,7 @@ def opened(folder: Path) -> RunStore | None:
     StoreError
         If it is no folder, or the index cannot be used.
     """
-    if folder.exists() and not folder.is_dir():
-        raise StoreError(
-            f"{str(folder)!r} is no folder of runs", remedy="Give the folder with --store."
-        )
+    check_folder(folder)
     kept = any((folder / name).exists() for name in (INDEX, INDEX_URL))
     return RunStore(folder) if kept else None
 
