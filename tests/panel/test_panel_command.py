@@ -11,11 +11,16 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import uvicorn
+from websockets.sync.client import connect
 
+from tests.panel.bench import Operator
+from tests.panel.test_panel_killed import Spoken
 from threadline.cli.main import main
 
 
@@ -118,12 +123,14 @@ def _state(port: int) -> str:
         return str(json.load(answer)["state"])
 
 
-def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> None:
+@contextmanager
+def panel(folder: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Start a panel, and yield it with its port once its machine has answered."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     panel = subprocess.Popen(
         [sys.executable, "-m", "threadline", "panel", "-m", "lathe-winder", "--port", str(port)],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=dict(os.environ),
     )  # fmt: skip
     try:
@@ -136,13 +143,45 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
             except (urllib.error.URLError, ConnectionError):
                 continue
         assert state == "disabled"
-        panel.send_signal(signal.SIGTERM)
-        out, err = panel.communicate(timeout=100)
+        yield panel, port
     finally:
         panel.kill()
         panel.wait()
-    assert (
-        out == f"The panel of lathe-winder is at http://127.0.0.1:{port}/ (Ctrl-C stops and ends)\n"
+
+
+def _begins(port: int) -> str:
+    return f"The panel of lathe-winder is at http://127.0.0.1:{port}/ (Ctrl-C stops and ends)\n"
+
+
+def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> None:
+    with panel(tmp_path) as (process, port):
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=100)
+    assert out == _begins(port)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert err == (
+        "the panel ends: the machine was stopped, and is disabled\n"
+        "error: terminated; nothing was left half-written\n"
     )
-    assert "Traceback" not in err
     assert list(tmp_path.iterdir()) == []  # no run, no folder of runs
+
+
+def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> None:
+    """A browser is connected, has control, and goes on renewing its jog."""
+    with panel(tmp_path) as (process, port):
+        address = f"127.0.0.1:{port}"
+        with connect(
+            f"ws://{address}/api/live", origin=f"http://{address}", max_size=None, close_timeout=1
+        ) as socket_:
+            anna = Operator(Spoken(socket_))
+            anna.ready()
+            assert anna.act("jog", axis="X", share=1.0) == ""
+            while anna.x_mm() < 5.0:
+                anna.ask("renew")
+                anna.until("state")
+            assert anna.state["state"] == "jogging"
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=100)
+    assert out == _begins(port) + "The panel has ended: the machine was stopped, and is idle.\n"
+    assert process.returncode == 0
+    assert err == ""

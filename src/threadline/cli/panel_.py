@@ -10,10 +10,11 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.interrupt import TerminatedError
 from threadline.cli.output import say
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import MachineOption, ParOption, SpecOption, machine_from
-from threadline.cli.told import at_work
+from threadline.cli.told import at_work, note
 from threadline.errors import OptionError
 from threadline.live.host_names import bare, in_url, is_host
 from threadline.live.link_operated import at_link
@@ -61,7 +62,8 @@ def panel(
 
     The machine belongs to a process of its own. Where the panel ends or hangs, that process stops
     the machine along its path; where a browser is gone, a jog ends within 250 ms, and a run goes
-    on, for every other browser can stop it, and so can Ctrl-C here.
+    on, for every other browser can stop it, and so can Ctrl-C here, which ends the panel: it waits
+    until the machine stands, says so, and the exit status is 0.
 
     Example: threadline panel examples -m lathe-winder
     """
@@ -105,7 +107,14 @@ def panel(
             timeout_graceful_shutdown=1,
             access_log=False,
         )
-        uvicorn.Server(config).run(sockets=[listening])
+        try:
+            uvicorn.Server(config).run(sockets=[listening])
+        except TerminatedError:
+            note(f"the panel ends: {served.ended}")
+            raise
+        except KeyboardInterrupt:  # Ctrl-C is how a panel ends
+            pass
+        say(f"The panel has ended: {served.ended}.")
 
 
 def _checked_host(host: str) -> str:

@@ -18,11 +18,16 @@ from threadline.panel import protocol as say
 from threadline.panel.calculation import Calculation
 from threadline.panel.clients import SEEN_S, Client
 from threadline.panel.control import CONTROL_LEASE_S, ControlLease, Lease
+from threadline.panel.owner import TELL_S
 from threadline.panel.owner_link import OwnerLink
 from threadline.panel.wound_on import mandrel_of
 
 BEAT_S = 0.04
 """Period of the states that clients are sent, s."""
+_STANDS_S = 10.0
+"""Longest wait in s for the machine to stand, at the end of the panel."""
+_NOT_AWAITED = "the machine is stopped by its own process, which was not waited for"
+_MOVING = frozenset({State.HOMING, State.JOGGING, State.RUNNING, State.HOLDING, State.STOPPING})
 _SAFE = frozenset({"let-go", "hold"})
 """Commands for which it does not matter how old the state is that a client has seen."""
 _CAUSES = {
@@ -47,6 +52,11 @@ class Panel:
         Calculates and proves programs.
     link, far_end
         Name of the link to the machine, and what is at its far end.
+
+    Attributes
+    ----------
+    ended
+        What had become of the machine when the panel ended.
     """
 
     def __init__(
@@ -59,6 +69,7 @@ class Panel:
     ) -> None:
         self._machine, self._owner, self.calculation = machine, owner, calculation
         self._link, self._far_end = link, far_end or AtLink()
+        self.ended = _NOT_AWAITED
         self._control = ControlLease()
         self._clients: dict[int, Client] = {}
         self._numbers = 0
@@ -71,9 +82,24 @@ class Panel:
         self._owner.connect(self._heard)
 
     async def close(self) -> None:
-        """Leave the owner, which stops the machine; end a calculation."""
+        """Stop the machine, leave the owner, and end a calculation; ``ended`` tells of it."""
+        self.ended = await self._stopped()
         await self.calculation.close()
         await asyncio.to_thread(self._owner.close)
+
+    async def _stopped(self) -> str:
+        """Stop the machine, wait until it is told that it stands, and return what was told."""
+        owner, since_s = self._owner, time.monotonic()
+        if not owner.gone and not owner.now:
+            return "the machine was not reached yet"
+        owner.send("stop")
+        while not owner.gone and time.monotonic() < since_s + _STANDS_S:
+            known = owner.heard_s > since_s + 2.0 * TELL_S  # what was on its way has come
+            if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
+                return f"the machine was stopped, and is {owner.now['state']}"
+            owner.send("alive")
+            await asyncio.sleep(BEAT_S)
+        return owner.gone or "the machine was told to stop, and has not said that it stands"
 
     # --- clients ---------------------------------------------------------------------------
 
