@@ -25,6 +25,7 @@ SLOW: dict[str, dict[str, str]] = {
         "make bench": BENCH,
         "make fuzz": "hours",
         "python tools/fuzz.py --seed 317 --reader READER --cases N": "an hour for all readers",
+        "python tools/fuzz.py --seed 1301 --reader NAME --cases 100000": "600 000 cases",
         "python -m tools.duration_against_contour": "an hour",
         "python -m tools.x_180_bound": "12 s",
         "python tools/big_program.py 5000000 BIG.prg": "writes 197 MB",
