@@ -41,6 +41,22 @@ def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
     return array
 
 
+def real_numbers(values: ArrayLike) -> FloatArray:
+    """Return a fresh float64 array of ``values``, which must be real numbers already.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are texts, complex, nothing, or rows of unequal length.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in "biufO":
+        raise TypeError(f"{array.dtype} are not real numbers")
+    if array.dtype.kind == "O" and any(one is None or isinstance(one, str) for one in array.flat):
+        raise TypeError("texts, or nothing, are not real numbers")
+    return np.array(array, dtype=np.float64)
+
+
 def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
     """Return a locked int64 array as ``read_only`` does; refuse fractions, do not truncate them.
 

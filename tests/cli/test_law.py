@@ -56,3 +56,16 @@ def test_people_get_a_table_and_a_hint(capsys: pytest.CaptureFixture[str]) -> No
     code, out, err = ran(capsys, "modified-sin")
     assert (code, out) == (2, "")
     assert "Did you mean 'modified-sine'?" in err
+
+
+@pytest.mark.parametrize("option", ["--move", "--time", "--mass", "--residual", "--limit"])
+def test_a_number_that_is_not_positive_is_told_by_its_option(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    units = {"--move": "mm", "--time": "ms", "--mass": "kg", "--residual": "mm", "--limit": "m/s^2"}
+    given = {"--move": "16.5 mm", "--time": "120 ms", "--residual": "0.05 mm"}
+    given[option] = text = f"0 {units[option]}"
+    words = [word for pair in given.items() for word in pair]
+    code, out, err = ran(capsys, "cycloidal", "--mode", "12Hz", *words)
+    assert (code, out) == (2, "")
+    assert f"{option} '{text}' must be greater than 0, and finite. Write it like {option}" in err

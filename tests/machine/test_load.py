@@ -236,6 +236,15 @@ def test_unknown_keys_name_the_nearest_and_their_line(refused, name) -> None:
     assert f"mine.toml:{first}: " in message
 
 
+def test_what_is_found_out_from_a_file_is_not_offered_as_a_key(refused) -> None:
+    message = refused("zzqqxx = 1\n" + edit("", ""))
+    known = re.search(r"unknown key 'zzqqxx'. Known: (.*)\.", message)
+    assert known is not None
+    offered = known[1].split(", ")
+    assert {"name", "axes", "drives"} <= set(offered)
+    assert not {"sha256", "file", "reference", "parameters"} & set(offered)
+
+
 VALUES = {
     "no unit": ('"4 A +- 10 %, printed', '"4 +- 10 %, printed', "'4' is not in 'A'"),
     "wrong unit": ('"3.606e-4 kg m^2', '"3.606e-4 kg', "inertia of a rotary body is in kg*m^2"),

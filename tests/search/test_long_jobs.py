@@ -170,7 +170,8 @@ def test_no_time_at_all_is_refused(
     spec.write_text('name = "any"\n[[criteria]]\nname = "contour_error"\n')
     for text, said in (
         ("1 ns", "no plan could be judged"),
-        ("0 s", "greater than 0"),
+        ("0 s", "--within '0 s' must be greater than 0. Give how long the search may take"),
+        ("-5 s", "--within '-5 s' must be greater than 0. Give how long the search may take"),
         ("5", "unit"),
     ):
         with pytest.raises(SystemExit) as end:

@@ -156,9 +156,36 @@ def test_one_point_and_equal_points_are_no_motion():
         ({"jerk": -1.0}, "jerk of axis 0 is -1.0"),
         ({"tolerance": 0.0}, "tolerance is 0.0"),
         ({"tolerance": np.nan}, "tolerance is nan"),
+        ({"tolerance": "2"}, "the tolerance is '2'; it must be one number"),
+        ({"tolerance": None}, "the tolerance is None; it must be one number"),
+        ({"tolerance": []}, r"the tolerance is \[\]; it must be one number"),
+        ({"tolerance": [1]}, r"the tolerance is \[1\]; it must be one number"),
+        ({"tolerance": 1j}, "the tolerance is 1j; it must be one number"),
+        ({"path_jerk": 1j}, "path_jerk is 1j; it must be one number. There is one path"),
+        ({"velocity": "2"}, "velocity is '2'; it must be one number, or one for each"),
+        ({"points": np.array([[1j]])}, "not an array of numbers"),
     ],
 )
 def test_what_is_no_number_in_range_is_refused_by_name(given, said):
     asked = {"points": [[0.0], [1.0]], "velocity": 1.0, "acceleration": 1.0, **given}
     with pytest.raises(PlanError, match=said):
         retime(**asked)
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([0.0, np.nan], "time 1 is nan; every time must be a finite number"),
+        (np.inf, "time 0 is inf"),
+        ([[0.0, 1.0]], r"the times have shape \(1, 2\)"),
+        ("a", "the times are 'a'; they must be numbers"),
+        (None, "the times are None"),
+        (np.array([1j]), "they must be numbers"),
+    ],
+)
+def test_what_is_no_time_is_refused(times, said):
+    """A time that is no number got the start of the motion, without a word."""
+    motion = retime([[0.0], [1.0]], 1.0, 1.0)
+    with pytest.raises(PlanError, match=said):
+        motion(times)
+    assert motion([]).shape == (0, 1) and motion(2).tolist() == [[1.0]]

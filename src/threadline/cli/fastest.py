@@ -211,7 +211,10 @@ def _seconds(within: str | None) -> float | None:
         return None
     within_s = parse_number("--within", within, "s", "5 min")
     if not within_s > 0.0:
-        raise OptionError(f"--within {within!r} must be greater than 0")
+        raise OptionError(
+            f"--within {within!r} must be greater than 0",
+            remedy="Give how long the search may take, like '5 min', or leave it out.",
+        )
     return within_s
 
 

@@ -61,9 +61,18 @@ def study(
     mass_kg = parse_number("--mass", mass, "kg", "1000 kg")
     still = None if residual is None else parse_number("--residual", residual, "m", "0.05 mm")
     most = None if limit is None else parse_number("--limit", limit, "m/s^2", "6.33 m/s^2")
-    for option, value in (("--mass", mass_kg), ("--limit", most)):
+    for option, typed, value, like in (
+        ("--move", move, move_m, "16.5 mm"),
+        ("--time", time, window_s, "120 ms"),
+        ("--mass", mass, mass_kg, "1000 kg"),
+        ("--residual", residual, still, "0.05 mm"),
+        ("--limit", limit, most, "6.33 m/s^2"),
+    ):
         if value is not None and not 0.0 < value < np.inf:
-            raise OptionError(f"{option} must be positive, got {value:g}")
+            raise OptionError(
+                f"{option} {typed!r} must be greater than 0, and finite",
+                remedy=f'Write it like {option} "{like}".',
+            )
     demand = _demand(flexible, move_m, still, most, jerk, band, out)
     made, shaped = None, []
     with progress_bar(not json) as progress:

@@ -261,7 +261,10 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
     where = ".".join(location)
     place = text.place(*location)
     if first["type"] in unknown:
-        hint = nearest(location[-1], field_names(tagged[:-1]))
+        hint = nearest(
+            location[-1],
+            [key for key in field_names(tagged[:-1]) if len(location) > 1 or key not in _OURS],
+        )
         others = kinds_with(tagged)
         if others:
             hint = f"It is of kind {' or '.join(map(repr, others))}: change kind, or take it out."

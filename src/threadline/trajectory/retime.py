@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from threadline.arrays import FloatArray, IntArray, read_only
+from threadline.arrays import FloatArray, IntArray, read_only, real_numbers
 from threadline.errors import PlanError
 from threadline.path.auto import auto_pieces
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
@@ -39,8 +39,11 @@ def retime(
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
 
     The path runs along the straight lines between the points and rounds the corners; it is never
-    farther than the tolerance from those lines, and they from it. No limit is exceeded
-    at any instant. Lengths may be in any unit, the same in all arguments; times are in seconds.
+    farther than the tolerance from those lines, and they from it. The limits of the axes and
+    ``centripetal`` are exceeded at no instant, but for rounding (by a thousandth at most);
+    ``path_velocity``, ``path_acceleration`` and ``path_jerk`` are held at instants that lie close,
+    and nothing is proven between those. Lengths may be in any unit, the same in all arguments;
+    times are in seconds.
 
     Parameters
     ----------
@@ -104,11 +107,7 @@ def retime(
         else _checked_limit("deceleration", deceleration, axes),
         along=along if limited else None,
     )
-    if not _LEAST <= tolerance <= _LARGEST:
-        raise PlanError(
-            f"the tolerance is {tolerance!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
-            remedy="Give it in the unit of the points.",
-        )
+    width = _checked_tolerance(tolerance)
     programmed = ProgrammedPath(
         axes=tuple(str(axis) for axis in range(axes)),
         radius_m=np.ones(axes),
@@ -120,9 +119,7 @@ def retime(
         interpolation="optimal",
         timing=Timing.FASTEST,
         historical=False,
-        blocks=Stream(
-            auto_pieces, programmed, (1.0 - _NEAR_SHARE) * tolerance, _NEAR_SHARE * tolerance
-        ),
+        blocks=Stream(auto_pieces, programmed, (1.0 - _NEAR_SHARE) * width, _NEAR_SHARE * width),
     )
     # It will be read many times: the motion is worked out once and kept.
     motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
@@ -145,7 +142,7 @@ def _vertices(places: FloatArray, rests: IntArray | None = None) -> VertexBlock:
 
 def _checked_points(points: ArrayLike) -> FloatArray:
     try:
-        places = np.array(points, dtype=np.float64)
+        places = real_numbers(points)
     except (TypeError, ValueError) as error:
         raise PlanError(
             "the points are not an array of numbers", remedy="Give n rows of as many axes."
@@ -167,10 +164,10 @@ def _checked_points(points: ArrayLike) -> FloatArray:
 
 def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = False) -> FloatArray:
     try:
-        values = np.broadcast_to(np.array(limit, dtype=np.float64), (axes,)).copy()
+        values = np.broadcast_to(real_numbers(limit), (axes,)).copy()
     except (TypeError, ValueError) as error:
         raise PlanError(
-            f"{name} is {limit!r}; it must be one number, or one for each of {axes} axes",
+            f"{name} is {_told(limit)}; it must be one number, or one for each of {axes} axes",
             remedy="Give as many as the points have axes.",
         ) from error
     for axis, value in _each(values):
@@ -191,11 +188,37 @@ def _whose(name: str, axis: int) -> str:
 
 def _checked_number(name: str, limit: float) -> float:
     """Return one limit of the path, which may be infinite."""
-    if np.ndim(limit):
+    value = _one_number(name, limit, "There is one path: give one.")
+    return float(_checked_limit(name, value, 1, infinite=True)[0])
+
+
+def _checked_tolerance(tolerance: float) -> float:
+    remedy = "Give it in the unit of the points."
+    value = _one_number("the tolerance", tolerance, remedy)
+    if not _LEAST <= value <= _LARGEST:
         raise PlanError(
-            f"{name} is {limit!r}; it must be one number", remedy="There is one path: give one."
+            f"the tolerance is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
+            remedy=remedy,
         )
-    return float(_checked_limit(name, limit, 1, infinite=True)[0])
+    return value
+
+
+def _one_number(name: str, given: ArrayLike, remedy: str) -> float:
+    try:
+        value = real_numbers(given)
+        if value.ndim:
+            raise TypeError("several")
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            f"{name} is {_told(given)}; it must be one number", remedy=remedy
+        ) from error
+    return float(value)
+
+
+def _told(given: object) -> str:
+    """Return what was given on one line, shortened."""
+    text = " ".join(repr(given).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _each(values: FloatArray) -> Iterator[tuple[int, float]]:

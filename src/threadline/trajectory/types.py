@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
+from threadline.arrays import FloatArray, IntArray, Locked, read_only, read_only_int, real_numbers
+from threadline.errors import PlanError
 from threadline.signals import Stream
 
 
@@ -67,6 +68,29 @@ class TrajectoryBlock(Locked):
             factor = float(np.prod(np.arange(k - derivative + 1, k + 1)))
             result = result * u[:, None] + factor * coefficients[:, k]
         return np.asarray(result / duration[:, None] ** derivative)
+
+
+def _checked_times(time_s: FloatArray | float) -> FloatArray:
+    try:
+        times = np.atleast_1d(real_numbers(time_s))
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            f"the times are {' '.join(repr(time_s).split())[:60]}; they must be numbers, in s",
+            remedy="Give one time, or a list of them.",
+        ) from error
+    if times.ndim != 1:
+        raise PlanError(
+            f"the times have shape {times.shape}; they must be one number, or a row of them",
+            remedy="Give times.ravel(), and shape what is returned.",
+        )
+    wrong = np.flatnonzero(~np.isfinite(times))
+    if len(wrong):
+        raise PlanError(
+            f"time {wrong[0]} is {times[wrong[0]].item()!r}; every time must be a finite number "
+            "of seconds",
+            remedy="Correct it, or leave it out.",
+        )
+    return times
 
 
 _SPAN = "span_s"
@@ -134,8 +158,13 @@ class Trajectory:
         """Return the (m, axes) ``derivative``-th derivative at ``time_s``, held before and after.
 
         Times may come in any order; the trajectory is read once.
+
+        Raises
+        ------
+        PlanError
+            If ``time_s`` is neither a number nor a row of numbers, or one of them is not finite.
         """
-        wanted = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
+        wanted = _checked_times(time_s)
         result = np.zeros((len(wanted), len(self.axes)))
         last = None
         for block in self:

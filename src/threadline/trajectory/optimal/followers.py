@@ -146,8 +146,10 @@ class Follower:
         guard[np.abs(guard) < 1e-9 * np.maximum(size, 1e-300)] = 0.0
         rate = np.abs(across((c * speed)[:, 1:] * np.arange(1.0, c.shape[1])[None, :, None]) / room)
         fastest = rate.sum(axis=1).max(axis=1)
-        with np.errstate(divide="ignore"):
-            cap = np.where(fastest > 0.0, fastest**-2.0, np.inf)
+        with np.errstate(over="ignore"):  # a rate of next to none: no cap, like that of none
+            cap = (
+                np.divide(1.0, fastest, out=np.full(len(fastest), np.inf), where=fastest > 0.0) ** 2
+            )
         if most is not None:
             cap = np.minimum(cap, most / elements.length**2)
         return replace(elements, guard=guard, guard_cap=cap)

@@ -68,9 +68,15 @@ def followed(
             over = strays.worst(begin_s + middles)
             ease, straight = ease[at], straight[at]
             known = np.full(len(x), np.inf) if most is None else most[at]
-            most = np.where(over > 1.0, np.minimum(known, x * over**-_SLOWED), known)
+            most = _slowed(known, x, over)
         problem.regard(follower.guarded(elements, ease, straight, most))
     return polished(problem, _slower(block, follower, past), limits, follower, past)
+
+
+def _slowed(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
+    """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` is above 1."""
+    lower = np.minimum(known, x * np.maximum(over, 1.0) ** -_SLOWED)
+    return np.where(over > 1.0, lower, known)
 
 
 def _whose(coarse: Elements, fine: Elements) -> IntArray:
