@@ -12,6 +12,7 @@ import pytest
 
 import threadline as tl
 from tests.cli.test_commands import run
+from threadline.cli.main import main
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
@@ -348,3 +349,18 @@ def test_seams_are_read_for_machines_without_loops(
     file.write_text(head + "".join(parts))
     job = read_job(examples / "stitcher-test-path.seam.toml", load_machine(file))
     assert sum(1 for _ in job) > 10
+
+
+def test_a_proof_of_limits_alone_is_not_verified_as_in_spec(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits, job = files(tmp_path, "G1 X20 A90 F1000\nG1 X0")
+    proof = tmp_path / "job.proof.json"
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", str(job), "-m", str(limits), "--proof", str(proof)])
+    assert ended.value.code == 0
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main(["verify", str(proof)])
+    said = capsys.readouterr().out
+    assert ended.value.code == 0 and "limits kept" in said and "in spec" not in said

@@ -46,6 +46,8 @@ def test_limits_alone_and_a_job_with_feeds(
     limits, job = limits_alone(tmp_path, "G1 X20 A90 F1000\nG1 X0")
     told = json.loads(_compared(capsys, str(job), "-m", str(limits), "--json"))
     assert "the machine file has no dynamics" in told["fastest_left_out"]
+    said = _compared(capsys, str(job), "-m", str(limits))
+    assert "limits kept" in said and "in spec" not in said
     words = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--interpolation", "linear"]
     told = json.loads(_compared(capsys, *words, "--json"))
     assert told["fastest"]["linear"]["best"] > 0.0

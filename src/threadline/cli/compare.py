@@ -43,7 +43,7 @@ from threadline.report import write_comparison
 from threadline.search import Comparison, Rung
 from threadline.search import compare as compare_job
 from threadline.targets.schedule_options import UNSHAPED_WORD
-from threadline.verdict import load_spec, verdict_json
+from threadline.verdict import in_a_word, load_spec, verdict_json
 
 COLUMNS = (
     ("tracking_error", "tracking mm"),
@@ -209,7 +209,7 @@ def comparison_tables(
             *(_label(proof, key) for key in shown),
             f"{proof.plan.duration_s:.3f}",
             *(_worst(proof, name) for name, _ in columns),
-            "in spec" if proof.verdict.passed else "OUT",
+            in_a_word(proof.verdict),
         ]
         for proof in found.proofs
     ]

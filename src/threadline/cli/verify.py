@@ -11,6 +11,7 @@ from threadline.cli.output import print_json, say
 from threadline.cli.shared_options import JsonOption
 from threadline.errors import Place, ProofError
 from threadline.proof_file import read_proof, verify_proof
+from threadline.verdict.types import Level
 
 
 def verify(
@@ -38,7 +39,8 @@ def verify(
     if json:
         print_json({"proof": str(proof), "passed": known.passed, "level": known.level})
     else:
-        verdict = "in spec" if known.passed else "out of spec"
+        alone = known.level == Level.LIMITS.value
+        verdict = "out of spec" if not known.passed else "limits kept" if alone else "in spec"
         say(f"{proof.name}: nothing has changed since it was proved; {verdict}, {known.level}")
     raise typer.Exit(0 if known.passed else 1)
 

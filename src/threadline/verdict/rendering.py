@@ -119,15 +119,27 @@ def closing(verdict: Verdict) -> str:
     return f"NOT PROVEN ({level}): {' and '.join(lacking)} {were} not measured"
 
 
+def in_a_word(verdict: Verdict) -> str:
+    """Return a verdict as a table has it: what :func:`closing` begins with, in a word or two."""
+    if verdict.passed:
+        return "in spec" if verdict.answers else "limits kept"
+    failed = any(result.status is Status.FAILED for result in verdict.results)
+    return "OUT" if failed else "not proven"
+
+
 def closing_of_all(verdicts: Sequence[Verdict]) -> str:
-    """Return the line under several verdicts: how many are in spec, and at which level."""
+    """Return the line under several verdicts: how many are in spec, and at which level.
+
+    Where none of them answers more than whether limits are kept, that is all that is said.
+    """
     good = sum(verdict.passed for verdict in verdicts)
+    what = "in spec" if any(verdict.answers for verdict in verdicts) else "within the limits"
     levels = dict.fromkeys(
         _level(verdict) if verdict.level is Level.LIMITS else f"{_level(verdict)} each"
         for verdict in verdicts
     )
     how_many = "every case" if good == len(verdicts) else f"{good} of {len(verdicts)} cases"
-    return f"{how_many} in spec ({', '.join(levels)})"
+    return f"{how_many} {what} ({', '.join(levels)})"
 
 
 def _level(verdict: Verdict) -> str:
